@@ -1,0 +1,1 @@
+//! What crosses stages: images, cameras, Gaussians, and the files they come from.

@@ -1,0 +1,1 @@
+//! Checkpoint -> checked, shaped tensors.

@@ -1,0 +1,1 @@
+//! What tests share: references in f64, goldens, and comparison.

@@ -1,0 +1,3 @@
+//! The `zipsplat` command.
+
+fn main() {}
