@@ -1,1 +1,3 @@
 //! What tests share: references in f64, goldens, and comparison.
+
+pub mod architectures;

@@ -1,1 +1,3 @@
-//! Tests.
+//! Stages against goldens.
+
+mod weights;
