@@ -6,3 +6,4 @@
 
 pub mod compare;
 pub mod golden;
+pub mod reference;

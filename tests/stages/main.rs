@@ -1,1 +1,3 @@
-//! Tests.
+//! Stages against goldens, and the references themselves.
+
+mod references;
