@@ -2,7 +2,7 @@
 //!
 //! - [`golden`] opens the dumps of the PyTorch implementation.
 //! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
-//! - [`reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
+//! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
 
 pub mod compare;
 pub mod golden;
