@@ -1,3 +1,4 @@
-//! Stages against goldens.
+//! Stages against goldens, and the references themselves.
 
+mod references;
 mod weights;
