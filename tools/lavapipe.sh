@@ -11,10 +11,12 @@ mkdir -p "$prefix"
 exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run ]] || exit 0
 
+say() { echo "zipsplat: $*" >&2; }
 # shellcheck disable=SC2016 # $(REPO_URI) is apt's
 mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' |
   awk '/\/debian(\.list)?\/?$/ { mirror = $0 } END { print mirror }')
-[[ -n $mirror ]] || { echo "lavapipe.sh: this system's apt sources name no Debian mirror" >&2; exit 1; }
+[[ -n $mirror ]] || { say "no Debian mirror among the apt sources to fetch a current lavapipe from"; exit 1; }
+say "unpacking lavapipe from $suite in $prefix (84 MB to download)"
 
 apt=$prefix/apt root=$prefix/root
 rm -rf "$apt" "$root"

@@ -66,7 +66,6 @@ find_gpu() {
 # use_lavapipe VERSION SUITE: Debian's lavapipe unpacked in the cache; where that cannot be had, the distribution's.
 use_lavapipe() {
   local prefix=$cache/lavapipe$1 version
-  [[ -x $prefix/run ]] || say "unpacking lavapipe $1 in $prefix (84 MB to download)"
   if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
     export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
     say "Vulkan on the CPU: $prefix"
