@@ -22,6 +22,7 @@ stage() {
 }
 
 apt_install() {
+  [[ -e /etc/debian_version ]] || return 0
   local package missing=() as_root=()
   for package in "$@"; do
     [[ $(dpkg-query -W -f '${db:Status-Status}' "$package" 2> /dev/null) == installed ]] || missing+=("$package")
@@ -29,7 +30,7 @@ apt_install() {
   [[ ${#missing[@]} != 0 ]] || return 0
   [[ $EUID == 0 ]] || as_root=(sudo -n)
   say "installing ${missing[*]}"
-  "${as_root[@]}" apt-get -qq update || true # a broken third-party source is no reason to stop
+  "${as_root[@]}" apt-get -qq update 2> /dev/null || true # a broken third-party source is no reason to stop
   "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
     apt-get -qq -y --no-install-recommends install "${missing[@]}" > /dev/null ||
     { say "that failed; please run: sudo apt-get update && sudo apt-get install ${missing[*]}"; return 1; }
@@ -71,7 +72,7 @@ use_lavapipe() {
     say "Vulkan on the CPU: $prefix"
     return
   fi
-  apt_install libvulkan1 mesa-vulkan-drivers vulkan-validationlayers
+  apt_install libvulkan1 mesa-vulkan-drivers
   version=$(dpkg-query -W -f '${Version}' mesa-vulkan-drivers)
   dpkg --compare-versions "$version" ge 25 ||
     die "this system's lavapipe (Mesa $version) computes wrong results: needs Mesa 25 or a GPU with a Vulkan 1.3 driver"
