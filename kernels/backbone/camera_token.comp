@@ -19,7 +19,6 @@ layout(push_constant) uniform Push {
     uint views;
     uint tokens;
     uint width;
-    uint first_view; // where Out is a part of all views
 };
 
 void main() {
@@ -27,7 +26,7 @@ void main() {
     if (i >= views * width) {
         return;
     }
-    uint view = first_view + i / width;
+    uint view = i / width;
     uint row = ENCODED ? view : min(view, 1);
-    result[i / width * tokens * width + i % width] = camera_tokens[row * width + i % width];
+    result[view * tokens * width + i % width] = camera_tokens[row * width + i % width];
 }

@@ -15,7 +15,7 @@
 
 layout(local_size_x_id = 0) in;
 
-const uint ROWS = 8;
+const uint ROWS = NEAREST_ROWS;
 const uint COLUMNS = 4;
 
 layout(set = 0, binding = 0) readonly buffer Points { vec4 points[]; };

@@ -3,7 +3,7 @@
 // Q       [heads, sequences * queries, DIM] f32, already scaled by 1 / sqrt(DIM)
 // K       [heads, sequences, DIM, padded keys] f32: keys run fastest, padded to a multiple of 4
 // V       [heads, sequences * keys, DIM] f32
-// Out     [sequences * queries, heads_out * DIM] f32, this dispatch's heads from first_head on
+// Out     [sequences * queries, heads * DIM] f32
 //
 // One workgroup (a subgroup) owns ROWS queries of a head; each lane scores 4 keys at a time, then gathers 4 channels of
 // the values (VECTORS times). Memory is linear in tokens.
@@ -12,13 +12,14 @@
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#include "shared/limits.glsl"
 
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint DIM = 64;
 layout(constant_id = 2) const uint VECTORS = 2; // ceil(DIM / (4 * subgroup size))
 
-const uint ROWS = 8;
+const uint ROWS = ATTENTION_ROWS;
 const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
 
 layout(set = 0, binding = 0) readonly buffer Q { vec4 q[]; };
@@ -30,8 +31,7 @@ layout(push_constant) uniform Push {
     uint queries;
     uint keys;
     uint sequences;
-    uint first_head;
-    uint heads_out;
+    uint heads;
 };
 
 shared vec4 weights[ROWS][gl_WorkGroupSize.x];
@@ -128,7 +128,7 @@ void main() {
                 uint channel = lane + c * lanes;
                 if (channel < quads) {
                     uint row = sequence * queries + query;
-                    result[(row * heads_out + first_head + head) * quads + channel] = sum[r][c] / all;
+                    result[(row * heads + head) * quads + channel] = sum[r][c] / all;
                 }
             }
         }

@@ -2,7 +2,7 @@
 //
 // Source        [source_rows, width] f32, rows first_row on of a longer array
 // RowsFromOut   [count] row indices into the longer array
-// Out           [count, out_stride] f32, from out_column on
+// Out           [count, width] f32
 //
 // One invocation an element; rows outside this part of the source are another dispatch's.
 #version 460
@@ -20,8 +20,6 @@ layout(push_constant) uniform Push {
     uint width;
     uint first_row;
     uint source_rows;
-    uint out_stride;
-    uint out_column;
 };
 
 void main() {
@@ -31,6 +29,6 @@ void main() {
     }
     uint row = rows_from_out[i / width] - first_row;
     if (row < source_rows) {
-        result[(i / width) * out_stride + out_column + i % width] = source[row * width + i % width];
+        result[i] = source[row * width + i % width];
     }
 }

@@ -1,13 +1,13 @@
-// Layer normalisation of rows: out = (x - mean) / sqrt(variance + eps) * weight + bias, x = input (+ addend).
+// Layer normalisation of rows: out = (x - mean) / sqrt(variance + eps) * weight + bias, x = source (+ addend).
 //
-// Input     [rows, width] f32 at input_stride, from input_offset on
+// Source    [rows, width] f32
 // Addend    [rows, width] f32, packed; read where ADD
 // Weight    [width] f32
 // Bias      [width] f32
-// Out       [rows, width] f32 at output_stride, from output_offset on
+// Out       [rows, out_stride] f32, columns from out_column on
 //
 // One workgroup (a subgroup) owns a row. Mean and variance take two passes, as a difference of sums would cancel.
-// With `tokens` > 0 the input has one more row (its camera token) before every `tokens` rows, which is left out.
+// With `patches` > 0 the source has one more row (a camera token) before every `patches` rows, which is left out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -26,12 +26,9 @@ layout(set = 0, binding = 4) writeonly buffer Out { float result[]; };
 layout(push_constant) uniform Push {
     uint rows;
     uint width;
-    uint source_stride;
-    uint source_offset;
     uint out_stride;
-    uint out_offset;
-    uint first_row; // of the whole, where this dispatch has a part of it
-    uint tokens;
+    uint out_column;
+    uint patches;
     float eps;
 };
 
@@ -45,12 +42,8 @@ void main() {
     if (row >= rows) {
         return;
     }
-    uint source_row = row;
-    if (tokens > 0) {
-        source_row = first_row + row;
-        source_row += source_row / tokens + 1;
-    }
-    uint from = source_offset + source_row * source_stride;
+    uint source_row = patches > 0 ? row + row / patches + 1 : row;
+    uint from = source_row * width;
 
     float sum = 0.0;
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
@@ -63,7 +56,7 @@ void main() {
         squares += d * d;
     }
     float scale = 1.0 / sqrt(subgroupAdd(squares) / float(width) + eps);
-    uint to = out_offset + row * out_stride;
+    uint to = row * out_stride + out_column;
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
         result[to + c] = (load(from, row, c) - mean) * scale * weight[c] + bias[c];
     }

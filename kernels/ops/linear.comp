@@ -13,6 +13,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #include "shared/gelu.glsl"
+#include "shared/limits.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -20,7 +21,7 @@ layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 Sw
 layout(constant_id = 2) const bool SCALE = false;
 layout(constant_id = 3) const bool ADD = false;
 
-const uint ROWS = 16;
+const uint ROWS = LINEAR_ROWS;
 
 layout(set = 0, binding = 0) readonly buffer A { vec4 a[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { vec4 weight[]; };

@@ -22,4 +22,4 @@ pub use memory::{Resident, ResidentLayout};
 pub use plan::{ArenaRow, Plan, Tensor};
 pub use profile::{Profile, ProfileRow};
 pub use recorder::Recorder;
-pub use run::{Progress, Run};
+pub use run::{Progress, Run, StageTimes};

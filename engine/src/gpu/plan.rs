@@ -96,6 +96,7 @@ pub struct Plan {
     pub(super) allocations: Vec<Allocation>,
     pub(super) placements: Vec<Placement>,
     pub(super) blocks: Vec<u64>,
+    pub(super) observed: Vec<(String, Tensor)>,
 }
 
 /// One line of the arena's map.
@@ -119,6 +120,12 @@ impl Plan {
     /// Bytes of the arena: the most that is alive at once, as laid out.
     pub fn arena_bytes(&self) -> u64 {
         self.blocks.iter().sum()
+    }
+
+    /// The outermost scope of a command: its stage.
+    pub(super) fn stage(&self, command: usize) -> &str {
+        let scope = &self.scopes[self.commands[command].scope as usize];
+        scope.split('/').next().unwrap_or_default()
     }
 
     /// Commands in the plan.

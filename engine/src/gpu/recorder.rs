@@ -14,6 +14,7 @@ pub struct Recorder {
     scopes: Vec<String>,
     scope: u32,
     allocations: Vec<Allocation>,
+    observed: Option<Vec<(String, Tensor)>>,
     error: Option<Error>,
 }
 
@@ -26,6 +27,7 @@ impl Recorder {
             scopes: vec![String::new()],
             scope: 0,
             allocations: Vec::new(),
+            observed: None,
             error: None,
         }
     }
@@ -54,6 +56,23 @@ impl Recorder {
     pub fn output(&mut self, tensor: Tensor) {
         if let Home::Arena(id) = tensor.home {
             self.allocations[id as usize].output = true;
+        }
+    }
+
+    /// From here on, [`Recorder::observe`] keeps what it is shown.
+    pub fn observing(mut self) -> Self {
+        self.observed = Some(Vec::new());
+        self
+    }
+
+    /// Shows a tensor as it is at this point. Costs nothing unless the recorder is [`Recorder::observing`]: then it is
+    /// copied, and [`super::Run::observed`] returns it after a run.
+    pub fn observe(&mut self, name: &str, tensor: Tensor) {
+        if self.observed.is_some() {
+            let copy = self.tensor::<u8>(name, tensor.bytes as usize);
+            self.copy(tensor, copy);
+            self.output(copy);
+            self.observed.get_or_insert_default().push((name.to_owned(), copy));
         }
     }
 
@@ -135,8 +154,9 @@ impl Recorder {
                 needed: lifetimes[i].bytes,
                 available: self.limits.max_block_bytes,
             })?;
-        let Self { commands, scopes, allocations, .. } = self;
-        Ok(Plan { commands, scopes, allocations, placements, blocks })
+        let Self { commands, scopes, allocations, observed, .. } = self;
+        let observed = observed.unwrap_or_default();
+        Ok(Plan { commands, scopes, allocations, placements, blocks, observed })
     }
 
     fn allocate<T>(&mut self, name: &str, len: usize, role: Role) -> Tensor {

@@ -11,6 +11,7 @@ use crate::{Error, Result};
 use ash::vk;
 use bytemuck::Pod;
 use std::{
+    collections::VecDeque,
     ops::ControlFlow,
     sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
@@ -52,6 +53,31 @@ struct Batch {
     commands: vk::CommandBuffer,
     cost: u64,
     first_command: usize,
+}
+
+/// Time of each stage of a run, as the host saw its submissions end.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct StageTimes(pub Vec<(String, Duration)>);
+
+impl StageTimes {
+    /// All stages together.
+    pub fn total(&self) -> Duration {
+        self.0.iter().map(|s| s.1).sum()
+    }
+
+    fn add(&mut self, stage: &str, took: Duration) {
+        match self.0.iter_mut().find(|s| s.0 == stage) {
+            Some(known) => known.1 += took,
+            None => self.0.push((stage.to_owned(), took)),
+        }
+    }
+}
+
+/// Bookkeeping of one execution.
+struct Clock {
+    times: StageTimes,
+    last: Instant,
+    done: u64,
 }
 
 /// Where encoding stands: the next command, and how many of its workgroups along `axis` are done.
@@ -130,11 +156,16 @@ impl Run {
         Ok(data)
     }
 
+    /// Names and tensors that an observing recorder was shown, in order.
+    pub fn observed(&self) -> &[(String, Tensor)] {
+        &self.plan.observed
+    }
+
     /// Runs the plan to its end.
     ///
     /// # Errors
     /// [`Error::DeviceLost`], a driver's failure, or validation messages.
-    pub fn execute(&mut self) -> Result<()> {
+    pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
@@ -142,53 +173,60 @@ impl Run {
     ///
     /// # Errors
     /// As [`Run::execute`], and [`Error::Cancelled`].
-    pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<()> {
+    pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.check_inputs()?;
-        let total: u64 = self.plan.commands.iter().map(|c| self.cost(&c.operation, c.flops)).sum();
-        let mut cursor =
-            Cursor { command: if self.batches.is_empty() { 0 } else { self.plan.commands.len() }, done: 0 };
-        let (mut index, mut done, mut last) = (0, 0u64, Instant::now());
-        let mut waits: Vec<(u64, u64)> = Vec::new();
-        let result = loop {
-            if index == self.batches.len() {
-                if cursor.command == self.plan.commands.len() {
-                    break Ok(());
-                }
-                let budget = self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64;
-                match self.encode(&mut cursor, budget) {
-                    Ok(batch) => self.batches.push(batch),
-                    Err(e) => break Err(e),
-                }
-            }
-            let (commands, cost, first) =
-                (self.batches[index].commands, self.batches[index].cost, self.batches[index].first_command);
-            match self.submit(commands) {
-                Ok(value) => waits.push((value, cost)),
-                Err(e) => break Err(e),
-            }
-            index += 1;
-            if waits.len() == IN_FLIGHT {
-                let (value, cost) = waits.remove(0);
-                if let Err(e) = self.wait(value) {
-                    break Err(e);
-                }
-                self.learn(cost, last.elapsed());
-                last = Instant::now();
-                done += cost;
-            }
-            let scope = &self.plan.scopes[self.plan.commands[first].scope as usize];
-            if progress(Progress { fraction: done as f64 / total.max(1) as f64, scope }).is_break() {
-                break Err(Error::Cancelled);
-            }
-        };
-        let idle = waits.last().map_or(Ok(()), |(value, _)| self.wait(*value));
+        let result = self.submit_all(&mut progress);
+        // Whatever is under way ends before anything it uses may change.
+        let idle = self.wait(self.signalled);
         if result.is_err() {
             // A recording that was cut short is not replayed.
             self.discard_batches();
         }
-        result.and(idle)?;
+        let times = result?;
+        idle?;
         self.forget_inputs();
-        self.device.0.check_messages()
+        self.device.0.check_messages()?;
+        Ok(times)
+    }
+
+    fn submit_all(&mut self, progress: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
+        let total: u64 = self.plan.commands.iter().map(|c| self.cost(&c.operation, c.flops)).sum();
+        let commands = self.plan.commands.len();
+        let mut cursor = Cursor { command: if self.batches.is_empty() { 0 } else { commands }, done: 0 };
+        let mut clock = Clock { times: StageTimes::default(), last: Instant::now(), done: 0 };
+        let mut under_way = VecDeque::new();
+        for index in 0.. {
+            if index == self.batches.len() && cursor.command < commands {
+                let batch = self.encode(&mut cursor)?;
+                self.batches.push(batch);
+            }
+            let Some(batch) = self.batches.get(index) else { break };
+            let (buffer, first) = (batch.commands, batch.first_command);
+            under_way.push_back((self.submit(buffer)?, index));
+            if under_way.len() == IN_FLIGHT {
+                self.finish_one(&mut under_way, &mut clock)?;
+            }
+            let scope = &self.plan.scopes[self.plan.commands[first].scope as usize];
+            if progress(Progress { fraction: clock.done as f64 / total.max(1) as f64, scope }).is_break() {
+                return Err(Error::Cancelled);
+            }
+        }
+        while !under_way.is_empty() {
+            self.finish_one(&mut under_way, &mut clock)?;
+        }
+        Ok(clock.times)
+    }
+
+    /// Waits for the oldest submission and books its time.
+    fn finish_one(&self, under_way: &mut VecDeque<(u64, usize)>, clock: &mut Clock) -> Result<()> {
+        let Some((value, index)) = under_way.pop_front() else { return Ok(()) };
+        self.wait(value)?;
+        let (took, batch) = (clock.last.elapsed(), &self.batches[index]);
+        clock.last = Instant::now();
+        clock.done += batch.cost;
+        self.learn(batch.cost, took);
+        clock.times.add(self.plan.stage(batch.first_command), took);
+        Ok(())
     }
 
     /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
@@ -217,8 +255,7 @@ impl Run {
         let mut cursor = Cursor::default();
         let commands = self.command_buffer()?;
         while cursor.command < self.plan.commands.len() {
-            let budget = self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64;
-            let (pieces, _) = self.next_pieces(&mut cursor, budget);
+            let (pieces, _) = self.next_pieces(&mut cursor);
             self.record(commands, &pieces, Some((queries, count)))?;
             let value = self.timeline_value()? + 1;
             self.submit_as(commands, value)?;
@@ -256,9 +293,9 @@ impl Run {
         Bound { shared: &self.device.0, plan: &self.plan, arena: &self.arena, resident: self.resident.as_deref() }
     }
 
-    fn encode(&self, cursor: &mut Cursor, budget: u64) -> Result<Batch> {
+    fn encode(&self, cursor: &mut Cursor) -> Result<Batch> {
         let first_command = cursor.command;
-        let (pieces, cost) = self.next_pieces(cursor, budget);
+        let (pieces, cost) = self.next_pieces(cursor);
         let commands = self.command_buffer()?;
         self.record(commands, &pieces, None)?;
         Ok(Batch { commands, cost, first_command })
@@ -278,10 +315,15 @@ impl Run {
         encoder.end()
     }
 
-    /// Takes pieces up to the budget; a dispatch beyond it is cut along its longest axis.
-    fn next_pieces(&self, cursor: &mut Cursor, budget: u64) -> (Vec<Piece>, u64) {
+    /// Takes pieces of one stage that are worth one submission; a dispatch beyond that is cut along its longest axis.
+    fn next_pieces(&self, cursor: &mut Cursor) -> (Vec<Piece>, u64) {
+        let budget = self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64;
+        let stage = self.plan.stage(cursor.command);
         let (mut pieces, mut cost) = (Vec::new(), 0);
         while let Some(command) = self.plan.commands.get(cursor.command) {
+            if self.plan.stage(cursor.command) != stage {
+                break;
+            }
             let whole = self.cost(&command.operation, command.flops);
             let mut piece = Piece { command: cursor.command, base: [0; 3], groups: [1; 3] };
             let mut piece_cost = whole;

@@ -1,0 +1,125 @@
+//! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
+
+use super::Norm;
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{limits::ATTENTION_ROWS, ops},
+};
+
+/// Heads and their channels.
+#[derive(Clone, Copy, Debug)]
+pub struct Heads {
+    /// Number of heads.
+    pub count: usize,
+    /// Channels of a head.
+    pub dim: usize,
+}
+
+impl Heads {
+    /// `count` heads over `width` channels.
+    pub fn new(count: usize, width: usize) -> Self {
+        Self { count, dim: width / count }
+    }
+
+    /// Channels of all heads.
+    pub fn width(&self) -> usize {
+        self.count * self.dim
+    }
+}
+
+/// Queries, keys or values: which columns of a projection they are and what happens to them on the way.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Part {
+    /// First column.
+    pub column: usize,
+    /// Norm over a head's channels.
+    pub norm: Option<Norm>,
+    /// Rotary table [tokens, dim / 2, 2] f32 and its tokens.
+    pub rotary: Option<(Tensor, usize)>,
+    /// Whether these are keys, which are laid out with tokens running fastest.
+    pub keys: bool,
+    /// Factor, or 0 for none.
+    pub scale: f32,
+}
+
+/// Shape of an attention over `sequences` independent sequences.
+#[derive(Clone, Copy, Debug)]
+pub struct Attention {
+    /// Heads.
+    pub heads: Heads,
+    /// Sequences that do not see each other.
+    pub sequences: usize,
+    /// Queries of a sequence.
+    pub queries: usize,
+    /// Keys of a sequence.
+    pub keys: usize,
+}
+
+impl Attention {
+    /// Tensors for queries, keys and values.
+    pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 3] {
+        let (width, sequences) = (self.heads.width(), self.sequences);
+        [
+            rec.tensor::<f32>("queries", sequences * self.queries * width),
+            rec.tensor::<f32>("keys", sequences * self.keys.next_multiple_of(4) * width),
+            rec.tensor::<f32>("values", sequences * self.keys * width),
+        ]
+    }
+
+    /// Takes a part of `projection` [rows, stride], whose first row is row `first_row` of all, into `out`.
+    pub fn split(&self, rec: &mut Recorder, projection: (Tensor, usize), first_row: usize, rows: usize, part: Part, out: Tensor) {
+        let sequence = if part.keys || part.scale == 0.0 { self.keys } else { self.queries };
+        let (norm_weight, norm_bias, eps) =
+            part.norm.map_or((projection.0, projection.0, 0.0), |n| (n.weight, n.bias, n.eps));
+        let (rotary, tokens) = part.rotary.unwrap_or((projection.0, 1));
+        let kernel = ops::SplitHeads {
+            projection: projection.0,
+            weight: norm_weight,
+            bias: norm_bias,
+            rotary,
+            out,
+            rows: rows as u32,
+            heads: self.heads.count as u32,
+            dim: self.heads.dim as u32,
+            stride: projection.1 as u32,
+            column: part.column as u32,
+            first_row: first_row as u32,
+            out_rows: (self.sequences * sequence) as u32,
+            sequence: sequence as u32,
+            tokens: tokens as u32,
+            scale: if part.scale == 0.0 { 1.0 } else { part.scale },
+            eps,
+            norm: part.norm.is_some(),
+            rotate: part.rotary.is_some(),
+            transpose: part.keys,
+        };
+        rec.dispatch_groups(kernel, rows * self.heads.count);
+    }
+
+    /// Scale of the queries: 1 / sqrt(dim).
+    pub fn scale(&self) -> f32 {
+        1.0 / (self.heads.dim as f32).sqrt()
+    }
+
+    /// softmax(q k) v of every head, [sequences * queries, width] f32.
+    pub fn record(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3]) -> Tensor {
+        let Heads { count, dim } = self.heads;
+        let out = rec.tensor::<f32>("attended", self.sequences * self.queries * self.heads.width());
+        let kernel = ops::Attention {
+            q,
+            k,
+            v,
+            out,
+            queries: self.queries as u32,
+            keys: self.keys as u32,
+            sequences: self.sequences as u32,
+            heads: count as u32,
+            dim: dim as u32,
+            vectors: (dim as u32).div_ceil(4 * rec.limits().subgroup_size),
+        };
+        let groups = [self.queries.div_ceil(ATTENTION_ROWS as usize), count, self.sequences];
+        let flops = 4 * self.sequences * self.queries * self.keys * self.heads.width();
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(flops as u64);
+        out
+    }
+}

@@ -1,0 +1,125 @@
+//! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
+
+use super::{Activation, Attention, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, row_chunks};
+use crate::{
+    gpu::{Recorder, Tensor},
+    weights::Ffn,
+};
+
+/// A block's parameters.
+pub struct Block {
+    heads: Heads,
+    norm1: Norm,
+    qkv: Linear,
+    qk_norm: Option<[Norm; 2]>,
+    proj: Linear,
+    gamma1: Tensor,
+    mlp: Mlp,
+}
+
+/// The feed-forward half of a block, its norm and its LayerScale.
+pub(super) struct Mlp {
+    pub norm: Norm,
+    fc1: Linear,
+    fc2: Linear,
+    gamma: Tensor,
+    activation: Activation,
+}
+
+/// How the tokens of a residual stream [sequences * tokens, width] attend to each other.
+#[derive(Clone, Copy, Debug)]
+pub struct Sequences {
+    /// Sequences that do not see each other.
+    pub count: usize,
+    /// Tokens of a sequence.
+    pub tokens: usize,
+    /// Rotary table and the number of tokens after which it repeats.
+    pub rotary: Option<(Tensor, usize)>,
+}
+
+/// Norms on queries and keys add this to the variance, also where the block's other norms add less.
+pub(super) const QK_NORM_EPS: f32 = 1e-5;
+
+impl Block {
+    /// Lays out the block `name` of `width` channels; norms of the residual stream add `eps` to the variance.
+    pub fn new(p: &mut ParameterLayout, name: &str, heads: Heads, qk_norm: bool, ffn: (Ffn, usize), eps: f32) -> Self {
+        let width = heads.width();
+        let head_norm = |p: &mut ParameterLayout, n| p.norm(&format!("{name}.attn.{n}_norm"), heads.dim, QK_NORM_EPS);
+        Self {
+            heads,
+            norm1: p.norm(&format!("{name}.norm1"), width, eps),
+            qkv: p.linear(&format!("{name}.attn.qkv"), width, 3 * width),
+            qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),
+            proj: p.linear(&format!("{name}.attn.proj"), width, width),
+            gamma1: p.vector(format!("{name}.ls1.gamma"), width),
+            mlp: Mlp::new(p, name, width, ffn, eps),
+        }
+    }
+
+    /// Runs the block on `x` [count * tokens, width] in place.
+    pub fn record(&self, rec: &mut Recorder, x: Tensor, sequences: Sequences) {
+        let width = self.heads.width();
+        let rows = sequences.count * sequences.tokens;
+        let attention = Attention {
+            heads: self.heads,
+            sequences: sequences.count,
+            queries: sequences.tokens,
+            keys: sequences.tokens,
+        };
+        let [q, k, v] = attention.tensors(rec);
+        for part in row_chunks(rec, rows, 3 * width) {
+            let normed = self.norm1.apply(rec, x.slice::<f32>(part.start * width, part.len() * width), part.len());
+            let qkv = self.qkv.apply(rec, "qkv", normed, part.len(), Epilogue::default());
+            let [q_norm, k_norm] = self.qk_norm.map_or([None; 2], |n| n.map(Some));
+            let rotary = sequences.rotary;
+            let parts = [
+                (Part { column: 0, norm: q_norm, rotary, keys: false, scale: attention.scale() }, q),
+                (Part { column: width, norm: k_norm, rotary, keys: true, scale: 0.0 }, k),
+                (Part { column: 2 * width, ..Part::default() }, v),
+            ];
+            for (what, out) in parts {
+                attention.split(rec, (qkv, 3 * width), part.start, part.len(), what, out);
+            }
+        }
+        let attended = attention.record(rec, [q, k, v]);
+        let epilogue = Epilogue { gamma: Some(self.gamma1), residual: Some(x), ..Epilogue::default() };
+        self.proj.record(rec, attended, rows, x, epilogue);
+        self.mlp.record(rec, x, None, x, rows);
+    }
+}
+
+impl Mlp {
+    pub fn new(p: &mut ParameterLayout, name: &str, width: usize, (ffn, hidden): (Ffn, usize), eps: f32) -> Self {
+        let norm = p.norm(&format!("{name}.norm2"), width, eps);
+        let gamma = p.vector(format!("{name}.ls2.gamma"), width);
+        let (fc1, fc2, activation) = match ffn {
+            Ffn::Gelu => (
+                p.linear(&format!("{name}.mlp.fc1"), width, hidden),
+                p.linear(&format!("{name}.mlp.fc2"), hidden, width),
+                Activation::Gelu,
+            ),
+            Ffn::SwiGlu => (
+                p.gated_linear(&format!("{name}.mlp.w12"), width, 2 * hidden),
+                p.linear(&format!("{name}.mlp.w3"), hidden, width),
+                Activation::SwiGlu,
+            ),
+        };
+        Self { norm, fc1, fc2, gamma, activation }
+    }
+
+    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all [rows, width].
+    pub fn record(&self, rec: &mut Recorder, residual: Tensor, addend: Option<Tensor>, out: Tensor, rows: usize) {
+        let width = self.norm.width;
+        for part in row_chunks(rec, rows, self.fc1.columns) {
+            let rows_of = |t: Tensor| t.slice::<f32>(part.start * width, part.len() * width);
+            let normed = match addend {
+                Some(addend) => self.norm.apply_to_sum(rec, rows_of(residual), rows_of(addend), part.len()),
+                None => self.norm.apply(rec, rows_of(residual), part.len()),
+            };
+            let activation = Epilogue { activation: self.activation, ..Epilogue::default() };
+            let hidden = self.fc1.apply(rec, "hidden", normed, part.len(), activation);
+            let epilogue = Epilogue { gamma: Some(self.gamma), residual: Some(rows_of(residual)), ..Epilogue::default() };
+            self.fc2.record(rec, hidden, part.len(), rows_of(out), epilogue);
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! Dispatches that several stages use. Each takes tensors and shapes and records; none owns device memory.
+
+mod attention;
+mod block;
+mod cross_block;
+mod linear;
+mod norm;
+mod parameters;
+mod rows;
+
+pub use attention::{Attention, Heads, Part};
+pub use block::{Block, Sequences};
+pub use cross_block::CrossBlock;
+pub use linear::{Activation, Epilogue, Linear};
+pub use norm::{Norm, NormRows};
+pub use parameters::ParameterLayout;
+pub use rows::{add, gather_rows, join_columns};
+pub(crate) use rows::row_chunks;

@@ -1,0 +1,53 @@
+//! The camera encoder: known poses and intrinsics become one token a view.
+
+use crate::{
+    gpu::{Recorder, Tensor},
+    ops::{Activation, Block, Epilogue, Heads, Linear, Norm, ParameterLayout, Sequences},
+    weights::{Architecture, Ffn},
+};
+
+/// Values of a pose encoding (`types::prior_encoding`), padded with zeros from 9 to whole vec4.
+pub const POSE_VALUES: usize = 12;
+
+const EPS: f32 = 1e-5;
+
+pub(super) struct CameraEncoder {
+    fc1: Linear,
+    fc2: Linear,
+    token_norm: Norm,
+    trunk: Vec<Block>,
+    trunk_norm: Norm,
+}
+
+impl CameraEncoder {
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        let root = "backbone.cam_enc";
+        let heads = Heads::new(a.camera_heads, a.width);
+        let block = |p: &mut ParameterLayout, i| {
+            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.camera_hidden), EPS)
+        };
+        Self {
+            fc1: p.linear(&format!("{root}.pose_branch.fc1"), 9, a.camera_pose_hidden),
+            fc2: p.linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
+            token_norm: p.norm(&format!("{root}.token_norm"), a.width, EPS),
+            trunk: (0..a.camera_depth).map(|i| block(p, i)).collect(),
+            trunk_norm: p.norm(&format!("{root}.trunk_norm"), a.width, EPS),
+        }
+    }
+
+    /// [views, POSE_VALUES] -> [views, width]. The views are one sequence.
+    pub fn record(&self, rec: &mut Recorder, poses: Tensor, views: usize) -> Tensor {
+        rec.scope("camera_encoder", |rec| {
+            let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
+            let hidden = self.fc1.apply(rec, "pose", poses, views, gelu);
+            let embedded = self.fc2.apply(rec, "embedded", hidden, views, Epilogue::default());
+            let x = self.token_norm.apply(rec, embedded, views);
+            for block in &self.trunk {
+                block.record(rec, x, Sequences { count: 1, tokens: views, rotary: None });
+            }
+            let tokens = self.trunk_norm.apply(rec, x, views);
+            rec.observe("bb/cam_token", tokens);
+            tokens
+        })
+    }
+}

@@ -1,0 +1,65 @@
+//! Out-layer features: the local and the global half, normalised, merged to the model's width.
+
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::backbone as kernels,
+    ops::{Epilogue, Linear, Norm, NormRows, ParameterLayout, row_chunks},
+    stages::ViewGrid,
+    weights::Architecture,
+};
+
+const EPS: f32 = 1e-5;
+
+pub(super) struct Features {
+    width: usize,
+    final_norm: Norm,
+    layers: Vec<Layer>,
+}
+
+struct Layer {
+    local_norm: Norm,
+    global_norm: Norm,
+    downscale: Linear,
+}
+
+impl Features {
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        let layer = |j: usize| Layer {
+            local_norm: p.norm(&format!("pre_norm_local.{j}"), a.width, EPS),
+            global_norm: p.norm(&format!("pre_norm_global.{j}"), a.width, EPS),
+            downscale: p.linear(&format!("downscale.{j}"), 2 * a.width, a.width),
+        };
+        let layers = (0..a.out_layers.len()).map(layer).collect();
+        Self { width: a.width, final_norm: p.norm("backbone.backbone.norm", a.width, super::EPS), layers }
+    }
+
+    /// Prepares feature `j` (0 is the deepest) from the residual stream after its block, `global`, and after the newest
+    /// local block: W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)). Camera tokens
+    /// are left out.
+    pub fn record(&self, rec: &mut Recorder, j: usize, local: Tensor, global: Tensor, grid: ViewGrid) -> Tensor {
+        let Layer { local_norm, global_norm, downscale } = &self.layers[j];
+        let (width, patches) = (self.width, grid.patches());
+        let out = rec.tensor::<f32>("prepared", grid.tokens() * width);
+        for part in row_chunks(rec, grid.views, (1 + patches) * 2 * width) {
+            let stream = (1 + patches) * width;
+            let views_of = |t: Tensor| t.slice::<f32>(part.start * stream, part.len() * stream);
+            let rows = part.len() * patches;
+            let halves = rec.tensor::<f32>("halves", rows * 2 * width);
+            let left = NormRows { rows, out_stride: 2 * width, out_column: 0, patches };
+            local_norm.record(rec, views_of(local), None, halves, left);
+            let finished = rec.tensor::<f32>("finished", rows * width);
+            let packed = NormRows { patches, ..NormRows::packed(rows, width) };
+            self.final_norm.record(rec, views_of(global), None, finished, packed);
+            let right = NormRows { rows, out_stride: 2 * width, out_column: width, patches: 0 };
+            global_norm.record(rec, finished, None, halves, right);
+
+            let out = out.slice::<f32>(part.start * patches * width, rows * width);
+            let kernel = kernels::AverageHalves { halves, out, rows: rows as u32, width: width as u32 };
+            rec.dispatch(kernel, rows * width);
+            let epilogue = Epilogue { residual: Some(out), ..Epilogue::default() };
+            downscale.record(rec, halves, rows, out, epilogue);
+        }
+        rec.observe(&format!("prep/layer{j}"), out);
+        out
+    }
+}

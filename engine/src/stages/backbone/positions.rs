@@ -1,0 +1,81 @@
+//! Position embedding and rotary tables: small, needed once a shape, so made on the host in f64.
+
+/// Bicubic kernel of the reference's interpolation.
+const A: f64 = -0.75;
+
+/// The reference adds this to the wanted grid before it takes the scale factor.
+const OFFSET: f64 = 0.1;
+
+/// Rotary embedding turns channel pair j of a half of size h by position * BASE^(-2j / h).
+const BASE: f64 = 100.0;
+
+/// Learned positions [1 + side * side, width] for a grid of `rows` x `columns` patches: [1 + rows * columns, width].
+///
+/// Bicubic without antialiasing, edges repeated; the class token's row stays. Only the grid they were learned on is left
+/// as it is.
+pub fn interpolate(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
+    if (rows, columns) == (side, side) {
+        return learned.to_vec();
+    }
+    let (ys, xs) = (taps(side, rows), taps(side, columns));
+    let mut out = learned[..width].to_vec();
+    out.reserve(rows * columns * width);
+    let mut sum = vec![0.0f64; width];
+    for y in &ys {
+        for x in &xs {
+            sum.fill(0.0);
+            for (row, wy) in y {
+                for (column, wx) in x {
+                    let from = (1 + row * side + column) * width;
+                    for (s, v) in sum.iter_mut().zip(&learned[from..from + width]) {
+                        *s += wy * wx * *v as f64;
+                    }
+                }
+            }
+            out.extend(sum.iter().map(|s| *s as f32));
+        }
+    }
+    out
+}
+
+/// For each of `count` outputs, four source indices and their weights.
+fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
+    let scale = (count as f64 + OFFSET) / side as f64;
+    let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
+    let far = |u: f64| ((A * u - 5.0 * A) * u + 8.0 * A) * u - 4.0 * A;
+    let one = |i: usize| {
+        let source = (i as f64 + 0.5) / scale - 0.5;
+        let t = source - source.floor();
+        let weights = [far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)];
+        let index = |k: usize| (source.floor() as i64 - 1 + k as i64).clamp(0, side as i64 - 1) as usize;
+        [0, 1, 2, 3].map(|k| (index(k), weights[k]))
+    };
+    (0..count).map(one).collect()
+}
+
+/// (cos, sin) for every token of a view and every channel pair of a head, [1 + rows * columns, dim / 2, 2]: first for
+/// local blocks, where patch (y, x) stands at (y + 1, x + 1), then for global ones, where every patch stands at (1, 1).
+/// The camera token stands at the origin. The first half of the pairs turns with y, the second with x.
+pub fn rotary_tables(rows: usize, columns: usize, dim: usize) -> [Vec<f32>; 2] {
+    let table = |position: &dyn Fn(usize, usize) -> [f64; 2]| {
+        let mut out = Vec::with_capacity((1 + rows * columns) * dim);
+        push_token(&mut out, [0.0, 0.0], dim);
+        for y in 0..rows {
+            for x in 0..columns {
+                push_token(&mut out, position(y, x), dim);
+            }
+        }
+        out
+    };
+    [table(&|y, x| [(y + 1) as f64, (x + 1) as f64]), table(&|_, _| [1.0, 1.0])]
+}
+
+fn push_token(out: &mut Vec<f32>, position: [f64; 2], dim: usize) {
+    let half = (dim / 2) as f64;
+    for p in position {
+        for j in 0..dim / 4 {
+            let angle = p * BASE.powf(-2.0 * j as f64 / half);
+            out.extend([angle.cos() as f32, angle.sin() as f32]);
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Clustering: which tokens stand for all of them. k-means on the deepest tokens; the nearest token of each centroid.
+//!
+//! Source: ZipSplat, section 3.2.
+
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{cluster as kernels, limits::NEAREST_ROWS},
+    ops::gather_rows,
+};
+
+/// Rounds of assignment and mean.
+const ROUNDS: usize = 5;
+
+/// Tokens kept of `tokens` at `ratio` in (0, 1]: truncated, at least one.
+pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
+    ((tokens as f64 * ratio) as usize).clamp(1, tokens.max(1))
+}
+
+/// The ratio that the paper scales with the number of views: 0.5 sqrt(2 / views), at most 1.
+pub fn auto_ratio(views: usize) -> f64 {
+    (0.5 * (2.0 / views.max(1) as f64).sqrt()).min(1.0)
+}
+
+/// `count` indices spread evenly over `tokens`, as PyTorch's `linspace` in f32, rounded half to even.
+///
+/// The second half counts down from the end with a fused multiply-add, as PyTorch does.
+pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
+    let last = (tokens - 1) as f32;
+    let step = last / (count - 1).max(1) as f32;
+    (0..count)
+        .map(|i| {
+            if count == 1 {
+                0.0
+            } else if i < count / 2 {
+                step * i as f32
+            } else {
+                (-step).mul_add((count - 1 - i) as f32, last)
+            }
+        })
+        .map(|x| x.round_ties_even() as u32)
+        .collect()
+}
+
+/// `count` different indices below `tokens`, in rising order, the same for the same seed.
+pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
+    // Selection sampling (Knuth, TAOCP 2, 3.4.2, algorithm S) with splitmix64.
+    let mut state = seed;
+    let mut chosen = Vec::with_capacity(count);
+    for token in 0..tokens {
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        let below = ((z ^ (z >> 31)) as u128 * (tokens - token) as u128) >> 64;
+        if (below as usize) < count - chosen.len() {
+            chosen.push(token as u32);
+        }
+    }
+    chosen
+}
+
+/// Records k-means on `tokens` [count, width]. `initial` [clusters] holds the first centroids' tokens
+/// ([`even_indices`]). Returns the nearest token of each centroid, [clusters] u32.
+pub fn record(rec: &mut Recorder, tokens: Tensor, initial: Tensor, count: usize, clusters: usize, width: usize) -> Tensor {
+    let centroids = gather_rows(rec, tokens, count, initial, clusters, width);
+    for round in 0..ROUNDS {
+        let cluster_of_point = nearest(rec, (tokens, count), (centroids, clusters), width);
+        let kernel = kernels::Mean {
+            points: tokens,
+            cluster_of_point,
+            centroids,
+            point_count: count as u32,
+            cluster_count: clusters as u32,
+            width: width as u32,
+        };
+        rec.dispatch_groups(kernel, clusters);
+        if round + 1 == ROUNDS {
+            rec.observe("assign", cluster_of_point);
+        }
+    }
+    rec.observe("centroids", centroids);
+    nearest(rec, (centroids, clusters), (tokens, count), width)
+}
+
+fn nearest(rec: &mut Recorder, points: (Tensor, usize), targets: (Tensor, usize), width: usize) -> Tensor {
+    let out = rec.tensor::<u32>("nearest", points.1);
+    let kernel = kernels::Nearest {
+        points: points.0,
+        targets: targets.0,
+        out,
+        point_count: points.1 as u32,
+        target_count: targets.1 as u32,
+        width: width as u32,
+    };
+    let flops = 2 * points.1 * targets.1 * width;
+    rec.dispatch_groups(kernel, points.1.div_ceil(NEAREST_ROWS as usize)).flops(flops as u64);
+    out
+}

@@ -1,0 +1,55 @@
+//! Fusion: the chosen tokens gather from all tokens of every layer, and from each other.
+//!
+//! Source: ZipSplat, section 3.3.
+
+use crate::{
+    gpu::{Recorder, Tensor},
+    ops::{Block, CrossBlock, Heads, ParameterLayout, Sequences, add, gather_rows},
+    weights::{Architecture, Ffn},
+};
+
+const EPS: f32 = 1e-5;
+
+/// The fusion's parameters: one cross- and one self-attention block for each layer.
+pub struct Fuse {
+    width: usize,
+    layers: Vec<(CrossBlock, Block)>,
+}
+
+impl Fuse {
+    /// Lays out the parameters.
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        let heads = Heads::new(a.fusion_heads, a.width);
+        let layer = |l: usize| {
+            let cross = CrossBlock::new(p, &format!("cross_attention.{l}"), heads, a.fusion_hidden, EPS);
+            let own = Block::new(p, &format!("self_attention.{l}"), heads, true, (Ffn::Gelu, a.fusion_hidden), EPS);
+            (cross, own)
+        };
+        Self { width: a.width, layers: (0..a.out_layers.len()).map(layer).collect() }
+    }
+
+    /// Records the fusion of `layers` ([tokens, width] each, deepest first) for the `count` tokens `chosen`, or for all
+    /// of them. Returns the scene tokens [count, width].
+    pub fn record(&self, rec: &mut Recorder, layers: &[Tensor], tokens: usize, chosen: Option<(Tensor, usize)>) -> Tensor {
+        let count = chosen.map_or(tokens, |c| c.1);
+        let pick = |rec: &mut Recorder, layer: Tensor| match chosen {
+            Some((indices, count)) => gather_rows(rec, layer, tokens, indices, count, self.width),
+            None => layer,
+        };
+        let first = pick(rec, layers[0]);
+        let scene = rec.tensor::<f32>("scene", count * self.width);
+        rec.copy(first, scene);
+        rec.observe("scene_init", scene);
+        for (l, ((cross, own), layer)) in self.layers.iter().zip(layers).enumerate() {
+            let queries = if l == 0 { first } else { pick(rec, *layer) };
+            let delta = rec.scope("cross", |rec| cross.record(rec, (queries, count), (*layer, tokens)));
+            rec.observe(&format!("ca{l}_delta"), delta);
+            add(rec, scene, delta, count * self.width);
+            rec.observe(&format!("scene_ca{l}"), scene);
+            let sequences = Sequences { count: 1, tokens: count, rotary: None };
+            rec.scope("self", |rec| own.record(rec, scene, sequences));
+            rec.observe(&format!("scene_sa{l}"), scene);
+        }
+        scene
+    }
+}

@@ -1,0 +1,120 @@
+//! Gaussians: every scene token, with colour from the pixels themselves, becomes a group of Gaussians.
+//!
+//! Source: ZipSplat, section 3.4.
+
+use super::{ViewGrid, embed_patches};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::gaussians as kernels,
+    ops::{Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, add, gather_rows, join_columns},
+    weights::Architecture,
+};
+
+const EPS: f32 = 1e-5;
+
+/// The colour branch's and the head's parameters.
+pub struct Gaussians {
+    architecture: Architecture,
+    color_embed: Linear,
+    color_cross: CrossBlock,
+    head: [Linear; 3],
+}
+
+/// The scene on the device, N = tokens * Gaussians a token, token-major.
+#[derive(Clone, Copy, Debug)]
+pub struct GaussianTensors {
+    /// N.
+    pub count: usize,
+    /// [N, 3] f32.
+    pub means: Tensor,
+    /// [N, 3] f32, standard deviations.
+    pub scales: Tensor,
+    /// [N, 4] f32, wxyz.
+    pub quats: Tensor,
+    /// [N] f32, 0..1.
+    pub opacities: Tensor,
+    /// [N, (degree + 1)^2, 3] f32.
+    pub sh_coeffs: Tensor,
+}
+
+impl Gaussians {
+    /// Lays out the parameters.
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        let joined = a.width + a.color_width;
+        let heads = Heads::new(a.color_heads, a.color_width);
+        let root = "gaussian_head.gaussian_head";
+        Self {
+            color_embed: p.linear("color_embed.proj", 3 * a.patch * a.patch, a.color_width),
+            color_cross: CrossBlock::new(p, "color_cross_attention", heads, a.color_hidden, EPS),
+            head: [
+                p.linear(&format!("{root}.0.fc1"), joined, a.head_hidden),
+                p.linear(&format!("{root}.0.fc2"), a.head_hidden, joined),
+                p.linear(&format!("{root}.1"), joined, a.gaussians_per_token * a.gaussian_width()),
+            ],
+            architecture: a.clone(),
+        }
+    }
+
+    /// Records the head for scene tokens [count, width] that stand for the tokens `chosen` (all, where `None`) of
+    /// `images`.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        scene: Tensor,
+        images: Tensor,
+        grid: ViewGrid,
+        chosen: Option<(Tensor, usize)>,
+    ) -> GaussianTensors {
+        let a = &self.architecture;
+        let count = chosen.map_or(grid.tokens(), |c| c.1);
+        let color = rec.scope("color", |rec| self.color(rec, images, grid, chosen, count));
+        let raw = rec.scope("head", |rec| {
+            let joined = join_columns(rec, count, [(scene, a.width), (color, a.color_width)]);
+            let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
+            let hidden = self.head[0].apply(rec, "hidden", joined, count, gelu);
+            let narrow = self.head[1].apply(rec, "narrow", hidden, count, Epilogue::default());
+            self.head[2].apply(rec, "raw", narrow, count, Epilogue::default())
+        });
+        rec.observe("raw", raw);
+        activate(rec, raw, count * a.gaussians_per_token, a.sh_degree)
+    }
+
+    fn color(
+        &self,
+        rec: &mut Recorder,
+        images: Tensor,
+        grid: ViewGrid,
+        chosen: Option<(Tensor, usize)>,
+        count: usize,
+    ) -> Tensor {
+        let width = self.architecture.color_width;
+        let tokens = embed_patches(rec, images, grid, &self.color_embed);
+        rec.observe("color/tokens", tokens);
+        let queries = match chosen {
+            Some((indices, count)) => gather_rows(rec, tokens, grid.tokens(), indices, count, width),
+            None => tokens,
+        };
+        let delta = self.color_cross.record(rec, (queries, count), (tokens, grid.tokens()));
+        add(rec, delta, queries, count * width);
+        rec.observe("color_feats", delta);
+        delta
+    }
+}
+
+/// Activates `raw` [count, 11 + 3 (sh_degree + 1)^2].
+pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize) -> GaussianTensors {
+    let bases = (sh_degree + 1) * (sh_degree + 1);
+    let tensors = GaussianTensors {
+        count,
+        means: rec.tensor::<[f32; 3]>("means", count),
+        scales: rec.tensor::<[f32; 3]>("scales", count),
+        quats: rec.tensor::<[f32; 4]>("quats", count),
+        opacities: rec.tensor::<f32>("opacities", count),
+        sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", count * bases),
+    };
+    let GaussianTensors { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
+    let bases = bases as u32;
+    let kernel = kernels::Activate { raw, means, scales, quats, opacities, sh_coeffs, count: count as u32, bases };
+    rec.dispatch(kernel, count);
+    tensors
+}
