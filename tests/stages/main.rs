@@ -1,1 +1,6 @@
-//! Tests.
+//! Stages against goldens.
+
+mod cameras;
+mod images;
+mod poses;
+mod scene_files;
