@@ -17,22 +17,22 @@ pub struct ImageTolerance {
 }
 
 impl ImageTolerance {
-    // f32 against f64, away from unstable pixels: twice the worst of the gsplat formulas run in f32 on the goldens.
+    // f32 against f64, away from unstable pixels: twice the worst of gsplat's formulas run in f32 on the golden scenes.
 
     /// Colour and alpha, in [0, 1]: a few dozen blended terms.
-    pub const RGB: ImageTolerance = ImageTolerance { absolute: 4e-6, relative: 0.0, psnr: 110.0 };
+    pub const RGB: ImageTolerance = ImageTolerance { absolute: 8e-6, relative: 0.0, psnr: 110.0 };
     /// Accumulated depth (D) in world units of a scene a few units deep.
-    pub const DEPTH: ImageTolerance = ImageTolerance { absolute: 2e-5, relative: 0.0, psnr: 110.0 };
+    pub const DEPTH: ImageTolerance = ImageTolerance { absolute: 4e-5, relative: 0.0, psnr: 110.0 };
     /// Expected depth (ED), which divides by small alphas.
-    pub const EXPECTED_DEPTH: ImageTolerance = ImageTolerance { absolute: 3e-5, relative: 0.0, psnr: 110.0 };
+    pub const EXPECTED_DEPTH: ImageTolerance = ImageTolerance { absolute: 6e-5, relative: 0.0, psnr: 110.0 };
     /// Colour and alpha of the scene `edge`: needles and discs, whose inverse covariance is ill-conditioned.
-    pub const RGB_EDGE: ImageTolerance = ImageTolerance { absolute: 7e-5, relative: 0.0, psnr: 90.0 };
+    pub const RGB_EDGE: ImageTolerance = ImageTolerance { absolute: 1.5e-4, relative: 0.0, psnr: 90.0 };
     /// The same antialiased: for a needle the determinant before blurring cancels.
-    pub const RGB_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 4e-3, relative: 0.0, psnr: 60.0 };
+    pub const RGB_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 8e-3, relative: 0.0, psnr: 60.0 };
     /// Depths of `edge`, which reach a thousand units.
     pub const DEPTH_EDGE: ImageTolerance = ImageTolerance { absolute: 2e-4, relative: 2e-4, psnr: 80.0 };
     /// Depths of `edge` antialiased.
-    pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 1.5e-2, psnr: 50.0 };
+    pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 2.5e-2, psnr: 50.0 };
     /// A reference in f64 against stored truth: only its rounding to f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 }

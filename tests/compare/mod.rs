@@ -127,7 +127,7 @@ pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], toleran
     let step = golden.i64("sub_step")[0] as usize;
     let tokens = got.len() / views / width;
     let kept: Vec<f64> = (got.chunks_exact(width).enumerate())
-        .filter(|(row, _)| (row % tokens) % step == 0)
+        .filter(|(row, _)| (row % tokens).is_multiple_of(step))
         .flat_map(|(_, row)| row.iter().map(|&x| x.into()))
         .collect();
     assert_sums(&name, got, &golden.f64(&format!("{key}@sum")), tolerance);
@@ -184,28 +184,48 @@ pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> V
     rows.chunks(width).flat_map(|row| row[start..end].iter().map(|&x| x.into())).collect()
 }
 
+/// Two distances that differ by less, relatively, are a tie. The PyTorch implementation's own f32 picks meet this limit;
+/// distances of real ties differ by f32 rounding, 1e-6.
+const TIE: f64 = 1e-4;
+
 /// Holds the tokens that represent clusters to the golden's rule: the nearest token of each centroid, or the second
-/// nearest where the two distances are equal to rounding.
+/// nearest where the two are a tie.
 ///
-/// A cluster of two has its centroid midway between its members, so which of them is nearer is decided by rounding:
-/// that is the second half of the rule. `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
+/// A cluster of two has its centroid midway between its members, so which of them is nearer is decided by rounding.
+/// `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
 ///
 /// # Panics
 /// When lengths differ or an index is neither.
 #[track_caller]
 pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
-    /// Goldens' f32 runs of the reference meet this limit; distances of real ties differ by f32 rounding, 1e-6.
-    const TIE: f32 = 1e-4;
     assert_eq!((got.len() * 2, got.len()), (top2.len(), gap.len()), "{name}: number of clusters");
     for (k, &index) in got.iter().enumerate() {
         let [first, second] = [top2[2 * k], top2[2 * k + 1]];
         let index = i64::from(index);
-        let tie = gap[k] < TIE && index == second;
+        let tie = f64::from(gap[k]) < TIE && index == second;
         assert!(
             index == first || tie,
             "{name}: cluster {k} has {index}, nearest are {first}, {second}, gap {:e}",
             gap[k]
         );
+    }
+}
+
+/// Holds the tokens that represent clusters to be as near to `centroids [K, width]` as any of `tokens [N, width]`, ties
+/// of any number left open: for inputs with repeated tokens, where the two nearest are not all there are.
+///
+/// # Panics
+/// When lengths differ, an index is out of range, or another token is nearer.
+#[track_caller]
+pub fn assert_as_near(name: &str, got: &[u32], centroids: &[impl Float], tokens: &[impl Float], width: usize) {
+    assert_eq!(got.len() * width, centroids.len(), "{name}: number of clusters");
+    let (centroids, tokens) = (columns(centroids, width, 0, width), columns(tokens, width, 0, width));
+    for (k, (&index, centroid)) in got.iter().zip(centroids.chunks(width)).enumerate() {
+        let distance = |token: &[f64]| token.iter().zip(centroid).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        let distances: Vec<f64> = tokens.chunks(width).map(distance).collect();
+        let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
+        let picked = distances[index as usize];
+        assert!(picked - nearest <= TIE * picked, "{name}: cluster {k} has {index} at {picked:e}, nearest {nearest:e}");
     }
 }
 
@@ -249,5 +269,8 @@ mod tests {
         let top2 = [4, 9, 2, 3];
         assert_nearest("k", &[9, 2], &top2, &[1e-6, 0.5]);
         assert!(std::panic::catch_unwind(|| assert_nearest("k", &[9, 3], &top2, &[1e-6, 0.5])).is_err());
+        let tokens = [0.0, 2.0, 2.0, 5.0];
+        assert_as_near("k", &[2, 0], &[1.0, 0.1], &tokens, 1);
+        assert!(std::panic::catch_unwind(|| assert_as_near("k", &[3, 0], &[1.0, 0.1], &tokens, 1)).is_err());
     }
 }
