@@ -1,4 +1,8 @@
 //! Stages against goldens, and the references themselves.
 
+mod cameras;
+mod images;
+mod poses;
 mod references;
+mod scene_files;
 mod weights;

@@ -142,14 +142,14 @@ impl Camera {
         if !i.cx.is_finite() || !i.cy.is_finite() {
             return fail("principal point", format!("({}, {})", i.cx, i.cy), "finite numbers");
         }
-        if !pose.translation.is_finite() {
-            return fail("translation", pose.translation.to_string(), "finite numbers");
-        }
         let r = pose.rotation;
         let orthonormal = (r * r.transpose()).abs_diff_eq(DMat3::IDENTITY, ROTATION_TOLERANCE);
         let right_handed = r.determinant() > 0.0;
         if !orthonormal || !right_handed {
             return fail("rotation", r.to_string(), "an orthonormal, right-handed matrix");
+        }
+        if !pose.translation.is_finite() {
+            return fail("translation", pose.translation.to_string(), "finite numbers");
         }
         Ok(())
     }

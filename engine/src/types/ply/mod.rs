@@ -63,12 +63,17 @@ fn encode(scene: &Scene, i: usize, row: &mut [u8]) {
     let normal = [0.0; 3];
     let values = (scene.means[i].into_iter().chain(normal).chain(sh[0]))
         .chain((0..3).flat_map(|channel| sh[1..].iter().map(move |coeff| coeff[channel])))
-        .chain([(opacity / (1.0 - opacity)).ln()])
-        .chain(scene.scales[i].map(|scale| scale.max(MIN_SCALE).ln()))
+        .chain([ln(opacity / (1.0 - opacity))])
+        .chain(scene.scales[i].map(|scale| ln(scale.max(MIN_SCALE))))
         .chain(scene.quats[i]);
     for (bytes, value) in row.chunks_exact_mut(4).zip(values) {
         bytes.copy_from_slice(&value.to_le_bytes());
     }
+}
+
+/// Rounded once from f64, so that files are the same on every platform.
+fn ln(value: f32) -> f32 {
+    f64::from(value).ln() as f32
 }
 
 /// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII: properties in any order and of any scalar type,

@@ -84,7 +84,7 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
     if found.is_dir() && path.join("transforms.json").is_file() {
         return transforms::read(&path.join("transforms.json"));
     }
-    let model = ["", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
+    let model = ["", "0", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
     match model.into_iter().find(|model| colmap::is_model(model)) {
         Some(model) => colmap::read(&model),
         None => Err(Error::argument("poses", path.display(), "a transforms.json or a COLMAP model's folder")),

@@ -1,0 +1,300 @@
+//! Photos: decoding, orientation, preprocessing.
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::{DynamicImage, ImageFormat};
+use zipsplat::Error;
+use zipsplat::types::preprocess::{DEFAULT_SIZE, View, cover, crop_to_aspect, fit};
+use zipsplat::types::resample::{resize_bilinear, resize_lanczos};
+use zipsplat::types::{Image, Intrinsics, contact_sheet};
+use zipsplat_tests::compare::assert_same;
+use zipsplat_tests::golden::{self, Golden};
+
+fn chw_to_hwc<T: Copy>(chw: &[T]) -> Vec<T> {
+    let plane = chw.len() / 3;
+    (0..plane).flat_map(|i| [chw[i], chw[plane + i], chw[2 * plane + i]]).collect()
+}
+
+fn noise(width: u32, height: u32) -> Image {
+    let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+    Image::new(width, height, (0..3 * width * height).map(byte).collect()).unwrap()
+}
+
+fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    image.write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
+
+fn dynamic(image: &Image) -> DynamicImage {
+    DynamicImage::ImageRgb8(image::RgbImage::from_vec(image.width, image.height, image.rgb.clone()).unwrap())
+}
+
+/// Opens bytes as a file with a name that says nothing about them.
+fn open(bytes: &[u8]) -> Result<Image, Error> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("photo");
+    fs::write(&path, bytes).unwrap();
+    let opened = Image::open(&path);
+    if let Err(error) = &opened {
+        assert!(error.to_string().contains("photo"), "{error} does not name the file");
+    }
+    opened
+}
+
+#[track_caller]
+fn assert_format_error(bytes: &[u8], reason: &str) {
+    match open(bytes) {
+        Err(Error::Format { reason: found, .. }) => assert!(found.contains(reason), "{found:?}, not {reason:?}"),
+        other => panic!("{other:?}, expected a format error with {reason:?}"),
+    }
+}
+
+#[test]
+fn lanczos_is_pillows_bit_for_bit() {
+    for name in ["pre_up_120x97", "pre_gradient_640x427"] {
+        let photo = Image::open(golden::find(&format!("{name}.png")).unwrap()).unwrap();
+        let truth = Image::open(golden::find(&format!("{name}.to_square.png")).unwrap()).unwrap();
+        let View { image, .. } = fit(&photo, DEFAULT_SIZE, DEFAULT_SIZE).unwrap();
+        assert_same(name, &image.rgb, &truth.rgb);
+    }
+}
+
+#[test]
+fn preprocessing_matches_every_golden() {
+    let Some(truth) = Golden::open("preproc.safetensors") else { return };
+    for name in truth.stems("/to_square_u8") {
+        let photo = Image::open(golden::find(&format!("pre_{name}.png")).unwrap()).unwrap();
+        let square = fit(&photo, DEFAULT_SIZE, DEFAULT_SIZE).unwrap().image;
+        assert_same(&name, &square.rgb, &chw_to_hwc(&truth.u8(&format!("{name}/to_square_u8"))));
+
+        let key = format!("{name}/resize_cover");
+        if truth.has(&key) {
+            let &[_, height, width] = truth.shape(&key) else { panic!("{key} is not [3, h, w]") };
+            let resized = resize_bilinear(&photo, width as u32, height as u32).unwrap();
+            let expected = chw_to_hwc(&truth.f32(&key));
+            assert_eq!(resized.len(), expected.len());
+            // A few f32 roundings of values up to 1.
+            let close = |(got, truth): (&f32, &f32)| (got - truth).abs() <= 3e-7;
+            assert!(resized.iter().zip(&expected).all(close), "{key}");
+        }
+
+        let view = cover(&photo, DEFAULT_SIZE, DEFAULT_SIZE).unwrap();
+        let expected = chw_to_hwc(&truth.u8(&format!("{name}/splatfactory_u8")));
+        // Truncation turns a rounding at a whole number into a step of 1.
+        let steps: Vec<_> = view.image.rgb.iter().zip(&expected).map(|(got, truth)| got.abs_diff(*truth)).collect();
+        assert!(steps.iter().all(|&step| step <= 1), "{name}: more than 1 off");
+        let off = steps.iter().filter(|&&step| step == 1).count();
+        assert!(off * 1000 < 7 * steps.len(), "{name}: {off} of {} off by 1", steps.len());
+
+        let expected = truth.f64(&format!("{name}/splatfactory_transform@f64"));
+        let ([sx, sy], [x, y]) = (view.map.scale, view.map.offset);
+        for (got, truth) in [sx, 0.0, x, 0.0, sy, y].iter().zip(&expected) {
+            assert!((got - truth).abs() < 1e-6, "{name}: {:?}, truth {expected:?}", view.map);
+        }
+    }
+    for row in truth.f64("crop_to_ar_cases@f64").chunks(11) {
+        let rect = crop_to_aspect(row[1] as u32, row[0] as u32, row[2]);
+        let found = [rect.top, rect.left, rect.height, rect.width].map(f64::from);
+        assert_eq!(found, row[3..7], "{row:?}");
+    }
+}
+
+#[test]
+fn a_pass_whose_size_matches_changes_nothing() {
+    let photo = noise(60, 40);
+    assert_eq!(resize_lanczos(&photo, 60, 40).unwrap(), photo);
+    // With the width kept, columns are filtered on their own.
+    let column = photo.crop(7, 0, 1, 40).unwrap();
+    let (all, one) = (resize_lanczos(&photo, 60, 25).unwrap(), resize_lanczos(&column, 1, 25).unwrap());
+    assert_eq!(all.crop(7, 0, 1, 25).unwrap(), one);
+}
+
+#[test]
+fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
+    let photo = noise(640, 427);
+    for (width, height) in [(336, 252), (140, 280), (14, 14), (518, 518)] {
+        for view in [fit(&photo, width, height).unwrap(), cover(&photo, width, height).unwrap()] {
+            assert_eq!((view.image.width, view.image.height), (width, height));
+            let lens = Intrinsics { width: 640, height: 427, fx: 500.0, fy: 510.0, cx: 320.0, cy: 213.5 };
+            let mapped = view.map.apply(&lens).unwrap();
+            // A centred principal point stays centred but for the half pixel that an odd crop leaves over.
+            let scale = view.map.scale[0].max(view.map.scale[1]);
+            assert!((mapped.cx - f64::from(width) / 2.0).abs() <= 0.5 * scale.max(1.0) + 1e-9, "{mapped:?}");
+            assert!((mapped.cy - f64::from(height) / 2.0).abs() <= 0.5 * scale.max(1.0) + 1e-9, "{mapped:?}");
+            let uneven = mapped.fx / mapped.fy * lens.fy / lens.fx;
+            assert!((uneven - 1.0).abs() < 0.05, "{uneven}");
+            // The same lens given at half the resolution.
+            let half =
+                Intrinsics { width: 320, height: 214, fx: 250.0, fy: 255.0 * 428.0 / 427.0, cx: 160.0, cy: 107.0 };
+            let from_half = view.map.apply(&half).unwrap();
+            assert!((from_half.fx - mapped.fx).abs() < 1e-9 && (from_half.cy - mapped.cy).abs() < 1e-9);
+        }
+    }
+    let turned = Intrinsics { width: 427, height: 640, fx: 500.0, fy: 500.0, cx: 213.5, cy: 320.0 };
+    let view = fit(&photo, 252, 252).unwrap();
+    assert!(matches!(view.map.apply(&turned), Err(Error::Argument { .. })));
+    for (width, height) in [(0, 252), (252, 0), (250, 252)] {
+        assert!(matches!(fit(&photo, width, height), Err(Error::Argument { .. })));
+        assert!(matches!(cover(&photo, width, height), Err(Error::Argument { .. })));
+    }
+}
+
+#[test]
+fn extreme_photos_are_cropped_or_refused() {
+    let thread = noise(1, 3000);
+    assert_eq!(fit(&thread, 252, 252).unwrap().image.rgb.len(), 3 * 252 * 252);
+    assert!(matches!(cover(&thread, 252, 252), Err(Error::Argument { .. })), "would need 756,000 rows");
+    let broken = Image { width: 10, height: 10, rgb: vec![0; 299] };
+    assert!(matches!(fit(&broken, 14, 14), Err(Error::Argument { .. })));
+    assert!(Image::new(0, 5, Vec::new()).is_err());
+}
+
+/// A JPEG with an EXIF segment that holds an orientation and, as a thumbnail would, an end marker.
+fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {
+    let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+    exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xd9]);
+    let mut bytes = vec![0xff, 0xd8, 0xff, 0xe1, 0, exif.len() as u8 + 2];
+    bytes.extend(exif);
+    bytes.extend(&jpeg[2..]);
+    bytes
+}
+
+#[test]
+fn exif_orientations_are_applied() {
+    let (width, height) = (48, 32);
+    let jpeg = encoded(&dynamic(&noise(width, height)), ImageFormat::Jpeg);
+    let stored = open(&jpeg).unwrap();
+    let (right, bottom) = (width - 1, height - 1);
+    for orientation in 1..=8u8 {
+        let bytes = with_orientation(&jpeg, orientation);
+        let upright = open(&bytes).unwrap();
+        // EXIF 2.3, tag 0x0112: on which sides row 0 and column 0 are seen.
+        let stored_from_seen = |x: u32, y: u32| match orientation {
+            1 => (x, y),
+            2 => (right - x, y),
+            3 => (right - x, bottom - y),
+            4 => (x, bottom - y),
+            5 => (y, x),
+            6 => (y, bottom - x),
+            7 => (right - y, bottom - x),
+            _ => (right - y, x),
+        };
+        let expected_size = if orientation < 5 { (width, height) } else { (height, width) };
+        assert_eq!((upright.width, upright.height), expected_size, "orientation {orientation}");
+        for (i, pixel) in upright.rgb.chunks(3).enumerate() {
+            let (x, y) = stored_from_seen(i as u32 % upright.width, i as u32 / upright.width);
+            let at = 3 * (y * width + x) as usize;
+            assert_eq!(pixel, &stored.rgb[at..at + 3], "orientation {orientation}, pixel {i}");
+        }
+        let file = tempfile::NamedTempFile::new().unwrap();
+        fs::write(file.path(), &bytes).unwrap();
+        assert_eq!(Image::size(file.path()).unwrap(), expected_size);
+    }
+    assert_eq!(open(&with_orientation(&jpeg, 77)).unwrap(), stored, "an unknown orientation is none");
+}
+
+#[test]
+fn truncated_photos_are_refused() {
+    let photo = dynamic(&noise(200, 150));
+    let jpeg = with_orientation(&encoded(&photo, ImageFormat::Jpeg), 1);
+    for kept in [jpeg.len() / 2, jpeg.len() * 9 / 10, jpeg.len() - 2] {
+        assert_format_error(&jpeg[..kept], "");
+    }
+    assert_format_error(&jpeg[..jpeg.len() * 9 / 10], "truncated");
+    let with_trailer = [&jpeg[..], b"a video that the camera put behind the photo"].concat();
+    assert_eq!(open(&with_trailer).unwrap(), open(&jpeg).unwrap());
+    for format in [ImageFormat::Png, ImageFormat::WebP] {
+        let bytes = encoded(&photo, format);
+        assert_eq!(open(&bytes).unwrap().rgb, photo.as_bytes(), "{format:?} is lossless here");
+        assert_format_error(&bytes[..bytes.len() / 2], "");
+    }
+}
+
+#[test]
+fn other_pixel_types_become_rgb8() {
+    let alpha = image::RgbaImage::from_vec(2, 1, vec![10, 20, 30, 0, 40, 50, 60, 128]).unwrap();
+    for format in [ImageFormat::Png, ImageFormat::WebP] {
+        let opened = open(&encoded(&DynamicImage::ImageRgba8(alpha.clone()), format)).unwrap();
+        assert_eq!(opened.rgb, [10, 20, 30, 40, 50, 60], "alpha is dropped, not blended");
+    }
+    let grey = DynamicImage::ImageLuma8(image::GrayImage::from_vec(2, 1, vec![7, 250]).unwrap());
+    assert_eq!(open(&encoded(&grey, ImageFormat::Png)).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
+    let samples = vec![0x12ff, 0x1280, 0x127f, 0xff00, 0x00ff, 0xffff];
+    let deep = DynamicImage::ImageRgb16(image::ImageBuffer::from_vec(2, 1, samples).unwrap());
+    assert_eq!(open(&encoded(&deep, ImageFormat::Png)).unwrap().rgb, [0x12, 0x12, 0x12, 0xff, 0, 0xff]);
+    let deep = DynamicImage::ImageLuma16(image::ImageBuffer::from_vec(1, 1, vec![0xabff]).unwrap());
+    assert_eq!(open(&encoded(&deep, ImageFormat::Png)).unwrap().rgb, [0xab; 3]);
+}
+
+/// The PNG checksum, for a header that lies.
+fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 })
+    })
+}
+
+#[test]
+fn files_that_are_no_photos_are_refused() {
+    assert_format_error(b"", "no PNG");
+    assert_format_error(b"a letter, not a photo", "no PNG");
+    assert_format_error(b"\x89PNG\r\n\x1a\n", "");
+    assert_format_error(&[0xff, 0xd8, 0xff], "");
+    let missing = Image::open("no/such/photo.png");
+    assert!(matches!(&missing, Err(Error::Io { path, .. }) if path == Path::new("no/such/photo.png")), "{missing:?}");
+
+    for (width, height) in [(100_000u32, 10u32), (32_000, 32_000)] {
+        let mut png = encoded(&dynamic(&noise(2, 2)), ImageFormat::Png);
+        png[16..20].copy_from_slice(&width.to_be_bytes());
+        png[20..24].copy_from_slice(&height.to_be_bytes());
+        let checksum = crc32(&png[12..29]);
+        png[29..33].copy_from_slice(&checksum.to_be_bytes());
+        assert_format_error(&png, "");
+    }
+}
+
+#[test]
+fn pngs_appear_whole_or_not_at_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let names =
+        || -> Vec<PathBuf> { fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect() };
+    let (picture, path) = (noise(37, 21), folder.path().join("frame.png"));
+    picture.save_png(&path).unwrap();
+    assert_eq!(Image::open(&path).unwrap(), picture);
+    noise(5, 5).save_png(&path).unwrap();
+    assert_eq!(Image::open(&path).unwrap(), noise(5, 5), "an old file is replaced");
+    assert_eq!(names(), std::slice::from_ref(&path), "no temporary file is left");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let reference = folder.path().join("plain");
+        fs::write(&reference, "").unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&path), mode(&reference), "as readable as any new file");
+    }
+    let nowhere = folder.path().join("missing/frame.png");
+    assert!(matches!(picture.save_png(&nowhere), Err(Error::Io { path, .. }) if path == nowhere));
+}
+
+#[test]
+fn rendered_frames_are_clamped_and_truncated() {
+    let frame = [-1.0, 0.0, 0.999, 1.0, 7.0, f32::NAN, 0.5, 254.999 / 255.0, 1.0 / 255.0];
+    assert_eq!(Image::from_rgb_f32(3, 1, &frame).unwrap().rgb, [0, 0, 254, 255, 255, 0, 127, 254, 1]);
+    assert!(matches!(Image::from_rgb_f32(2, 1, &frame), Err(Error::Argument { .. })));
+}
+
+#[test]
+fn contact_sheets_have_a_cell_for_each_picture() {
+    let pictures = [noise(4, 2), noise(3, 5), noise(1, 1)];
+    let sheet = contact_sheet(&pictures, 2).unwrap();
+    assert_eq!((sheet.width, sheet.height), (8, 10));
+    for (picture, (left, top)) in pictures.iter().zip([(0, 0), (4, 0), (0, 5)]) {
+        assert_eq!(sheet.crop(left, top, picture.width, picture.height).unwrap(), *picture);
+    }
+    let lit = |image: &Image| image.rgb.iter().filter(|&&value| value > 0).count();
+    assert_eq!(lit(&sheet), pictures.iter().map(lit).sum::<usize>(), "the rest is black");
+    assert_eq!(contact_sheet(&pictures[..1], 9).unwrap(), pictures[0]);
+    assert!(contact_sheet(&[], 2).is_err() && contact_sheet(&pictures, 0).is_err());
+}

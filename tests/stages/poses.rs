@@ -1,0 +1,380 @@
+//! Camera files: transforms.json and COLMAP models.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat4, DVec3};
+use serde_json::{Value, json};
+use zipsplat::Error;
+use zipsplat::types::poses::{Poses, read_poses, write_transforms};
+use zipsplat::types::{Camera, Image, Intrinsics, Orbit, Pose, quaternion_from_matrix};
+
+const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
+
+/// Cameras in general position, and their photos' names.
+fn cameras() -> (Vec<Camera>, Vec<String>) {
+    let orbit = Orbit { center: DVec3::new(0.5, -1.0, 7.0), radius: 3.0 };
+    let tilt = orbit.pose(20.0, 40.0);
+    let poses = orbit.sweep(7, 13.0, 300.0, -25.0).into_iter().map(|pose| tilt.compose(&pose));
+    let cameras = poses.map(|pose| Camera { intrinsics: LENS, pose }).collect();
+    (cameras, (0..7).map(|i| format!("images/{i:03}.png")).collect())
+}
+
+#[track_caller]
+fn assert_same_cameras(found: &[Camera], truth: &[Camera]) {
+    assert_eq!(found.len(), truth.len());
+    for (i, (found, truth)) in found.iter().zip(truth).enumerate() {
+        assert_eq!(found.intrinsics, truth.intrinsics, "camera {i}");
+        assert_same_pose(&found.pose, &truth.pose, i);
+    }
+}
+
+#[track_caller]
+fn assert_same_pose(found: &Pose, truth: &Pose, i: usize) {
+    assert!(found.matrix().abs_diff_eq(truth.matrix(), 1e-12), "camera {i}: {found:?}, truth {truth:?}");
+}
+
+fn of(poses: &Poses) -> Vec<Camera> {
+    poses.frames.iter().map(|frame| frame.camera).collect()
+}
+
+#[track_caller]
+fn assert_format_error(path: &Path, parts: &[&str]) {
+    let error = read_poses(path).expect_err("must be refused");
+    let text = error.to_string();
+    assert!(matches!(error, Error::Format { .. }), "{text}");
+    for part in parts {
+        assert!(text.contains(part), "{text}\ndoes not contain {part}");
+    }
+}
+
+/// A folder with photos and a `transforms.json`, which `change` may spoil.
+fn capture(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, PathBuf) {
+    let (cameras, names) = cameras();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    write_transforms(&path, &cameras, &names).unwrap();
+    let mut json: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    change(&mut json);
+    fs::write(&path, serde_json::to_vec(&json).unwrap()).unwrap();
+    (folder, path)
+}
+
+fn put_photos(folder: &Path, names: &[String]) {
+    fs::create_dir_all(folder.join("images")).unwrap();
+    for name in names {
+        let photo = Image::new(LENS.width, LENS.height, vec![9; (3 * LENS.width * LENS.height) as usize]).unwrap();
+        photo.save_png(folder.join(name)).unwrap();
+    }
+}
+
+#[test]
+fn transforms_survive_a_file() {
+    let (mut cameras, names) = cameras();
+    let (folder, path) = capture(|_| ());
+    assert_same_cameras(&of(&read_poses(&path).unwrap()), &cameras);
+    assert_same_cameras(&of(&read_poses(folder.path()).unwrap()), &cameras);
+    // OpenGL axes: y up, z backward.
+    let json: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    let up = json["frames"][0]["transform_matrix"][1][1].as_f64().unwrap();
+    assert_eq!(up, -cameras[0].pose.rotation.y_axis.y);
+    assert_eq!(json["fl_x"], json!(LENS.fx), "shared intrinsics stand at the top");
+
+    cameras[3].intrinsics.fx = 99.0;
+    write_transforms(&path, &cameras, &names).unwrap();
+    assert_same_cameras(&of(&read_poses(&path).unwrap()), &cameras);
+    assert!(matches!(write_transforms(&path, &cameras, &names[1..]), Err(Error::Argument { .. })));
+    cameras[2].pose.translation.x = f64::NAN;
+    let refused = write_transforms(&path, &cameras, &names).unwrap_err().to_string();
+    assert!(refused.contains("camera 2, translation"), "{refused}");
+}
+
+#[test]
+fn intrinsics_come_from_angles_frames_and_photos() {
+    let (truth, names) = cameras();
+    let angle = 2.0 * (f64::from(LENS.width) / (2.0 * LENS.fx)).atan();
+    let centred = Intrinsics { fy: LENS.fx, cx: 32.0, cy: 24.0, ..LENS };
+    // As in NeRF's synthetic scenes: an angle, no size, names without extension.
+    let (folder, path) = capture(|json| {
+        let frames = json["frames"].as_array().unwrap().clone();
+        *json = json!({"camera_angle_x": angle, "frames": frames});
+        for frame in json["frames"].as_array_mut().unwrap() {
+            frame["file_path"] = json!(format!("./{}", frame["file_path"].as_str().unwrap().trim_end_matches(".png")));
+        }
+    });
+    let none = read_poses(&path).unwrap();
+    assert!(none.frames.is_empty() && none.notes[0].contains("7 frames left out"), "{:?}", none.notes);
+    put_photos(folder.path(), &names[..5]);
+    let poses = read_poses(&path).unwrap();
+    assert!(poses.frames.len() == 5 && poses.notes[0].contains("2 frames left out"), "{:?}", poses.notes);
+    for (frame, name) in poses.frames.iter().zip(&names) {
+        assert!((frame.camera.intrinsics.fx - LENS.fx).abs() < 1e-9);
+        let found = Intrinsics { fx: LENS.fx, fy: LENS.fx, ..frame.camera.intrinsics };
+        assert_eq!(found, centred);
+        assert_eq!(frame.photo.as_deref().and_then(Path::file_name), Path::new(name).file_name());
+    }
+    // Photos are matched without the extension too, in the caller's order.
+    let photos: Vec<PathBuf> = names[..5].iter().rev().map(|name| folder.path().join(name)).collect();
+    let matched = poses.for_photos(&photos).unwrap();
+    for (i, (found, truth)) in matched.iter().zip(truth[..5].iter().rev()).enumerate() {
+        assert_same_pose(&found.pose, &truth.pose, i);
+    }
+
+    let (_folder, path) = capture(|json| {
+        json["frames"][2]["fl_x"] = json!(80.0);
+        json["frames"][2]["w"] = json!(65.0);
+        json["frames"][4]["k1"] = json!(0.1);
+    });
+    let poses = read_poses(&path).unwrap();
+    assert_eq!(poses.frames[2].camera.intrinsics, Intrinsics { fx: 80.0, width: 65, ..LENS });
+    assert_eq!(poses.frames[3].camera.intrinsics, LENS);
+    assert!(poses.notes[0].contains("distortion of 1 frames"), "{:?}", poses.notes);
+}
+
+#[test]
+fn malformed_transforms_name_the_file_the_frame_and_the_field() {
+    type Spoil = fn(&mut Value);
+    let spoils: [(&[&str], Spoil); 14] = [
+        (&["frames"], |json| json["frames"] = json!(3)),
+        (&["frames[1]", "file_path"], |json| json["frames"][1]["file_path"] = json!(7)),
+        (&["frames[1]", "transform_matrix"], |json| json["frames"][1]["transform_matrix"] = json!("eye")),
+        (&["frames[6]", "transform_matrix"], |json| json["frames"][6]["transform_matrix"][0] = json!([1, 2, 3])),
+        (&["frames[6]", "transform_matrix"], |json| json["frames"][6]["transform_matrix"][2][1] = json!(null)),
+        (&["frames[6]", "transform_matrix"], |json| json["frames"][6]["transform_matrix"][3][0] = json!(0.5)),
+        (&["frames[2]", "rotation"], |json| json["frames"][2]["transform_matrix"][0][0] = json!(3.0)),
+        (&["frames[0]", "fl_x", "wide"], |json| json["fl_x"] = json!("wide")),
+        (&["frames[3]", "fx", "-5"], |json| json["frames"][3]["fl_x"] = json!(-5)),
+        (&["frames[0]", "w"], |json| json["w"] = json!(64.5)),
+        (&["frames[0]", "h"], |json| json["h"] = json!(-1)),
+        (&["frames[0]", "fl_x", "camera_angle_x"], |json| {
+            json.as_object_mut().unwrap().retain(|key, _| !key.starts_with("fl_"));
+        }),
+        (&["frames[0]", "OPENCV_FISHEYE"], |json| json["camera_model"] = json!("OPENCV_FISHEYE")),
+        (&["frames[5]", "k2"], |json| json["frames"][5]["k2"] = json!([0.0])),
+    ];
+    for (parts, spoil) in spoils {
+        let (_folder, path) = capture(spoil);
+        assert_format_error(&path, parts);
+        assert_format_error(&path, &["transforms.json"]);
+    }
+    let (_folder, path) = capture(|_| ());
+    let text = fs::read(&path).unwrap();
+    fs::write(&path, &text[..text.len() / 2]).unwrap();
+    assert_format_error(&path, &["transforms.json", "line"]);
+    assert!(matches!(read_poses("no/such.json"), Err(Error::Io { .. })));
+}
+
+#[test]
+fn photos_are_matched_by_the_end_of_their_path() {
+    let (cameras, _) = cameras();
+    let names = ["left/000.png", "right/000.png", "right/001.png"];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    write_transforms(&path, &cameras[..3], &names).unwrap();
+    let poses = read_poses(&path).unwrap();
+    let matched = poses.for_photos(&["/a/right/000.png", "somewhere/001.png", "/a/left/000.png"]).unwrap();
+    assert_same_cameras(&matched, &[cameras[1], cameras[2], cameras[0]]);
+    for (photo, reason) in [("/a/000.png", "tells"), ("/a/002.png", "002.png")] {
+        let refused = poses.for_photos(&[photo]).unwrap_err();
+        assert!(matches!(refused, Error::Argument { .. }) && refused.to_string().contains(reason), "{refused}");
+    }
+}
+
+#[test]
+fn captures_have_sound_cameras() {
+    let captures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/captures");
+    let Ok(entries) = fs::read_dir(&captures) else {
+        eprintln!("../shared/captures is absent: its cameras are not read");
+        return;
+    };
+    let folders: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).filter(|path| path.is_dir()).collect();
+    assert!(!folders.is_empty());
+    for folder in folders {
+        let poses = read_poses(&folder).unwrap();
+        let photos: Vec<PathBuf> = poses.frames.iter().map(|frame| frame.photo.clone().expect("photo")).collect();
+        let on_disk = fs::read_dir(folder.join("images")).unwrap().count();
+        assert_eq!((photos.len(), &poses.notes), (on_disk, &vec![]), "{}", folder.display());
+        let size = Image::size(&photos[0]).unwrap();
+        let cameras = poses.for_photos(&photos).unwrap();
+        let json: Value = serde_json::from_slice(&fs::read(folder.join("transforms.json")).unwrap()).unwrap();
+        for (i, camera) in cameras.iter().enumerate() {
+            camera.validate(&format!("{} {i}", folder.display())).unwrap();
+            assert_eq!((camera.intrinsics.width, camera.intrinsics.height), size);
+            // The centre is the matrix's last column whatever the axes.
+            let rows = &json["frames"][i]["transform_matrix"];
+            let center = DVec3::from_array([0, 1, 2].map(|row: usize| rows[row][3].as_f64().unwrap()));
+            assert_eq!(camera.pose.translation, center);
+            assert!(camera.view_matrix().transform_point3(center).length() < 1e-9 * (1.0 + center.length()));
+        }
+        // The points that were triangulated from the photos lie before the cameras.
+        let points = points(&folder.join("points.ply"));
+        let in_view = |camera: &Camera| {
+            let view = camera.view_matrix();
+            let seen = points.iter().filter(|point| projects_inside(&camera.intrinsics, view, **point)).count();
+            seen * 100 > points.len()
+        };
+        let blind = cameras.iter().filter(|camera| !in_view(camera)).count();
+        assert_eq!(blind, 0, "{}: cameras that see less than 1 % of the points", folder.display());
+    }
+}
+
+fn projects_inside(lens: &Intrinsics, view: DMat4, point: DVec3) -> bool {
+    let seen = view.transform_point3(point);
+    let pixel = lens.matrix() * (seen / seen.z);
+    seen.z > 0.0
+        && (0.0..=f64::from(lens.width)).contains(&pixel.x)
+        && (0.0..=f64::from(lens.height)).contains(&pixel.y)
+}
+
+/// Positions of a capture's points: rows of 3 floats, 3 bytes, a float and a short.
+fn points(path: &Path) -> Vec<DVec3> {
+    let bytes = fs::read(path).unwrap();
+    let end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+    let float = |row: &[u8], i: usize| f64::from(f32::from_le_bytes(row[4 * i..4 * i + 4].try_into().unwrap()));
+    bytes[end..].chunks_exact(21).map(|row| DVec3::new(float(row, 0), float(row, 1), float(row, 2))).collect()
+}
+
+/// World-to-camera `[qw, qx, qy, qz, tx, ty, tz]`.
+fn colmap_pose(pose: &Pose) -> [f64; 7] {
+    let view = pose.inverse();
+    let ([w, x, y, z], t) = (quaternion_from_matrix(&view.rotation), view.translation);
+    [w, x, y, z, t.x, t.y, t.z]
+}
+
+fn text_model(folder: &Path, lens: &str, cameras: &[Camera], names: &[String]) {
+    fs::create_dir_all(folder).unwrap();
+    fs::write(folder.join("cameras.txt"), format!("# Camera list\n#\n4 {lens}\n")).unwrap();
+    let mut images = String::from("# Image list with two lines of data per image:\n");
+    for (i, (camera, name)) in cameras.iter().zip(names).enumerate().rev() {
+        let numbers: Vec<String> = colmap_pose(&camera.pose).map(|value| format!("{value:?}")).into();
+        // Images may have no points: the second line is empty then.
+        let points = if i % 2 == 0 { "" } else { "12.5 7.25 -1 3.0 4.0 17" };
+        images += &format!("{} {} 4 {name}\n{points}\n", i + 1, numbers.join(" "));
+    }
+    fs::write(folder.join("images.txt"), images).unwrap();
+}
+
+fn binary_model(folder: &Path, model: i32, params: &[f64], cameras: &[Camera], names: &[String]) {
+    fs::create_dir_all(folder).unwrap();
+    let mut bytes = 1u64.to_le_bytes().to_vec();
+    bytes.extend(4u32.to_le_bytes());
+    bytes.extend(model.to_le_bytes());
+    bytes.extend(u64::from(LENS.width).to_le_bytes());
+    bytes.extend(u64::from(LENS.height).to_le_bytes());
+    params.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    fs::write(folder.join("cameras.bin"), bytes).unwrap();
+    let mut bytes = (cameras.len() as u64).to_le_bytes().to_vec();
+    for (i, (camera, name)) in cameras.iter().zip(names).enumerate().rev() {
+        bytes.extend((i as u32 + 1).to_le_bytes());
+        colmap_pose(&camera.pose).iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        bytes.extend(4u32.to_le_bytes());
+        bytes.extend(name.as_bytes());
+        bytes.push(0);
+        bytes.extend((i as u64).to_le_bytes());
+        bytes.extend(vec![0xaa; 24 * i]);
+    }
+    fs::write(folder.join("images.bin"), bytes).unwrap();
+}
+
+const PINHOLE: [f64; 4] = [LENS.fx, LENS.fy, LENS.cx, LENS.cy];
+
+#[test]
+fn colmap_models_agree_with_transforms() {
+    let (truth, names) = cameras();
+    let names: Vec<String> = names.iter().map(|name| name.replace("images/", "")).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let text = folder.path().join("text");
+    text_model(&text, "PINHOLE 64 48 70.0 71.5 31.25 24.5", &truth, &names);
+    let capture = folder.path().join("capture");
+    binary_model(&capture.join("sparse/0"), 1, &PINHOLE, &truth, &names);
+    put_photos(&capture, &["images/003.png".into()]);
+    for path in
+        [text.clone(), text.join("images.txt"), capture.clone(), capture.join("sparse/0"), capture.join("sparse")]
+    {
+        let Ok(poses) = read_poses(&path) else { panic!("{}", path.display()) };
+        assert_same_cameras(&of(&poses), &truth);
+        assert_eq!((poses.frames[3].name.as_str(), &poses.notes), ("003.png", &vec![]));
+        assert_eq!(poses.frames[3].photo.is_some(), path.starts_with(&capture));
+    }
+    let empty = folder.path().join("capture/images");
+    assert!(matches!(read_poses(&empty), Err(Error::Argument { .. })));
+}
+
+#[test]
+fn colmap_lenses_are_read_and_distortion_is_reported() {
+    let (truth, names) = cameras();
+    let single = Intrinsics { fy: LENS.fx, ..LENS };
+    let cases = [
+        (0, "SIMPLE_PINHOLE", vec![70.0, 31.25, 24.5], single, false),
+        (1, "PINHOLE", PINHOLE.to_vec(), LENS, false),
+        (2, "SIMPLE_RADIAL", vec![70.0, 31.25, 24.5, 0.1], single, true),
+        (3, "RADIAL", vec![70.0, 31.25, 24.5, 0.0, -0.1], single, true),
+        (4, "OPENCV", [&PINHOLE[..], &[0.0; 4]].concat(), LENS, false),
+        (6, "FULL_OPENCV", [&PINHOLE[..], &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-3]].concat(), LENS, true),
+    ];
+    for (model, name, params, lens, distorted) in cases {
+        let folder = tempfile::tempdir().unwrap();
+        let (text, binary) = (folder.path().join("text"), folder.path().join("binary"));
+        let numbers: Vec<String> = params.iter().map(f64::to_string).collect();
+        text_model(&text, &format!("{name} 64 48 {}", numbers.join(" ")), &truth, &names);
+        binary_model(&binary, model, &params, &truth, &names);
+        for path in [text, binary] {
+            let poses = read_poses(&path).unwrap();
+            assert!(poses.frames.iter().all(|frame| frame.camera.intrinsics == lens), "{name}");
+            assert_eq!(poses.notes.iter().any(|note| note.contains("distortion of 7")), distorted, "{name}");
+        }
+    }
+}
+
+#[test]
+fn malformed_colmap_models_are_refused() {
+    let (truth, names) = cameras();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let spoil = |file: &str, from: &str, to: &str| {
+        text_model(path, "PINHOLE 64 48 70.0 71.5 31.25 24.5", &truth, &names);
+        let text = fs::read_to_string(path.join(file)).unwrap();
+        assert!(text.contains(from));
+        fs::write(path.join(file), text.replacen(from, to, 1)).unwrap();
+    };
+    for (file, from, to, reason) in [
+        ("cameras.txt", "PINHOLE", "OPENCV_FISHEYE", "undistort"),
+        ("cameras.txt", "24.5", "", "line 3: PARAMS[3]"),
+        ("cameras.txt", "64", "-64", "WIDTH"),
+        ("cameras.txt", "70.0", "NaN", "fx"),
+        ("cameras.txt", "\n4 ", "\n5 ", "has camera 4"),
+        ("images.txt", "\n7 ", "\n7 x", "line 2: QW"),
+        ("images.txt", " 4 images/006.png", "", "line 2: CAMERA_ID"),
+    ] {
+        spoil(file, from, to);
+        assert_format_error(path, &[file.trim_start_matches("cameras"), reason]);
+    }
+
+    let binary = |file: &str, change: &dyn Fn(&mut Vec<u8>)| {
+        binary_model(path, 1, &PINHOLE, &truth, &names);
+        let mut bytes = fs::read(path.join(file)).unwrap();
+        change(&mut bytes);
+        fs::write(path.join(file), bytes).unwrap();
+    };
+    for count in [8, u64::MAX / 24, u64::MAX] {
+        binary("images.bin", &|bytes| bytes[..8].copy_from_slice(&count.to_le_bytes()));
+        assert_format_error(path, &["images.bin", "truncated"]);
+        // Image 006 stands first and has 6 points.
+        let points = 8 + 4 + 7 * 8 + 4 + "images/006.png".len() + 1;
+        binary("images.bin", &|bytes| bytes[points..points + 8].copy_from_slice(&count.to_le_bytes()));
+        assert_format_error(path, &["images.bin"]);
+        binary("cameras.bin", &|bytes| bytes[..8].copy_from_slice(&count.to_le_bytes()));
+        assert_format_error(path, &["cameras.bin", "truncated"]);
+    }
+    binary("images.bin", &|bytes| bytes[12..44].fill(0));
+    assert_format_error(path, &["006.png", "rotation"]);
+    binary("cameras.bin", &|bytes| bytes[12..16].copy_from_slice(&5i32.to_le_bytes()));
+    assert_format_error(path, &["camera model 5"]);
+    let len = fs::read(path.join("images.bin")).unwrap().len();
+    for kept in (0..len).step_by(11) {
+        binary("images.bin", &|bytes| bytes.truncate(kept));
+        assert_format_error(path, &["images.bin", "truncated"]);
+    }
+    fs::remove_file(path.join("images.bin")).unwrap();
+    assert!(matches!(read_poses(path), Err(Error::Io { path, .. }) if path.ends_with("images.bin")));
+}
