@@ -2,10 +2,12 @@
 //!
 //! - [`architectures`] are the networks that the goldens were made with.
 //! - [`golden`] opens the dumps of the PyTorch implementation.
+//! - [`mod@device`] is the device that tests run on.
 //! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
 //! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
 
 pub mod architectures;
 pub mod compare;
+pub mod device;
 pub mod golden;
 pub mod reference;

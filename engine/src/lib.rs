@@ -4,6 +4,9 @@
 
 mod error;
 pub mod gpu;
+pub mod ops;
+pub mod reconstruct;
+pub mod stages;
 pub mod types;
 pub mod weights;
 

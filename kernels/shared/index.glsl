@@ -3,4 +3,5 @@
 
 uint group_index() { return gl_WorkGroupID.y * GROUP_FOLD + gl_WorkGroupID.x; }
 
-uint global_index() { return group_index() * gl_WorkGroupSize.x + gl_LocalInvocationID.x; }
+// A macro, because gl_WorkGroupSize is 1 until a kernel has declared its layout, which follows its includes.
+#define global_index() (group_index() * gl_WorkGroupSize.x + gl_LocalInvocationID.x)

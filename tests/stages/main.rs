@@ -3,6 +3,7 @@
 mod cameras;
 mod images;
 mod poses;
+mod forward;
 mod references;
 mod scene_files;
 mod weights;

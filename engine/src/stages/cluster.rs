@@ -78,7 +78,9 @@ pub fn record(rec: &mut Recorder, tokens: Tensor, initial: Tensor, count: usize,
         }
     }
     rec.observe("centroids", centroids);
-    nearest(rec, (centroids, clusters), (tokens, count), width)
+    let chosen = nearest(rec, (centroids, clusters), (tokens, count), width);
+    rec.observe("nearest", chosen);
+    chosen
 }
 
 fn nearest(rec: &mut Recorder, points: (Tensor, usize), targets: (Tensor, usize), width: usize) -> Tensor {
