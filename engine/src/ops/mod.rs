@@ -1,0 +1,4 @@
+//! Dispatches that several stages use.
+
+pub mod scan;
+pub mod sort;

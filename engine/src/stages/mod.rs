@@ -1,0 +1,3 @@
+//! The stages of a reconstruction; alphabetical order is the order of the data.
+
+pub mod render;
