@@ -4,8 +4,8 @@
 // One workgroup owns one share of values and adds up the sums of the shares before it.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
-#include "shared/blocks.glsl"
 layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
 
 layout(set = 0, binding = 0) buffer Values { uint values[]; };
 layout(set = 0, binding = 1) readonly buffer Sums { uint sums[]; };

@@ -5,8 +5,8 @@
 // Reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009): no workgroup waits for another.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
-#include "shared/blocks.glsl"
 layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
 
 layout(set = 0, binding = 0) readonly buffer Values { uint values[]; };
 layout(set = 0, binding = 1) writeonly buffer Sums { uint sums[]; };

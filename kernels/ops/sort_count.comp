@@ -4,13 +4,13 @@
 // One workgroup owns one share of keys and one column of digit_counts.
 #version 460
 #extension GL_KHR_shader_subgroup_basic : require
-#include "shared/blocks.glsl"
 layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
 
 layout(set = 0, binding = 0) readonly buffer Keys { uint keys[]; };
 layout(set = 0, binding = 1) readonly buffer ItemCount { uint item_count[]; };
 layout(set = 0, binding = 2) writeonly buffer DigitCounts { uint digit_counts[]; };
-layout(push_constant) uniform Push { uint shift; uint blocks; };
+layout(push_constant) uniform Push { uint shift; uint mask; uint blocks; };
 
 shared uint counts[RADIX];
 
@@ -19,7 +19,7 @@ void main() {
     subgroupBarrier();
     uvec2 range = block_range(item_count[0], blocks);
     for (uint i = range.x + gl_SubgroupInvocationID; i < range.y; i += gl_SubgroupSize)
-        atomicAdd(counts[(keys[i] >> shift) % RADIX], 1);
+        atomicAdd(counts[keys[i] >> shift & mask], 1);
     subgroupBarrier();
     for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize)
         digit_counts[d * blocks + group_index()] = counts[d];

@@ -6,8 +6,8 @@
 // Ranks among equal digits by ballots: Adinets and Merrill, Onesweep, 2022, section 3.4, without its look-back.
 #version 460
 #extension GL_KHR_shader_subgroup_ballot : require
-#include "shared/blocks.glsl"
 layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
 
 layout(set = 0, binding = 0) readonly buffer Keys { uint keys[]; };
 layout(set = 0, binding = 1) readonly buffer Values { uint values[]; };
@@ -15,13 +15,13 @@ layout(set = 0, binding = 2) readonly buffer ItemCount { uint item_count[]; };
 layout(set = 0, binding = 3) readonly buffer DigitOffsets { uint digit_offsets[]; };
 layout(set = 0, binding = 4) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(set = 0, binding = 5) writeonly buffer SortedValues { uint sorted_values[]; };
-layout(push_constant) uniform Push { uint shift; uint blocks; };
+layout(push_constant) uniform Push { uint shift; uint mask; uint blocks; };
 
 shared uint next[RADIX];
 
 // The lanes among `lanes` whose digit equals this lane's.
 uvec4 peers(uint digit, uvec4 lanes) {
-    for (uint bit = 1; bit < RADIX; bit <<= 1) {
+    for (uint bit = 1; bit <= mask; bit <<= 1) {
         bool set = (digit & bit) != 0;
         uvec4 ones = subgroupBallot(set);
         lanes &= set ? ones : ~ones;
@@ -38,7 +38,7 @@ void main() {
         uint i = first + gl_SubgroupInvocationID;
         bool inside = i < range.y;
         uint key = inside ? keys[i] : 0;
-        uint digit = (key >> shift) % RADIX;
+        uint digit = key >> shift & mask;
         uvec4 equal = peers(digit, subgroupBallot(inside));
         uint rank = subgroupBallotExclusiveBitCount(equal);
         uint place = next[digit] + rank;

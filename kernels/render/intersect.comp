@@ -6,9 +6,9 @@
 // One invocation owns one place in the depth order; the one past the last writes status, which is 0 before.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
+layout(local_size_x = 64) in;
 #include "shared/index.glsl"
 #include "shared/splat.glsl"
-layout(local_size_x = 64) in;
 
 layout(scalar, set = 0, binding = 0) readonly buffer TileSets { uvec3 tile_sets[]; };
 layout(set = 0, binding = 1) readonly buffer Indices { uint indices[]; };

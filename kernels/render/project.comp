@@ -11,10 +11,10 @@
 // EWA splatting (Zwicker et al. 2001) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
+layout(local_size_x = 64) in;
 #include "shared/index.glsl"
 #include "shared/spherical_harmonics.glsl"
 #include "shared/splat.glsl"
-layout(local_size_x = 64) in;
 
 layout(constant_id = 1) const bool COLOUR = true;
 layout(constant_id = 2) const uint SH_DEGREE = 0; // evaluated

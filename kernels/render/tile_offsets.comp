@@ -3,8 +3,8 @@
 // tiles [capacity], sorted, the first item_count[0] of them in use; tile_offsets [tile_count + 1].
 // One invocation owns one tile and finds it by binary search.
 #version 460
-#include "shared/index.glsl"
 layout(local_size_x = 64) in;
+#include "shared/index.glsl"
 
 layout(set = 0, binding = 0) readonly buffer Tiles { uint tiles[]; };
 layout(set = 0, binding = 1) readonly buffer ItemCount { uint item_count[]; };

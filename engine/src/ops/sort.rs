@@ -10,6 +10,8 @@ use crate::{
     },
 };
 
+/// Bits of a digit.
+const DIGIT_BITS: u32 = RADIX.ilog2();
 /// Items that a workgroup should have at least: four of each digit, so that the table of digits stays smaller.
 const SHARE: usize = 1024;
 /// Workgroups at most: the table of digits has a column for each.
@@ -28,15 +30,24 @@ pub fn sort_pairs(
     let blocks = capacity.div_ceil(SHARE).clamp(1, MAX_BLOCKS);
     let table = RADIX as usize * blocks;
     rec.scope("sort", |rec| {
-        for shift in (0..bits).step_by(RADIX.ilog2() as usize) {
+        for shift in (0..bits).step_by(DIGIT_BITS as usize) {
             let digits = rec.tensor::<u32>("digits", table);
             let sorted_keys = rec.tensor::<u32>("keys", capacity);
             let sorted_values = rec.tensor::<u32>("values", capacity);
-            let blocks = blocks as u32;
-            rec.dispatch_groups(SortCount { keys, item_count, digit_counts: digits, shift, blocks }, blocks);
+            let (blocks, mask) = (blocks as u32, (1 << (bits - shift).min(DIGIT_BITS)) - 1);
+            rec.dispatch_groups(SortCount { keys, item_count, digit_counts: digits, shift, mask, blocks }, blocks);
             exclusive_scan(rec, digits, table);
-            let scatter =
-                SortScatter { keys, values, item_count, digit_offsets: digits, sorted_keys, sorted_values, shift, blocks };
+            let scatter = SortScatter {
+                keys,
+                values,
+                item_count,
+                digit_offsets: digits,
+                sorted_keys,
+                sorted_values,
+                shift,
+                mask,
+                blocks,
+            };
             rec.dispatch_groups(scatter, blocks);
             (keys, values) = (sorted_keys, sorted_values);
         }

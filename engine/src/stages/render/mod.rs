@@ -6,7 +6,7 @@
 mod frame;
 mod intersect;
 mod project;
-mod rasterize;
+mod rasterise;
 mod renderer;
 
 use crate::gpu::{Limits, Recorder, Tensor};
@@ -58,7 +58,7 @@ pub fn record(
         let tiling = Tiling::new(rec.limits(), shape);
         let splats = project::record(rec, scene, cameras, shape, request, tiling);
         let lists = intersect::record(rec, &splats, shape, tiling, capacity);
-        let frames = rasterize::record(rec, &splats, &lists, shape, request, tiling);
+        let frames = rasterise::record(rec, &splats, &lists, shape, request, tiling);
         rec.output(frames);
         rec.output(lists.status);
         RenderOutputs { frames, status: lists.status }

@@ -119,7 +119,10 @@ impl Renderer {
             let together = &left[..left.len().min(self.cameras_at_once)];
             match self.render_together(together, size, request) {
                 Ok(drawn) => frames.extend(drawn),
-                Err(Error::Memory { .. }) if together.len() > 1 => self.cameras_at_once = together.len() / 2,
+                Err(Error::Memory { .. }) if together.len() > 1 => {
+                    self.cameras_at_once = together.len() / 2;
+                    self.capacity = 0;
+                }
                 Err(error) => return Err(error),
             }
         }

@@ -3,7 +3,7 @@
 use super::{Depth, FrameShape, RenderRequest, Tiling, intersect::TileLists, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::render::Rasterize,
+    kernels::render::Rasterise,
 };
 
 /// Rows after which a picture may be cut: then every part starts at a multiple of 256 bytes.
@@ -29,7 +29,7 @@ pub(super) fn record(
     let blends = lists.pair_indices.bytes() / 4 * u64::from(tiling.tile * tiling.tile);
     for first in (0..height).step_by(bands) {
         let rows = bands.min(height - first);
-        let kernel = Rasterize {
+        let kernel = Rasterise {
             pair_indices: lists.pair_indices,
             tile_offsets: lists.tile_offsets,
             xy_opacities: splats.xy_opacities,

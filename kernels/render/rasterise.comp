@@ -9,8 +9,8 @@
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_vote : require
-#include "shared/splat.glsl"
 layout(local_size_x_id = 0) in;
+#include "shared/splat.glsl"
 
 layout(constant_id = 1) const bool COLOUR = true;
 layout(constant_id = 2) const bool ALPHA = true;
