@@ -1,1 +1,11 @@
 //! What tests share: references in f64, goldens, and comparison.
+//!
+//! - [`architectures`] are the networks that the goldens were made with.
+//! - [`golden`] opens the dumps of the PyTorch implementation.
+//! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
+//! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
+
+pub mod architectures;
+pub mod compare;
+pub mod golden;
+pub mod reference;

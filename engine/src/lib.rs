@@ -3,7 +3,14 @@
 //! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `reconstruct`.
 
 mod error;
+pub mod gpu;
 pub mod types;
 pub mod weights;
+
+/// The typed kernel table that build.rs makes of `kernels/`.
+pub mod kernels {
+    #![allow(clippy::too_many_arguments, missing_docs)]
+    include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
+}
 
 pub use error::{Error, Result};

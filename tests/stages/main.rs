@@ -1,1 +1,4 @@
-//! Tests.
+//! Stages against goldens, and the references themselves.
+
+mod references;
+mod weights;

@@ -1,1 +1,29 @@
-//! Checkpoint -> checked, shaped tensors.
+//! Checkpoints: files or seeds in, checked and shaped f32 tensors out.
+//!
+//! [`Architecture`] says which tensors a model has; [`Checkpoint`] has exactly those, or could not be made.
+//! Read are safetensors and the zip archives of `torch.save`; written are safetensors that name their architecture.
+
+mod architecture;
+mod checkpoint;
+mod contents;
+mod pickle;
+mod safetensors;
+mod seeded;
+mod tensor;
+mod torch;
+
+use std::path::Path;
+
+pub use architecture::{Architecture, Ffn, VARIANTS};
+pub use checkpoint::Checkpoint;
+pub use tensor::Dtype;
+
+use crate::Result;
+
+/// Writes the checkpoint `input` (PyTorch or safetensors) as safetensors of one type with its architecture as metadata.
+///
+/// `output` appears whole or not at all. `variant` is as in [`Checkpoint::open`]. Errors are those of
+/// [`Checkpoint::open`] and [`Checkpoint::save`].
+pub fn convert(input: impl AsRef<Path>, output: impl AsRef<Path>, dtype: Dtype, variant: Option<&str>) -> Result<()> {
+    Checkpoint::open(input, variant)?.save(output, dtype)
+}

@@ -1,0 +1,33 @@
+//! `kernels/**/*.comp` -> SPIR-V -> a typed kernel table (`kernels.rs`), one struct a kernel.
+//!
+//! The SPIR-V is committed under `kernels/spirv/` beside a manifest of source hashes, so that nobody has to compile
+//! shaderc. A source that does not match its hash fails the build, unless the feature `compile-kernels` is on: then it
+//! is compiled and the committed files are rewritten.
+
+#[path = "build/codegen.rs"]
+mod codegen;
+#[path = "build/reflect.rs"]
+mod reflect;
+#[path = "build/sources.rs"]
+mod sources;
+
+use std::{env, fs, path::PathBuf};
+
+fn main() {
+    let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
+    println!("cargo:rerun-if-changed={}", root.display());
+    println!("cargo:rerun-if-env-changed=ZIPSPLAT_RECOMPILE_KERNELS");
+
+    let kernels = sources::find(&root);
+    sources::refresh(&root, &kernels);
+    let modules: Vec<_> = kernels
+        .iter()
+        .map(|kernel| {
+            let words = fs::read(root.join("spirv").join(format!("{}.spv", kernel.name))).expect("refreshed above");
+            (kernel, reflect::reflect(&kernel.name, &words))
+        })
+        .collect();
+    let limits = fs::read_to_string(root.join("shared/limits.glsl")).expect("kernels/shared/limits.glsl");
+    fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &limits)).expect("OUT_DIR is writable");
+}

@@ -1,0 +1,268 @@
+//! Encoding commands, with the barriers that their reads and writes call for.
+
+use super::{
+    device::{Shared, lock},
+    memory::{Memory, Resident},
+    plan::{Command, Dispatch, Groups, Home, Operation, Plan, Tensor},
+};
+use crate::{Error, Result};
+use ash::vk;
+
+/// Access of everything that a plan does on the device.
+const WRITES: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
+    vk::AccessFlags2::SHADER_STORAGE_WRITE.as_raw() | vk::AccessFlags2::TRANSFER_WRITE.as_raw(),
+);
+const READS: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
+    vk::AccessFlags2::SHADER_STORAGE_READ.as_raw()
+        | vk::AccessFlags2::TRANSFER_READ.as_raw()
+        | vk::AccessFlags2::INDIRECT_COMMAND_READ.as_raw(),
+);
+const STAGES: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::from_raw(
+    vk::PipelineStageFlags2::COMPUTE_SHADER.as_raw()
+        | vk::PipelineStageFlags2::TRANSFER.as_raw()
+        | vk::PipelineStageFlags2::DRAW_INDIRECT.as_raw(),
+);
+
+/// A range of a buffer.
+#[derive(Clone, Copy)]
+struct Range {
+    buffer: vk::Buffer,
+    from: u64,
+    to: u64,
+}
+
+impl Range {
+    fn meets(&self, other: &Range) -> bool {
+        self.buffer == other.buffer && self.from < other.to && other.from < self.to
+    }
+}
+
+/// Part of a command: all of it, or some of a long dispatch's workgroups.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece {
+    /// Index of the command in its plan.
+    pub command: usize,
+    /// First workgroup and count along each axis; unused for other operations.
+    pub base: [u32; 3],
+    pub groups: [u32; 3],
+}
+
+/// Where a plan's tensors are while it runs.
+pub(super) struct Bound<'a> {
+    pub shared: &'a Shared,
+    pub plan: &'a Plan,
+    pub arena: &'a Memory,
+    pub resident: Option<&'a Resident>,
+}
+
+impl Bound<'_> {
+    fn range(&self, tensor: Tensor) -> Range {
+        let (buffer, base) = match tensor.home {
+            Home::Arena(id) => {
+                let place = self.plan.placements[id as usize];
+                (self.arena.buffer(place.block), place.offset)
+            }
+            Home::Resident(block) => {
+                let memory = self.resident.expect("a plan that uses weights runs with them");
+                (memory.0.buffer(block), 0)
+            }
+        };
+        // Vulkan knows no empty ranges; every allocation has room for these 16 bytes.
+        let bytes = tensor.bytes.next_multiple_of(4).max(16);
+        Range { buffer, from: base + tensor.offset, to: base + tensor.offset + bytes }
+    }
+}
+
+/// Encodes pieces into one command buffer.
+pub(super) struct Encoder<'a> {
+    bound: &'a Bound<'a>,
+    commands: vk::CommandBuffer,
+    reads: Vec<Range>,
+    writes: Vec<Range>,
+    /// Timestamps around each piece, for profiles.
+    queries: Option<vk::QueryPool>,
+    next_query: u32,
+}
+
+impl<'a> Encoder<'a> {
+    /// Starts recording; earlier submissions' writes are made visible.
+    pub fn begin(
+        bound: &'a Bound<'a>,
+        commands: vk::CommandBuffer,
+        queries: Option<(vk::QueryPool, u32)>,
+    ) -> Result<Self> {
+        let raw = &bound.shared.raw;
+        // SAFETY: the command buffer is not in use.
+        unsafe { raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default()) }
+            .map_err(|e| driver("vkBeginCommandBuffer", e))?;
+        if let Some((pool, count)) = queries {
+            // SAFETY: recording; the pool has `count` queries.
+            unsafe { raw.cmd_reset_query_pool(commands, pool, 0, count) };
+        }
+        let encoder = Self {
+            bound,
+            commands,
+            reads: Vec::new(),
+            writes: Vec::new(),
+            queries: queries.map(|q| q.0),
+            next_query: 0,
+        };
+        encoder.barrier(vk::PipelineStageFlags2::ALL_COMMANDS, STAGES, READS | WRITES);
+        Ok(encoder)
+    }
+
+    pub fn piece(&mut self, piece: Piece) -> Result<()> {
+        let command = &self.bound.plan.commands[piece.command];
+        self.synchronise(command);
+        self.timestamp();
+        match &command.operation {
+            Operation::Dispatch(dispatch) => self.dispatch(dispatch, piece)?,
+            Operation::Fill { target, value } => {
+                let range = self.bound.range(*target);
+                // SAFETY: recording; the range is inside its buffer.
+                unsafe {
+                    self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, range.to - range.from, *value)
+                };
+            }
+            Operation::Copy { source, target } => {
+                let (from, to) = (self.bound.range(*source), self.bound.range(*target));
+                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: from.to - from.from };
+                // SAFETY: recording; both ranges are inside their buffers and live tensors never overlap.
+                unsafe { self.raw().cmd_copy_buffer(self.commands, from.buffer, to.buffer, &[region]) };
+            }
+        }
+        self.timestamp();
+        Ok(())
+    }
+
+    /// Ends recording; results are made visible to the host.
+    pub fn end(self) -> Result<()> {
+        self.barrier(STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
+        // SAFETY: recording.
+        unsafe { self.raw().end_command_buffer(self.commands) }.map_err(|e| driver("vkEndCommandBuffer", e))
+    }
+
+    fn raw(&self) -> &ash::Device {
+        &self.bound.shared.raw
+    }
+
+    /// A barrier where the command reads what was written, or writes what was touched, since the last one.
+    fn synchronise(&mut self, command: &Command) {
+        let (mut reads, mut writes) = (Vec::new(), Vec::new());
+        command.operation.for_each_access(|tensor, read, write| {
+            let range = self.bound.range(tensor);
+            if read {
+                reads.push(range);
+            }
+            if write {
+                writes.push(range);
+            }
+        });
+        let meets = |a: &[Range], b: &[Range]| a.iter().any(|x| b.iter().any(|y| x.meets(y)));
+        let hazard = meets(&reads, &self.writes) || meets(&writes, &self.writes) || meets(&writes, &self.reads);
+        if hazard || self.queries.is_some() {
+            self.barrier(STAGES, STAGES, READS | WRITES);
+            self.reads.clear();
+            self.writes.clear();
+        }
+        self.reads.append(&mut reads);
+        self.writes.append(&mut writes);
+    }
+
+    fn barrier(&self, from: vk::PipelineStageFlags2, to: vk::PipelineStageFlags2, access: vk::AccessFlags2) {
+        let barrier = [vk::MemoryBarrier2::default()
+            .src_stage_mask(from)
+            .src_access_mask(WRITES)
+            .dst_stage_mask(to)
+            .dst_access_mask(access)];
+        let info = vk::DependencyInfo::default().memory_barriers(&barrier);
+        // SAFETY: recording.
+        unsafe { self.raw().cmd_pipeline_barrier2(self.commands, &info) };
+    }
+
+    fn timestamp(&mut self) {
+        if let Some(pool) = self.queries {
+            let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
+            // SAFETY: recording; the caller keeps pieces within the pool.
+            unsafe { self.raw().cmd_write_timestamp2(self.commands, stage, pool, self.next_query) };
+            self.next_query += 1;
+        }
+    }
+
+    fn dispatch(&self, dispatch: &Dispatch, piece: Piece) -> Result<()> {
+        let module = dispatch.module;
+        let pipeline = self.bound.shared.pipeline(module, &dispatch.constants)?;
+        let infos: Vec<_> = dispatch
+            .buffers
+            .iter()
+            .map(|t| {
+                let r = self.bound.range(*t);
+                [vk::DescriptorBufferInfo { buffer: r.buffer, offset: r.from, range: r.to - r.from }]
+            })
+            .collect();
+        let sets: Vec<_> = (module.bindings.iter().zip(&infos))
+            .map(|(b, info)| {
+                vk::WriteDescriptorSet::default()
+                    .dst_binding(b.binding)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .buffer_info(info)
+            })
+            .collect();
+        let compute = vk::PipelineBindPoint::COMPUTE;
+        let push: &[u8] = &bytemuck::bytes_of(&dispatch.push)[..module.push_bytes as usize];
+        let (raw, commands) = (self.raw(), self.commands);
+        // SAFETY: recording; the layout was made from the module's own bindings, and all handles are alive.
+        unsafe {
+            raw.cmd_bind_pipeline(commands, compute, pipeline.raw);
+            if !sets.is_empty() {
+                self.bound.shared.push_descriptor.cmd_push_descriptor_set(commands, compute, pipeline.layout, 0, &sets);
+            }
+            if !push.is_empty() {
+                raw.cmd_push_constants(commands, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
+            }
+            match dispatch.groups {
+                Groups::Fixed(_) => {
+                    let ([x, y, z], [w, h, d]) = (piece.base, piece.groups);
+                    raw.cmd_dispatch_base(commands, x, y, z, w, h, d);
+                }
+                Groups::Indirect(args) => {
+                    let range = self.bound.range(args);
+                    raw.cmd_dispatch_indirect(commands, range.buffer, range.from);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Records and submits a few commands, and waits for them.
+pub(super) fn once(shared: &Shared, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
+    let raw = &shared.raw;
+    let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.family);
+    // SAFETY: handles are used on this thread only and destroyed after the wait.
+    unsafe {
+        let pool = raw.create_command_pool(&pool_info, None).map_err(|e| driver("vkCreateCommandPool", e))?;
+        let submit = || {
+            let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+            let commands = raw.allocate_command_buffers(&info)?[0];
+            raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())?;
+            record(raw, commands);
+            raw.end_command_buffer(commands)?;
+            let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+            let queue = lock(&shared.queue);
+            raw.queue_submit2(*queue, &[vk::SubmitInfo2::default().command_buffer_infos(&buffers)], vk::Fence::null())?;
+            raw.queue_wait_idle(*queue)
+        };
+        let result = submit();
+        raw.destroy_command_pool(pool, None);
+        result.map_err(|e| driver("vkQueueSubmit2", e))
+    }
+}
+
+/// The error for a failed call.
+pub(super) fn driver(call: &'static str, result: vk::Result) -> Error {
+    match result {
+        vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost,
+        result => Error::Driver { call, result: result.to_string() },
+    }
+}

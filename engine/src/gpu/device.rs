@@ -1,0 +1,449 @@
+//! A Vulkan device: choosing it, what it can do, and the pipelines made on it.
+
+use super::{LocalSize, Module, instance::Instance};
+use crate::{Error, Result};
+use ash::{ext, khr, vk};
+use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, atomic::AtomicU64},
+};
+
+/// Which device to use and how.
+#[derive(Clone, Debug)]
+pub struct DeviceOptions {
+    /// Its number in [`super::list_devices`] or a part of its name; `None` takes the best.
+    pub selector: Option<String>,
+    /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run.
+    pub validation: bool,
+}
+
+impl Default for DeviceOptions {
+    /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1.
+    fn default() -> Self {
+        Self { selector: None, validation: std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1") }
+    }
+}
+
+/// What a device is and can do, as far as plans depend on it.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Limits {
+    /// The device's name.
+    pub name: String,
+    /// The driver's name and version.
+    pub driver: String,
+    /// Vulkan version, `major.minor.patch`.
+    pub api: String,
+    /// Whether the device is a CPU.
+    pub cpu: bool,
+    /// Whether the device is a discrete GPU.
+    pub discrete: bool,
+    /// Invocations in a subgroup.
+    pub subgroup_size: u32,
+    /// Bytes that one binding of a kernel may span.
+    pub max_binding_bytes: u64,
+    /// Bytes that one allocation may have.
+    pub max_block_bytes: u64,
+    /// Workgroups along x, y, z.
+    pub max_groups: [u32; 3],
+    /// Bytes of shared memory of a workgroup.
+    pub shared_bytes: u32,
+    /// Bytes of the memory that kernels work in.
+    pub memory_bytes: u64,
+    /// Nanoseconds of one timestamp tick; 0 where there are no timestamps.
+    pub timestamp_ns: f64,
+}
+
+impl Default for Limits {
+    /// A plain desktop device, for plans made without one.
+    fn default() -> Self {
+        Self {
+            name: "none".into(),
+            driver: String::new(),
+            api: "1.3.0".into(),
+            cpu: false,
+            discrete: true,
+            subgroup_size: 32,
+            max_binding_bytes: u32::MAX as u64,
+            max_block_bytes: 4 << 30,
+            max_groups: [65535; 3],
+            shared_bytes: 32 << 10,
+            memory_bytes: u64::MAX,
+            timestamp_ns: 1.0,
+        }
+    }
+}
+
+/// An open device. Cloning shares it; it closes when the last user is gone.
+#[derive(Clone)]
+pub struct Device(pub(super) Arc<Shared>);
+
+/// What every run on a device shares.
+pub(super) struct Shared {
+    pub raw: ash::Device,
+    pub push_descriptor: khr::push_descriptor::Device,
+    pub debug: Option<ext::debug_utils::Device>,
+    pub queue: Mutex<vk::Queue>,
+    pub family: u32,
+    pub limits: Limits,
+    /// Arithmetic per millisecond seen so far, for splitting long plans.
+    pub flops_per_ms: AtomicU64,
+    subgroup_control: bool,
+    pipelines: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
+    layouts: Mutex<HashMap<&'static str, Layout>>,
+    allocator: Mutex<Option<Allocator>>,
+    pub instance: Instance,
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct Pipeline {
+    pub raw: vk::Pipeline,
+    pub layout: vk::PipelineLayout,
+}
+
+#[derive(Clone, Copy)]
+struct Layout {
+    set: vk::DescriptorSetLayout,
+    pipeline: vk::PipelineLayout,
+    module: vk::ShaderModule,
+}
+
+/// Properties that decide whether a device can be used, beside [`Limits`].
+pub(super) struct Found {
+    api: u32,
+    queue_family: Option<u32>,
+    push_descriptor: bool,
+    features: Vec<(&'static str, bool)>,
+    subgroup_control: bool,
+    llvmpipe_major: Option<u32>,
+}
+
+impl Device {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// [`Error::NoDevice`] where no driver is installed, none matches or none can do what the kernels need.
+    pub fn open(options: &DeviceOptions) -> Result<Self> {
+        let instance = Instance::new(options.validation)?;
+        let devices = instance.devices()?;
+        let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
+        let matching: Vec<_> = devices
+            .iter()
+            .filter(|(_, d)| match &options.selector {
+                Some(s) => s.parse() == Ok(d.index) || d.limits.name.to_lowercase().contains(&s.to_lowercase()),
+                None => true,
+            })
+            .collect();
+        if matching.is_empty() {
+            let selector = options.selector.clone().unwrap_or_default();
+            return Err(Error::NoDevice(format!("none matches '{selector}'; there are {}", names().join(", "))));
+        }
+        let Some((physical, _)) = matching
+            .iter()
+            .filter(|(_, d)| d.missing.is_empty())
+            .min_by_key(|(_, d)| (d.limits.cpu, !d.limits.discrete, d.index))
+        else {
+            let why: Vec<_> =
+                matching.iter().map(|(_, d)| format!("{} lacks {}", d.limits.name, d.missing.join(", "))).collect();
+            return Err(Error::NoDevice(why.join("; ")));
+        };
+        let physical = *physical;
+        Shared::new(instance, physical).map(|s| Self(Arc::new(s)))
+    }
+
+    /// What the device is and can do.
+    pub fn limits(&self) -> &Limits {
+        &self.0.limits
+    }
+}
+
+impl Shared {
+    fn new(instance: Instance, physical: vk::PhysicalDevice) -> Result<Self> {
+        let (limits, found) = probe(&instance.raw, physical);
+        let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
+        let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
+        let extensions = [khr::push_descriptor::NAME.as_ptr()];
+        let mut v12 = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true).scalar_block_layout(true);
+        let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
+            .synchronization2(true)
+            .maintenance4(true)
+            .subgroup_size_control(true)
+            .compute_full_subgroups(true);
+        let info = vk::DeviceCreateInfo::default()
+            .queue_create_infos(&queues)
+            .enabled_extension_names(&extensions)
+            .push_next(&mut v12)
+            .push_next(&mut v13);
+        // SAFETY: `physical` belongs to the instance; the features and extensions were found on it.
+        let raw = unsafe { instance.raw.create_device(physical, &info, None) }
+            .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: instance.raw.clone(),
+            device: raw.clone(),
+            physical_device: physical,
+            debug_settings: Default::default(),
+            buffer_device_address: false,
+            allocation_sizes: Default::default(),
+        })
+        .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
+        Ok(Self {
+            push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &raw),
+            debug: instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw)),
+            // SAFETY: the family and queue were asked for above.
+            queue: Mutex::new(unsafe { raw.get_device_queue(family, 0) }),
+            family,
+            flops_per_ms: AtomicU64::new(if limits.cpu { 10_000_000 } else { 1_000_000_000 }),
+            subgroup_control: found.subgroup_control,
+            pipelines: Mutex::default(),
+            layouts: Mutex::default(),
+            allocator: Mutex::new(Some(allocator)),
+            raw,
+            limits,
+            instance,
+        })
+    }
+
+    pub fn allocator(&self) -> AllocatorGuard<'_> {
+        AllocatorGuard(lock(&self.allocator))
+    }
+
+    /// Fails with the validation messages gathered since the last call.
+    pub fn check_messages(&self) -> Result<()> {
+        let messages = std::mem::take(&mut *lock(&self.instance.messages));
+        if messages.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Driver { call: "validation", result: messages.join("\n") })
+    }
+
+    /// The pipeline of a module with these specialisation constants, compiled once.
+    pub fn pipeline(&self, module: &'static Module, constants: &[u32]) -> Result<Pipeline> {
+        let key = (module.name, constants.to_vec());
+        if let Some(found) = lock(&self.pipelines).get(&key) {
+            return Ok(*found);
+        }
+        let layout = self.layout(module)?;
+        let subgroup = self.limits.subgroup_size;
+        let mut values = constants.to_vec();
+        let mut ids = module.constant_ids.to_vec();
+        let one_subgroup = module.local_size == LocalSize::Subgroup;
+        if one_subgroup {
+            ids.push(0);
+            values.push(subgroup);
+        }
+        let entries: Vec<_> = (ids.iter().zip(0u32..))
+            .map(|(id, i)| vk::SpecializationMapEntry { constant_id: *id, offset: 4 * i, size: 4 })
+            .collect();
+        let specialization =
+            vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(&values));
+        let mut size =
+            vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default().required_subgroup_size(subgroup);
+        let mut stage = vk::PipelineShaderStageCreateInfo::default()
+            .stage(vk::ShaderStageFlags::COMPUTE)
+            .module(layout.module)
+            .name(c"main")
+            .specialization_info(&specialization);
+        if one_subgroup && self.subgroup_control {
+            stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut size);
+        }
+        let info = vk::ComputePipelineCreateInfo::default()
+            .flags(vk::PipelineCreateFlags::DISPATCH_BASE)
+            .stage(stage)
+            .layout(layout.pipeline);
+        // SAFETY: everything that `info` points to is alive.
+        let raw = unsafe { self.raw.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) }.map_err(
+            |(_, e)| Error::Driver { call: "vkCreateComputePipelines", result: format!("{}: {e}", module.name) },
+        )?[0];
+        self.label(raw, module.name);
+        let pipeline = Pipeline { raw, layout: layout.pipeline };
+        lock(&self.pipelines).insert(key, pipeline);
+        Ok(pipeline)
+    }
+
+    fn layout(&self, module: &'static Module) -> Result<Layout> {
+        let mut layouts = lock(&self.layouts);
+        if let Some(known) = layouts.get(module.name) {
+            return Ok(*known);
+        }
+        let bindings: Vec<_> = module
+            .bindings
+            .iter()
+            .map(|b| {
+                vk::DescriptorSetLayoutBinding::default()
+                    .binding(b.binding)
+                    .descriptor_count(1)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .stage_flags(vk::ShaderStageFlags::COMPUTE)
+            })
+            .collect();
+        let set_info = vk::DescriptorSetLayoutCreateInfo::default()
+            .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
+            .bindings(&bindings);
+        let failed = |call| move |e: vk::Result| Error::Driver { call, result: format!("{}: {e}", module.name) };
+        let words = ash::util::read_spv(&mut std::io::Cursor::new(module.spirv))
+            .map_err(|e| Error::Driver { call: "read_spv", result: format!("{}: {e}", module.name) })?;
+        // SAFETY: valid create infos; the handles are destroyed with the device.
+        let layout = unsafe {
+            let set = self
+                .raw
+                .create_descriptor_set_layout(&set_info, None)
+                .map_err(failed("vkCreateDescriptorSetLayout"))?;
+            let sets = [set];
+            let push =
+                [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(module.push_bytes)];
+            let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
+            if module.push_bytes > 0 {
+                info = info.push_constant_ranges(&push);
+            }
+            let pipeline = self.raw.create_pipeline_layout(&info, None).map_err(failed("vkCreatePipelineLayout"))?;
+            let info = vk::ShaderModuleCreateInfo::default().code(&words);
+            let shader = self.raw.create_shader_module(&info, None).map_err(failed("vkCreateShaderModule"))?;
+            Layout { set, pipeline, module: shader }
+        };
+        layouts.insert(module.name, layout);
+        Ok(layout)
+    }
+
+    fn label(&self, pipeline: vk::Pipeline, name: &str) {
+        let Some(debug) = &self.debug else { return };
+        let name = std::ffi::CString::new(name).unwrap_or_default();
+        let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(pipeline).object_name(&name);
+        // SAFETY: the pipeline is alive. A label that cannot be set is no reason to stop.
+        let _ = unsafe { debug.set_debug_utils_object_name(&info) };
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        // SAFETY: the last user is gone, so nothing is in flight and nothing else holds these handles.
+        unsafe {
+            let _ = self.raw.device_wait_idle();
+            for pipeline in lock(&self.pipelines).values() {
+                self.raw.destroy_pipeline(pipeline.raw, None);
+            }
+            for layout in lock(&self.layouts).values() {
+                self.raw.destroy_shader_module(layout.module, None);
+                self.raw.destroy_pipeline_layout(layout.pipeline, None);
+                self.raw.destroy_descriptor_set_layout(layout.set, None);
+            }
+            drop(lock(&self.allocator).take());
+            self.raw.destroy_device(None);
+        }
+    }
+}
+
+/// The allocator, which lives as long as the device.
+pub(super) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
+
+impl std::ops::Deref for AllocatorGuard<'_> {
+    type Target = Allocator;
+    fn deref(&self) -> &Allocator {
+        self.0.as_ref().expect("taken only when the device is dropped")
+    }
+}
+
+impl std::ops::DerefMut for AllocatorGuard<'_> {
+    fn deref_mut(&mut self) -> &mut Allocator {
+        self.0.as_mut().expect("taken only when the device is dropped")
+    }
+}
+
+/// Locks even where a panicking thread held the lock: the data are plain tables.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|e| e.into_inner())
+}
+
+/// Reads what a device is and can do.
+pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
+    let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
+    let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
+    let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
+    let mut f12 = vk::PhysicalDeviceVulkan12Features::default();
+    let mut f13 = vk::PhysicalDeviceVulkan13Features::default();
+    let mut properties =
+        vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
+    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut f12).push_next(&mut f13);
+    // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
+    let (memory, families, extensions) = unsafe {
+        instance.get_physical_device_properties2(device, &mut properties);
+        instance.get_physical_device_features2(device, &mut features);
+        (
+            instance.get_physical_device_memory_properties(device),
+            instance.get_physical_device_queue_family_properties(device),
+            instance.enumerate_device_extension_properties(device).unwrap_or_default(),
+        )
+    };
+    let base = properties.properties;
+    let text = |s: Option<&std::ffi::CStr>| s.map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let compute = vk::QueueFlags::COMPUTE;
+    let queue_family = families.iter().position(|f| f.queue_flags.contains(compute)).map(|i| i as u32);
+    let timestamps = queue_family.is_some_and(|f| families[f as usize].timestamp_valid_bits > 0);
+    let kind = base.device_type;
+    let api = base.api_version;
+    let driver_version = text(v12.driver_info_as_c_str().ok());
+    let limits = Limits {
+        name: text(base.device_name_as_c_str().ok()),
+        driver: format!("{} {driver_version}", text(v12.driver_name_as_c_str().ok())),
+        api: format!("{}.{}.{}", vk::api_version_major(api), vk::api_version_minor(api), vk::api_version_patch(api)),
+        cpu: kind == vk::PhysicalDeviceType::CPU,
+        discrete: kind == vk::PhysicalDeviceType::DISCRETE_GPU,
+        subgroup_size: v11.subgroup_size,
+        max_binding_bytes: base.limits.max_storage_buffer_range as u64,
+        max_block_bytes: v11.max_memory_allocation_size.min(v13.max_buffer_size).min(4 << 30),
+        max_groups: base.limits.max_compute_work_group_count,
+        shared_bytes: base.limits.max_compute_shared_memory_size,
+        memory_bytes: memory
+            .memory_heaps_as_slice()
+            .iter()
+            .filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL))
+            .map(|h| h.size)
+            .max()
+            .unwrap_or(0),
+        timestamp_ns: if timestamps { base.limits.timestamp_period as f64 } else { 0.0 },
+    };
+    let operations = vk::SubgroupFeatureFlags::BASIC
+        | vk::SubgroupFeatureFlags::VOTE
+        | vk::SubgroupFeatureFlags::ARITHMETIC
+        | vk::SubgroupFeatureFlags::BALLOT
+        | vk::SubgroupFeatureFlags::SHUFFLE;
+    let subgroups = v11.subgroup_supported_operations.contains(operations)
+        && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    let found = Found {
+        api,
+        queue_family,
+        push_descriptor: extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::push_descriptor::NAME)),
+        features: vec![
+            ("subgroup arithmetic, ballot and shuffle in compute", subgroups),
+            ("timelineSemaphore", f12.timeline_semaphore == vk::TRUE),
+            ("scalarBlockLayout", f12.scalar_block_layout == vk::TRUE),
+            ("synchronization2", f13.synchronization2 == vk::TRUE),
+            ("maintenance4", f13.maintenance4 == vk::TRUE),
+            ("subgroupSizeControl", f13.subgroup_size_control == vk::TRUE),
+            ("computeFullSubgroups", f13.compute_full_subgroups == vk::TRUE),
+        ],
+        subgroup_control: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        llvmpipe_major: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
+            .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),
+    };
+    (limits, found)
+}
+
+/// What a device would need to have and has not.
+pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
+    let mut missing = Vec::new();
+    if found.api < vk::API_VERSION_1_3 {
+        missing.push(format!("Vulkan 1.3 (has {})", limits.api));
+    }
+    if found.queue_family.is_none() {
+        missing.push("a compute queue".into());
+    }
+    if !found.push_descriptor {
+        missing.push("VK_KHR_push_descriptor".into());
+    }
+    // Mesa 22's lavapipe cuts loops off after 65,535 iterations without a word.
+    if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {
+        missing.push(format!("lavapipe 25 or later (Mesa {major} computes long loops wrongly)"));
+    }
+    missing.extend(found.features.iter().filter(|f| !f.1).map(|f| f.0.to_owned()));
+    missing
+}

@@ -1,0 +1,155 @@
+//! Vulkan instance, validation, and the devices that can be had.
+
+use super::device::{Limits, missing_features, probe};
+use crate::{Error, Result};
+use ash::{ext, vk};
+use std::{
+    ffi::{CStr, c_void},
+    sync::Mutex,
+};
+
+const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// A loaded instance. Validation messages gather in `messages`.
+pub(super) struct Instance {
+    pub raw: ash::Instance,
+    pub debug: Option<ext::debug_utils::Instance>,
+    messenger: vk::DebugUtilsMessengerEXT,
+    pub messages: Box<Mutex<Vec<String>>>,
+    _entry: ash::Entry,
+}
+
+/// One Vulkan device of this machine.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct DeviceInfo {
+    /// Its number, as `--device` takes it.
+    pub index: usize,
+    /// Why it cannot be used; empty where it can.
+    pub missing: Vec<String>,
+    /// Name, driver and what it can do.
+    pub limits: Limits,
+}
+
+/// Every Vulkan device, usable or not.
+///
+/// # Errors
+/// Where there is no Vulkan loader or no driver.
+pub fn list_devices() -> Result<Vec<DeviceInfo>> {
+    let instance = Instance::new(false)?;
+    Ok(instance.devices()?.into_iter().map(|(_, info)| info).collect())
+}
+
+impl Instance {
+    pub fn new(validation: bool) -> Result<Self> {
+        // SAFETY: loading the system's Vulkan loader runs its initialisers, which is what it is for.
+        let entry = unsafe { ash::Entry::load() }
+            .map_err(|e| Error::NoDevice(format!("no Vulkan loader ({e}): install libvulkan1 and a driver")))?;
+        let messages = Box::new(Mutex::new(Vec::new()));
+        let app = vk::ApplicationInfo::default().application_name(c"zipsplat").api_version(vk::API_VERSION_1_3);
+        let layers = if validation { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
+        let layer_settings = validation && has_layer_extension(&entry, ext::layer_settings::NAME);
+        let mut extensions = Vec::new();
+        if validation {
+            extensions.push(ext::debug_utils::NAME.as_ptr());
+        }
+        if layer_settings {
+            extensions.push(ext::layer_settings::NAME.as_ptr());
+        }
+        let on = vk::TRUE.to_ne_bytes();
+        let settings = [c"validate_sync", c"syncval_shader_accesses_heuristic"].map(|name| {
+            vk::LayerSettingEXT::default()
+                .layer_name(VALIDATION_LAYER)
+                .setting_name(name)
+                .ty(vk::LayerSettingTypeEXT::BOOL32)
+                .values(&on)
+        });
+        let mut settings = vk::LayerSettingsCreateInfoEXT::default().settings(&settings);
+        let mut features = vk::ValidationFeaturesEXT::default()
+            .enabled_validation_features(&[vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION]);
+        let mut info = vk::InstanceCreateInfo::default()
+            .application_info(&app)
+            .enabled_layer_names(&layers)
+            .enabled_extension_names(&extensions);
+        if layer_settings {
+            info = info.push_next(&mut settings);
+        } else if validation {
+            info = info.push_next(&mut features);
+        }
+        // SAFETY: every pointer in `info` outlives the call.
+        let raw = unsafe { entry.create_instance(&info, None) }.map_err(|e| match e {
+            vk::Result::ERROR_LAYER_NOT_PRESENT => {
+                Error::NoDevice("validation was asked for, but the Khronos validation layer is not installed".into())
+            }
+            e => Error::NoDevice(format!("vkCreateInstance: {e}")),
+        })?;
+        let mut instance =
+            Self { debug: None, messenger: vk::DebugUtilsMessengerEXT::null(), messages, raw, _entry: entry };
+        if validation {
+            instance.listen()?;
+        }
+        Ok(instance)
+    }
+
+    fn listen(&mut self) -> Result<()> {
+        let debug = ext::debug_utils::Instance::new(&self._entry, &self.raw);
+        let severe = vk::DebugUtilsMessageSeverityFlagsEXT::WARNING | vk::DebugUtilsMessageSeverityFlagsEXT::ERROR;
+        let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
+            .message_severity(severe)
+            .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
+            .pfn_user_callback(Some(on_message))
+            .user_data((&raw const *self.messages).cast_mut().cast());
+        // SAFETY: the user data is boxed and dropped after the messenger.
+        self.messenger = unsafe { debug.create_debug_utils_messenger(&info, None) }
+            .map_err(|e| Error::Driver { call: "vkCreateDebugUtilsMessengerEXT", result: e.to_string() })?;
+        self.debug = Some(debug);
+        Ok(())
+    }
+
+    pub fn devices(&self) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
+        // SAFETY: the instance is alive.
+        let physical = unsafe { self.raw.enumerate_physical_devices() }
+            .map_err(|e| Error::NoDevice(format!("vkEnumeratePhysicalDevices: {e}")))?;
+        if physical.is_empty() {
+            return Err(Error::NoDevice("no Vulkan driver is installed".into()));
+        }
+        let info = |(index, device): (usize, vk::PhysicalDevice)| {
+            let (limits, found) = probe(&self.raw, device);
+            (device, DeviceInfo { index, missing: missing_features(&limits, &found), limits })
+        };
+        Ok(physical.into_iter().enumerate().map(info).collect())
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        // SAFETY: children were destroyed before; the messenger belongs to this instance.
+        unsafe {
+            if let Some(debug) = &self.debug {
+                debug.destroy_debug_utils_messenger(self.messenger, None);
+            }
+            self.raw.destroy_instance(None);
+        }
+    }
+}
+
+fn has_layer_extension(entry: &ash::Entry, name: &CStr) -> bool {
+    // SAFETY: plain query.
+    let found = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION_LAYER)) };
+    found.is_ok_and(|list| list.iter().any(|e| e.extension_name_as_c_str() == Ok(name)))
+}
+
+unsafe extern "system" fn on_message(
+    _severity: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _types: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the layer passes valid data; `user` is the boxed list of the instance that is calling.
+    let (text, messages) = unsafe {
+        let text = (*data).message_as_c_str().map(|t| t.to_string_lossy().into_owned()).unwrap_or_default();
+        (text, &*user.cast::<Mutex<Vec<String>>>())
+    };
+    log::error!("{text}");
+    messages.lock().unwrap_or_else(|e| e.into_inner()).push(text);
+    vk::FALSE
+}

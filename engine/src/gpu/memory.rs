@@ -1,0 +1,233 @@
+//! Blocks of device memory, and how bytes get in and out.
+
+use super::{
+    Device, Tensor,
+    arena::ALIGNMENT,
+    device::{Shared, lock},
+    plan::Home,
+};
+use crate::{Error, Result};
+use ash::vk;
+use bytemuck::Pod;
+use gpu_allocator::{
+    MemoryLocation,
+    vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
+};
+use std::sync::{Arc, Mutex};
+
+/// Bytes that go through host-visible memory at a time where the device's own is not.
+const STAGING_BYTES: u64 = 16 << 20;
+
+/// A few large buffers.
+pub(super) struct Memory {
+    shared: Arc<Shared>,
+    blocks: Vec<Block>,
+    staging: Mutex<Option<Block>>,
+}
+
+struct Block {
+    buffer: vk::Buffer,
+    allocation: Option<Allocation>,
+    bytes: u64,
+    /// Host pointer where the memory is host visible and coherent.
+    mapped: bool,
+}
+
+impl Memory {
+    /// Allocates blocks of these sizes, or refuses before anything is allocated.
+    pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
+        let shared = device.0.clone();
+        let needed: u64 = sizes.iter().sum();
+        if needed > shared.limits.memory_bytes {
+            return Err(Error::Memory { what: what.into(), needed, available: shared.limits.memory_bytes });
+        }
+        let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
+        for &bytes in sizes {
+            let block = Block::new(&memory.shared, what, bytes, MemoryLocation::GpuOnly)?;
+            memory.blocks.push(block);
+        }
+        Ok(memory)
+    }
+
+    pub fn buffer(&self, block: u32) -> vk::Buffer {
+        self.blocks[block as usize].buffer
+    }
+
+    pub fn write(&self, block: u32, offset: u64, bytes: &[u8]) -> Result<()> {
+        let target = &self.blocks[block as usize];
+        if let Some(memory) = target.bytes_at(offset, bytes.len()) {
+            // SAFETY: in bounds (checked there), mapped, and no submission is using the range: runs are exclusive.
+            unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), memory, bytes.len()) };
+            return Ok(());
+        }
+        let mut staging = self.staging(MemoryLocation::CpuToGpu)?;
+        let stage = staging.as_mut().expect("made above");
+        for (i, chunk) in bytes.chunks(STAGING_BYTES as usize).enumerate() {
+            let memory = stage.bytes_at(0, chunk.len()).ok_or_else(unmapped)?;
+            // SAFETY: as above; the staging block is locked.
+            unsafe { std::ptr::copy_nonoverlapping(chunk.as_ptr(), memory, chunk.len()) };
+            let at = offset + i as u64 * STAGING_BYTES;
+            self.transfer(stage.buffer, 0, target.buffer, at, chunk.len() as u64)?;
+        }
+        Ok(())
+    }
+
+    pub fn read(&self, block: u32, offset: u64, bytes: &mut [u8]) -> Result<()> {
+        let source = &self.blocks[block as usize];
+        if let Some(memory) = source.bytes_at(offset, bytes.len()) {
+            // SAFETY: as in `write`.
+            unsafe { std::ptr::copy_nonoverlapping(memory, bytes.as_mut_ptr(), bytes.len()) };
+            return Ok(());
+        }
+        let mut staging = self.staging(MemoryLocation::GpuToCpu)?;
+        let stage = staging.as_mut().expect("made above");
+        for (i, chunk) in bytes.chunks_mut(STAGING_BYTES as usize).enumerate() {
+            let at = offset + i as u64 * STAGING_BYTES;
+            self.transfer(source.buffer, at, stage.buffer, 0, chunk.len() as u64)?;
+            let memory = stage.bytes_at(0, chunk.len()).ok_or_else(unmapped)?;
+            // SAFETY: as in `write`.
+            unsafe { std::ptr::copy_nonoverlapping(memory, chunk.as_mut_ptr(), chunk.len()) };
+        }
+        Ok(())
+    }
+
+    fn staging(&self, location: MemoryLocation) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
+        let mut staging = lock(&self.staging);
+        if staging.is_none() {
+            *staging = Some(Block::new(&self.shared, "staging", STAGING_BYTES, location)?);
+        }
+        Ok(staging)
+    }
+
+    fn transfer(&self, from: vk::Buffer, from_at: u64, to: vk::Buffer, to_at: u64, bytes: u64) -> Result<()> {
+        let size = bytes.next_multiple_of(4);
+        let region = vk::BufferCopy { src_offset: from_at, dst_offset: to_at, size };
+        super::commands::once(&self.shared, |raw, commands| {
+            // SAFETY: both buffers are alive and hold the region; `once` waits for the copy.
+            unsafe { raw.cmd_copy_buffer(commands, from, to, &[region]) }
+        })
+    }
+}
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        for block in self.blocks.drain(..).chain(lock(&self.staging).take()) {
+            block.free(&self.shared);
+        }
+    }
+}
+
+impl Block {
+    fn new(shared: &Shared, what: &str, bytes: u64, location: MemoryLocation) -> Result<Self> {
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::INDIRECT_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST;
+        let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+        let too_little =
+            || Error::Memory { what: what.into(), needed: bytes, available: shared.limits.memory_bytes.min(bytes - 1) };
+        // SAFETY: a plain buffer; freed in `free`.
+        let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| too_little())?;
+        let mut block = Self { buffer, allocation: None, bytes, mapped: false };
+        // SAFETY: the buffer was just made on this device.
+        let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
+        let allocation = shared.allocator().allocate(&AllocationCreateDesc {
+            name: what,
+            requirements,
+            location,
+            linear: true,
+            allocation_scheme: AllocationScheme::DedicatedBuffer(buffer),
+        });
+        let Ok(allocation) = allocation else {
+            block.free(shared);
+            return Err(too_little());
+        };
+        let coherent = allocation.memory_properties().contains(vk::MemoryPropertyFlags::HOST_COHERENT);
+        block.mapped = coherent && allocation.mapped_ptr().is_some();
+        // SAFETY: both were made for each other and are bound once.
+        let bound = unsafe { shared.raw.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
+        block.allocation = Some(allocation);
+        if let Err(e) = bound {
+            block.free(shared);
+            return Err(super::commands::driver("vkBindBufferMemory", e));
+        }
+        Ok(block)
+    }
+
+    /// Host address of a range, where the memory can be written from the host.
+    fn bytes_at(&self, offset: u64, len: usize) -> Option<*mut u8> {
+        assert!(offset + len as u64 <= self.bytes, "host access outside a block");
+        let base = self.allocation.as_ref()?.mapped_ptr().filter(|_| self.mapped)?;
+        // SAFETY: in bounds, as asserted.
+        Some(unsafe { base.as_ptr().cast::<u8>().add(offset as usize) })
+    }
+
+    fn free(self, shared: &Shared) {
+        // SAFETY: users wait for their submissions before they drop their memory.
+        unsafe { shared.raw.destroy_buffer(self.buffer, None) };
+        if let Some(allocation) = self.allocation {
+            // Freeing can fail only for memory that this allocator does not know.
+            let _ = shared.allocator().free(allocation);
+        }
+    }
+}
+
+fn unmapped() -> Error {
+    Error::Driver { call: "vkMapMemory", result: "staging memory is not host visible".into() }
+}
+
+/// Sizes of tensors that stay on the device: weights. Packed one after the other.
+#[derive(Debug)]
+pub struct ResidentLayout {
+    blocks: Vec<u64>,
+    block_bytes: u64,
+}
+
+impl ResidentLayout {
+    /// An empty layout for devices of these limits.
+    pub fn new(limits: &super::Limits) -> Self {
+        Self { blocks: Vec::new(), block_bytes: limits.max_block_bytes }
+    }
+
+    /// Adds a tensor of `len` elements.
+    pub fn add<T>(&mut self, len: usize) -> Tensor {
+        let bytes = (len * size_of::<T>()) as u64;
+        let padded = bytes.next_multiple_of(ALIGNMENT).max(ALIGNMENT);
+        if self.blocks.last().is_none_or(|used| used + padded > self.block_bytes) {
+            self.blocks.push(0);
+        }
+        let block = self.blocks.len() - 1;
+        let offset = self.blocks[block];
+        self.blocks[block] += padded;
+        Tensor { home: Home::Resident(block as u32), offset, bytes }
+    }
+
+    /// Bytes of all tensors.
+    pub fn bytes(&self) -> u64 {
+        self.blocks.iter().sum()
+    }
+}
+
+/// Device memory that outlives runs.
+pub struct Resident(pub(super) Memory);
+
+impl Resident {
+    /// Allocates a layout.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where the device has too little.
+    pub fn new(device: &Device, layout: &ResidentLayout) -> Result<Self> {
+        Memory::new(device, "resident memory", &layout.blocks).map(Self)
+    }
+
+    /// Writes a tensor of this memory from its start.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn write<T: Pod>(&self, tensor: Tensor, data: &[T]) -> Result<()> {
+        let Home::Resident(block) = tensor.home else { panic!("not a resident tensor") };
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
+        self.0.write(block, tensor.offset, bytes)
+    }
+}

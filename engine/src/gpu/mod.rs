@@ -1,0 +1,25 @@
+//! The only place that names Vulkan: device, arena, kernels, recorder, runs and their profile.
+//!
+//! A [`Recorder`] turns calls of typed kernels into a [`Plan`]: a plain command list, with an offset in one arena for
+//! every tensor. A [`Run`] allocates that arena on a [`Device`] and executes the plan as often as wanted.
+#![allow(unsafe_code)]
+
+mod arena;
+mod commands;
+mod device;
+mod instance;
+mod kernel;
+mod memory;
+mod plan;
+mod profile;
+mod recorder;
+mod run;
+
+pub use device::{Device, DeviceOptions, Limits};
+pub use instance::{DeviceInfo, list_devices};
+pub use kernel::{Binding, Kernel, LocalSize, Module};
+pub use memory::{Resident, ResidentLayout};
+pub use plan::{ArenaRow, Plan, Tensor};
+pub use profile::{Profile, ProfileRow};
+pub use recorder::Recorder;
+pub use run::{Progress, Run};

@@ -1,0 +1,157 @@
+//! A recorded plan: commands, and where every tensor lies.
+
+use super::{Module, arena::Placement};
+
+/// A range of device memory that kernels see as one array. Copy it freely; it owns nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tensor {
+    pub(super) home: Home,
+    pub(super) offset: u64,
+    pub(super) bytes: u64,
+}
+
+/// Where a tensor's bytes are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Home {
+    /// Allocation number of the plan; its place is known once the plan is finished.
+    Arena(u32),
+    /// Block number of the resident memory (weights).
+    Resident(u32),
+}
+
+impl Tensor {
+    /// `len` elements from element `first` on.
+    ///
+    /// # Panics
+    /// Where that is outside the tensor or not on a boundary of 256 bytes.
+    pub fn slice<T>(&self, first: usize, len: usize) -> Tensor {
+        let size = size_of::<T>() as u64;
+        let (from, bytes) = (first as u64 * size, len as u64 * size);
+        assert!(from.is_multiple_of(super::arena::ALIGNMENT), "slice at byte {from} is not on a 256-byte boundary");
+        assert!(from + bytes <= self.bytes, "slice {from}+{bytes} of {} bytes", self.bytes);
+        Tensor { offset: self.offset + from, bytes, ..*self }
+    }
+
+    /// Length in bytes.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Groups {
+    Fixed([u32; 3]),
+    /// Three u32 group counts in a tensor.
+    Indirect(Tensor),
+}
+
+#[derive(Debug)]
+pub(super) struct Dispatch {
+    pub module: &'static Module,
+    pub constants: Vec<u32>,
+    pub push: [u32; 16],
+    pub buffers: Vec<Tensor>,
+    pub groups: Groups,
+}
+
+#[derive(Debug)]
+pub(super) enum Operation {
+    Dispatch(Dispatch),
+    Fill { target: Tensor, value: u32 },
+    Copy { source: Tensor, target: Tensor },
+}
+
+#[derive(Debug)]
+pub(super) struct Command {
+    pub operation: Operation,
+    /// Index into [`Plan::scopes`].
+    pub scope: u32,
+    /// Multiplications and additions that the arithmetic needs; 0 where bytes matter more.
+    pub flops: u64,
+}
+
+/// How the host uses an allocation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    Scratch,
+    /// Written by the host before every run.
+    Input,
+    /// Keeps its bytes from run to run.
+    Constant,
+}
+
+#[derive(Debug)]
+pub(super) struct Allocation {
+    pub name: String,
+    pub bytes: u64,
+    pub role: Role,
+    pub output: bool,
+}
+
+/// A recorded command list with its arena laid out: a pure function of shapes.
+#[derive(Debug)]
+pub struct Plan {
+    pub(super) commands: Vec<Command>,
+    pub(super) scopes: Vec<String>,
+    pub(super) allocations: Vec<Allocation>,
+    pub(super) placements: Vec<Placement>,
+    pub(super) blocks: Vec<u64>,
+}
+
+/// One line of the arena's map.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct ArenaRow {
+    /// Scope and name of the tensor.
+    pub name: String,
+    /// Size in bytes.
+    pub bytes: u64,
+    /// Block it lies in.
+    pub block: u32,
+    /// Offset in that block.
+    pub offset: u64,
+    /// Index of the first command that uses it.
+    pub first_use: u32,
+    /// Index of the last command that uses it.
+    pub last_use: u32,
+}
+
+impl Plan {
+    /// Bytes of the arena: the most that is alive at once, as laid out.
+    pub fn arena_bytes(&self) -> u64 {
+        self.blocks.iter().sum()
+    }
+
+    /// Commands in the plan.
+    pub fn len(&self) -> usize {
+        self.commands.len()
+    }
+
+    /// Whether nothing was recorded.
+    pub fn is_empty(&self) -> bool {
+        self.commands.is_empty()
+    }
+
+    /// Arithmetic of all commands.
+    pub fn flops(&self) -> u64 {
+        self.commands.iter().map(|c| c.flops).sum()
+    }
+
+    /// The arena's map, in the order of first use.
+    pub fn arena_map(&self) -> Vec<ArenaRow> {
+        let mut rows: Vec<_> = self
+            .allocations
+            .iter()
+            .zip(&self.placements)
+            .map(|(a, p)| ArenaRow {
+                name: a.name.clone(),
+                bytes: a.bytes,
+                block: p.block,
+                offset: p.offset,
+                first_use: p.first,
+                last_use: p.last,
+            })
+            .collect();
+        rows.sort_by_key(|r| (r.first_use, r.block, r.offset));
+        rows
+    }
+}

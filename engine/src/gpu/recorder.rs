@@ -1,0 +1,258 @@
+//! Records kernel calls into a plan.
+
+use super::{
+    Kernel, Limits, LocalSize, Plan, Tensor,
+    arena::{self, Lifetime},
+    plan::{Allocation, Command, Dispatch, Groups, Home, Operation, Role},
+};
+use crate::{Error, Result, kernels::limits::GROUP_FOLD};
+
+/// Records a plan. Needs the device's limits, not the device: plans can be made and measured without one.
+pub struct Recorder {
+    limits: Limits,
+    commands: Vec<Command>,
+    scopes: Vec<String>,
+    scope: u32,
+    allocations: Vec<Allocation>,
+    error: Option<Error>,
+}
+
+impl Recorder {
+    /// An empty recording for devices of these limits.
+    pub fn new(limits: &Limits) -> Self {
+        Self {
+            limits: limits.clone(),
+            commands: Vec::new(),
+            scopes: vec![String::new()],
+            scope: 0,
+            allocations: Vec::new(),
+            error: None,
+        }
+    }
+
+    /// The limits it records for.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Scratch of `len` elements, alive from its first to its last use.
+    pub fn tensor<T>(&mut self, name: &str, len: usize) -> Tensor {
+        self.allocate::<T>(name, len, Role::Scratch)
+    }
+
+    /// A tensor that the host writes before every run; its bytes are free for others after its last use.
+    pub fn input<T>(&mut self, name: &str, len: usize) -> Tensor {
+        self.allocate::<T>(name, len, Role::Input)
+    }
+
+    /// A tensor that the host writes once and that keeps its bytes from run to run.
+    pub fn constant<T>(&mut self, name: &str, len: usize) -> Tensor {
+        self.allocate::<T>(name, len, Role::Constant)
+    }
+
+    /// Keeps a tensor to the end, for the host to read.
+    pub fn output(&mut self, tensor: Tensor) {
+        if let Home::Arena(id) = tensor.home {
+            self.allocations[id as usize].output = true;
+        }
+    }
+
+    /// Records `body` under `name`: a row of a profile. Scopes nest with slashes.
+    pub fn scope<R>(&mut self, name: &str, body: impl FnOnce(&mut Self) -> R) -> R {
+        let outer = self.scope;
+        let parent = &self.scopes[outer as usize];
+        let path = if parent.is_empty() { name.to_owned() } else { format!("{parent}/{name}") };
+        self.scope = match self.scopes.iter().position(|s| *s == path) {
+            Some(known) => known as u32,
+            None => {
+                self.scopes.push(path);
+                self.scopes.len() as u32 - 1
+            }
+        };
+        let result = body(self);
+        self.scope = outer;
+        result
+    }
+
+    /// Dispatches at least `threads` invocations, in whole workgroups.
+    pub fn dispatch<K: Kernel>(&mut self, kernel: K, threads: impl Threads) -> Recorded<'_> {
+        let size = match K::MODULE.local_size {
+            LocalSize::Fixed(size) => size,
+            LocalSize::Subgroup => [self.limits.subgroup_size, 1, 1],
+        };
+        let threads = threads.xyz();
+        self.dispatch_groups(kernel, [0, 1, 2].map(|i| threads[i].div_ceil(size[i])))
+    }
+
+    /// Dispatches whole workgroups. A 1-D dispatch above `GROUP_FOLD` groups is folded to rows of that many.
+    pub fn dispatch_groups<K: Kernel>(&mut self, kernel: K, groups: impl Threads) -> Recorded<'_> {
+        let mut groups = groups.xyz();
+        if groups[0] > GROUP_FOLD && groups[1] == 1 && groups[2] == 1 {
+            groups = [GROUP_FOLD, groups[0].div_ceil(GROUP_FOLD), 1];
+        }
+        let module = &K::MODULE;
+        if let Some(axis) = (0..3).find(|&i| groups[i] > self.limits.max_groups[i]) {
+            self.fail(Error::argument(
+                format!("workgroups of {} along axis {axis}", module.name),
+                groups[axis],
+                format!("at most {}", self.limits.max_groups[axis]),
+            ));
+        }
+        if groups.contains(&0) {
+            return Recorded(None);
+        }
+        self.push(kernel, Groups::Fixed(groups))
+    }
+
+    /// Dispatches as many workgroups as the three u32 in `args` say when it runs.
+    pub fn dispatch_indirect<K: Kernel>(&mut self, kernel: K, args: Tensor) -> Recorded<'_> {
+        self.push(kernel, Groups::Indirect(args))
+    }
+
+    /// Sets every 32-bit word of a tensor.
+    pub fn fill(&mut self, target: Tensor, value: u32) {
+        self.command(Operation::Fill { target, value });
+    }
+
+    /// Copies `source` over `target`, which is as long.
+    pub fn copy(&mut self, source: Tensor, target: Tensor) {
+        assert_eq!(source.bytes, target.bytes, "copy between tensors of different length");
+        self.command(Operation::Copy { source, target });
+    }
+
+    /// Lays out the arena.
+    ///
+    /// # Errors
+    /// Where a tensor is larger than the device can hold or bind at once.
+    pub fn finish(mut self) -> Result<Plan> {
+        if let Some(error) = self.error.take() {
+            return Err(error);
+        }
+        let lifetimes = self.lifetimes();
+        let (placements, blocks) =
+            arena::place(&lifetimes, self.limits.max_block_bytes).map_err(|i| Error::Memory {
+                what: format!("tensor {}", self.allocations[i].name),
+                needed: lifetimes[i].bytes,
+                available: self.limits.max_block_bytes,
+            })?;
+        let Self { commands, scopes, allocations, .. } = self;
+        Ok(Plan { commands, scopes, allocations, placements, blocks })
+    }
+
+    fn allocate<T>(&mut self, name: &str, len: usize, role: Role) -> Tensor {
+        let bytes = (len as u64).saturating_mul(size_of::<T>() as u64);
+        let scope = &self.scopes[self.scope as usize];
+        let name = if scope.is_empty() { name.to_owned() } else { format!("{scope}/{name}") };
+        self.allocations.push(Allocation { name, bytes, role, output: false });
+        Tensor { home: Home::Arena(self.allocations.len() as u32 - 1), offset: 0, bytes }
+    }
+
+    fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
+        let module = &K::MODULE;
+        let buffers = kernel.buffers();
+        for (tensor, binding) in buffers.iter().zip(module.bindings) {
+            if tensor.bytes > self.limits.max_binding_bytes {
+                self.fail(Error::Memory {
+                    what: format!("binding {} of {} at once", binding.name, module.name),
+                    needed: tensor.bytes,
+                    available: self.limits.max_binding_bytes,
+                });
+            }
+        }
+        let (constants, push) = (kernel.constants(), kernel.push());
+        self.command(Operation::Dispatch(Dispatch { module, constants, push, buffers, groups }));
+        Recorded(self.commands.last_mut())
+    }
+
+    fn command(&mut self, operation: Operation) {
+        self.commands.push(Command { operation, scope: self.scope, flops: 0 });
+    }
+
+    fn fail(&mut self, error: Error) {
+        self.error.get_or_insert(error);
+    }
+
+    fn lifetimes(&self) -> Vec<Lifetime> {
+        let end = self.commands.len() as u32;
+        let mut lives: Vec<_> =
+            self.allocations.iter().map(|a| Lifetime { bytes: a.bytes, first: end, last: 0 }).collect();
+        for (i, command) in self.commands.iter().enumerate() {
+            command.operation.for_each_access(|tensor, _, _| {
+                if let Home::Arena(id) = tensor.home {
+                    let life = &mut lives[id as usize];
+                    life.first = life.first.min(i as u32);
+                    life.last = life.last.max(i as u32);
+                }
+            });
+        }
+        for (life, allocation) in lives.iter_mut().zip(&self.allocations) {
+            match allocation.role {
+                Role::Constant => (life.first, life.last) = (0, end),
+                Role::Input => life.first = 0,
+                Role::Scratch => {}
+            }
+            if allocation.output {
+                life.last = end;
+            }
+            life.first = life.first.min(life.last);
+        }
+        lives
+    }
+}
+
+impl Operation {
+    /// Calls `visit(tensor, reads, writes)` for everything that the operation touches.
+    pub(super) fn for_each_access(&self, mut visit: impl FnMut(Tensor, bool, bool)) {
+        match self {
+            Operation::Dispatch(dispatch) => {
+                for (tensor, binding) in dispatch.buffers.iter().zip(dispatch.module.bindings) {
+                    visit(*tensor, binding.reads, binding.writes);
+                }
+                if let Groups::Indirect(args) = dispatch.groups {
+                    visit(args, true, false);
+                }
+            }
+            Operation::Fill { target, .. } => visit(*target, false, true),
+            Operation::Copy { source, target } => {
+                visit(*source, true, false);
+                visit(*target, false, true);
+            }
+        }
+    }
+}
+
+/// A dispatch just recorded.
+pub struct Recorded<'a>(Option<&'a mut Command>);
+
+impl Recorded<'_> {
+    /// States the arithmetic that it must do, for profiles and for splitting long submissions.
+    pub fn flops(self, flops: u64) {
+        if let Some(command) = self.0 {
+            command.flops = flops;
+        }
+    }
+}
+
+/// Counts along x, y and z; a single number is along x.
+pub trait Threads {
+    /// All three.
+    fn xyz(self) -> [u32; 3];
+}
+
+impl Threads for u32 {
+    fn xyz(self) -> [u32; 3] {
+        [self, 1, 1]
+    }
+}
+
+impl Threads for usize {
+    fn xyz(self) -> [u32; 3] {
+        [u32::try_from(self).expect("dispatches count in 32 bits"), 1, 1]
+    }
+}
+
+impl Threads for [u32; 3] {
+    fn xyz(self) -> [u32; 3] {
+        self
+    }
+}

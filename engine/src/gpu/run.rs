@@ -1,0 +1,398 @@
+//! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
+
+use super::{
+    Device, Plan, Profile, Resident, Tensor,
+    commands::{Bound, Encoder, Piece, driver},
+    device::lock,
+    memory::Memory,
+    plan::{Groups, Home, Operation, Role},
+};
+use crate::{Error, Result};
+use ash::vk;
+use bytemuck::Pod;
+use std::{
+    ops::ControlFlow,
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+/// What one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
+const SUBMISSION: Duration = Duration::from_millis(100);
+/// Arithmetic that takes as long as moving a byte, roughly, on CPUs and GPUs alike.
+const FLOPS_PER_BYTE: u64 = 4;
+/// Submissions under way at once.
+const IN_FLIGHT: usize = 2;
+/// Pieces of one profiled submission, two timestamps each.
+const PROFILED_PIECES: usize = 1024;
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress<'a> {
+    /// Share of the work that is done, 0 to 1.
+    pub fraction: f64,
+    /// Scope that is under way.
+    pub scope: &'a str,
+}
+
+/// A plan on a device. Executing it again replays what was encoded the first time.
+pub struct Run {
+    device: Device,
+    plan: Plan,
+    arena: Memory,
+    resident: Option<Arc<Resident>>,
+    pool: vk::CommandPool,
+    timeline: vk::Semaphore,
+    signalled: u64,
+    batches: Vec<Batch>,
+    /// Inputs that were written since the last execution.
+    written: Vec<bool>,
+}
+
+struct Batch {
+    commands: vk::CommandBuffer,
+    cost: u64,
+    first_command: usize,
+}
+
+/// Where encoding stands: the next command, and how many of its workgroups along `axis` are done.
+#[derive(Clone, Copy, Default)]
+struct Cursor {
+    command: usize,
+    done: u32,
+}
+
+impl Run {
+    /// Allocates a plan's arena.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where the device has too little; nothing was submitted then.
+    pub fn new(device: &Device, plan: Plan) -> Result<Self> {
+        Self::with_resident(device, plan, None)
+    }
+
+    /// As [`Run::new`], for a plan that uses resident tensors.
+    ///
+    /// # Errors
+    /// As [`Run::new`].
+    pub fn with_resident(device: &Device, plan: Plan, resident: Option<Arc<Resident>>) -> Result<Self> {
+        let arena = Memory::new(device, "arena", &plan.blocks)?;
+        let raw = &device.0.raw;
+        let pool_info = vk::CommandPoolCreateInfo::default()
+            .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER)
+            .queue_family_index(device.0.family);
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let semaphore_info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: valid create infos; destroyed in `drop`.
+        let timeline =
+            unsafe { raw.create_semaphore(&semaphore_info, None) }.map_err(|e| driver("vkCreateSemaphore", e))?;
+        // SAFETY: as above.
+        let pool =
+            unsafe { raw.create_command_pool(&pool_info, None) }.map_err(|e| driver("vkCreateCommandPool", e))?;
+        let written = vec![false; plan.allocations.len()];
+        let device = device.clone();
+        Ok(Self { device, plan, arena, resident, pool, timeline, signalled: 0, batches: Vec::new(), written })
+    }
+
+    /// The plan that runs.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Writes a tensor from its start.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    ///
+    /// # Panics
+    /// Where the data is longer than the tensor or the tensor is another plan's.
+    pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
+        let id = arena_id(tensor);
+        self.written[id] = true;
+        let place = self.plan.placements[id];
+        self.arena.write(place.block, place.offset + tensor.offset, bytes)
+    }
+
+    /// Reads a tensor that was recorded as an output.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    ///
+    /// # Panics
+    /// Where the tensor is not an output of this plan.
+    pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
+        let id = arena_id(tensor);
+        assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
+        let place = self.plan.placements[id];
+        let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
+        self.arena.read(place.block, place.offset + tensor.offset, bytemuck::cast_slice_mut(&mut data))?;
+        Ok(data)
+    }
+
+    /// Runs the plan to its end.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`], a driver's failure, or validation messages.
+    pub fn execute(&mut self) -> Result<()> {
+        self.execute_with(|_| ControlFlow::Continue(()))
+    }
+
+    /// As [`Run::execute`]; `progress` is called between submissions and may stop the run.
+    ///
+    /// # Errors
+    /// As [`Run::execute`], and [`Error::Cancelled`].
+    pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<()> {
+        self.check_inputs()?;
+        let total: u64 = self.plan.commands.iter().map(|c| self.cost(&c.operation, c.flops)).sum();
+        let mut cursor =
+            Cursor { command: if self.batches.is_empty() { 0 } else { self.plan.commands.len() }, done: 0 };
+        let (mut index, mut done, mut last) = (0, 0u64, Instant::now());
+        let mut waits: Vec<(u64, u64)> = Vec::new();
+        let result = loop {
+            if index == self.batches.len() {
+                if cursor.command == self.plan.commands.len() {
+                    break Ok(());
+                }
+                let budget = self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64;
+                match self.encode(&mut cursor, budget) {
+                    Ok(batch) => self.batches.push(batch),
+                    Err(e) => break Err(e),
+                }
+            }
+            let (commands, cost, first) =
+                (self.batches[index].commands, self.batches[index].cost, self.batches[index].first_command);
+            match self.submit(commands) {
+                Ok(value) => waits.push((value, cost)),
+                Err(e) => break Err(e),
+            }
+            index += 1;
+            if waits.len() == IN_FLIGHT {
+                let (value, cost) = waits.remove(0);
+                if let Err(e) = self.wait(value) {
+                    break Err(e);
+                }
+                self.learn(cost, last.elapsed());
+                last = Instant::now();
+                done += cost;
+            }
+            let scope = &self.plan.scopes[self.plan.commands[first].scope as usize];
+            if progress(Progress { fraction: done as f64 / total.max(1) as f64, scope }).is_break() {
+                break Err(Error::Cancelled);
+            }
+        };
+        let idle = waits.last().map_or(Ok(()), |(value, _)| self.wait(*value));
+        if result.is_err() {
+            // A recording that was cut short is not replayed.
+            self.discard_batches();
+        }
+        result.and(idle)?;
+        self.forget_inputs();
+        self.device.0.check_messages()
+    }
+
+    /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
+    ///
+    /// # Errors
+    /// As [`Run::execute`].
+    pub fn profile(&mut self) -> Result<Profile> {
+        self.check_inputs()?;
+        let raw = self.device.0.raw.clone();
+        let count = 2 * PROFILED_PIECES as u32;
+        let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(count);
+        // SAFETY: destroyed below, after the last submission was waited for.
+        let queries = unsafe { raw.create_query_pool(&info, None) }.map_err(|e| driver("vkCreateQueryPool", e))?;
+        let times = self.profiled(queries, count);
+        // SAFETY: `profiled` waits for each of its submissions, also when one fails.
+        unsafe { raw.destroy_query_pool(queries, None) };
+        let times = times?;
+        self.forget_inputs();
+        self.device.0.check_messages()?;
+        Ok(Profile::new(&self.plan, &times))
+    }
+
+    fn profiled(&self, queries: vk::QueryPool, count: u32) -> Result<Vec<f64>> {
+        let raw = &self.device.0.raw;
+        let mut times = vec![0.0; self.plan.commands.len()];
+        let mut cursor = Cursor::default();
+        let commands = self.command_buffer()?;
+        while cursor.command < self.plan.commands.len() {
+            let budget = self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64;
+            let (pieces, _) = self.next_pieces(&mut cursor, budget);
+            self.record(commands, &pieces, Some((queries, count)))?;
+            let value = self.timeline_value()? + 1;
+            self.submit_as(commands, value)?;
+            self.wait(value)?;
+            let mut stamps = vec![0u64; 2 * pieces.len()];
+            // SAFETY: the submission that wrote these queries is done.
+            unsafe { raw.get_query_pool_results(queries, 0, &mut stamps, vk::QueryResultFlags::TYPE_64) }
+                .map_err(|e| driver("vkGetQueryPoolResults", e))?;
+            for (piece, t) in pieces.iter().zip(stamps.chunks_exact(2)) {
+                times[piece.command] += t[1].wrapping_sub(t[0]) as f64 * self.device.0.limits.timestamp_ns;
+            }
+        }
+        // SAFETY: not in use any more.
+        unsafe { raw.free_command_buffers(self.pool, &[commands]) };
+        Ok(times)
+    }
+
+    fn check_inputs(&self) -> Result<()> {
+        for (allocation, written) in self.plan.allocations.iter().zip(&self.written) {
+            if allocation.role != Role::Scratch && !written && allocation.bytes > 0 {
+                return Err(Error::argument(format!("input {}", allocation.name), "nothing", "a write before the run"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Later tensors may share an input's bytes, so it has to be written again.
+    fn forget_inputs(&mut self) {
+        for (allocation, written) in self.plan.allocations.iter().zip(&mut self.written) {
+            *written &= allocation.role == Role::Constant;
+        }
+    }
+
+    fn bound(&self) -> Bound<'_> {
+        Bound { shared: &self.device.0, plan: &self.plan, arena: &self.arena, resident: self.resident.as_deref() }
+    }
+
+    fn encode(&self, cursor: &mut Cursor, budget: u64) -> Result<Batch> {
+        let first_command = cursor.command;
+        let (pieces, cost) = self.next_pieces(cursor, budget);
+        let commands = self.command_buffer()?;
+        self.record(commands, &pieces, None)?;
+        Ok(Batch { commands, cost, first_command })
+    }
+
+    fn record(
+        &self,
+        commands: vk::CommandBuffer,
+        pieces: &[Piece],
+        queries: Option<(vk::QueryPool, u32)>,
+    ) -> Result<()> {
+        let bound = self.bound();
+        let mut encoder = Encoder::begin(&bound, commands, queries)?;
+        for piece in pieces {
+            encoder.piece(*piece)?;
+        }
+        encoder.end()
+    }
+
+    /// Takes pieces up to the budget; a dispatch beyond it is cut along its longest axis.
+    fn next_pieces(&self, cursor: &mut Cursor, budget: u64) -> (Vec<Piece>, u64) {
+        let (mut pieces, mut cost) = (Vec::new(), 0);
+        while let Some(command) = self.plan.commands.get(cursor.command) {
+            let whole = self.cost(&command.operation, command.flops);
+            let mut piece = Piece { command: cursor.command, base: [0; 3], groups: [1; 3] };
+            let mut piece_cost = whole;
+            if let Operation::Dispatch(dispatch) = &command.operation
+                && let Groups::Fixed(groups) = dispatch.groups
+            {
+                let axis = (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0);
+                // A folded dispatch counts its groups along x, so it can only be cut between rows.
+                let axis = if groups[1] > 1 && groups[2] == 1 { 1.max(axis) } else { axis };
+                let per_group = (whole / groups[axis] as u64).max(1);
+                let room = (budget.saturating_sub(cost) / per_group).clamp(1, groups[axis] as u64) as u32;
+                piece.groups = groups;
+                piece.base[axis] = cursor.done;
+                piece.groups[axis] = room.min(groups[axis] - cursor.done);
+                piece_cost = per_group * piece.groups[axis] as u64;
+                cursor.done += piece.groups[axis];
+                if cursor.done < groups[axis] {
+                    pieces.push(piece);
+                    return (pieces, cost + piece_cost);
+                }
+            }
+            pieces.push(piece);
+            cost += piece_cost;
+            *cursor = Cursor { command: cursor.command + 1, done: 0 };
+            if cost >= budget || pieces.len() == PROFILED_PIECES {
+                break;
+            }
+        }
+        (pieces, cost)
+    }
+
+    fn cost(&self, operation: &Operation, flops: u64) -> u64 {
+        let mut bytes = 0;
+        operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
+        flops.max(bytes * FLOPS_PER_BYTE)
+    }
+
+    /// Moves the estimate of the device's speed towards what a submission took.
+    fn learn(&self, cost: u64, took: Duration) {
+        let ms = took.as_secs_f64() * 1e3;
+        if ms > 1.0 {
+            let rate = &self.device.0.flops_per_ms;
+            let known = rate.load(Ordering::Relaxed) as f64;
+            let seen = (cost as f64 / ms).clamp(known / 2.0, known * 2.0);
+            rate.store((0.5 * (known + seen)).max(1e5) as u64, Ordering::Relaxed);
+        }
+    }
+
+    fn command_buffer(&self) -> Result<vk::CommandBuffer> {
+        let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
+        // SAFETY: the pool is used by this run only, which is borrowed by one thread at a time.
+        unsafe { self.device.0.raw.allocate_command_buffers(&info) }
+            .map(|buffers| buffers[0])
+            .map_err(|e| driver("vkAllocateCommandBuffers", e))
+    }
+
+    fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
+        self.signalled = self.timeline_value()?.max(self.signalled) + 1;
+        self.submit_as(commands, self.signalled)?;
+        Ok(self.signalled)
+    }
+
+    fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let signals = [vk::SemaphoreSubmitInfo::default()
+            .semaphore(self.timeline)
+            .value(value)
+            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
+        let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
+        let queue = lock(&self.device.0.queue);
+        // SAFETY: the queue is locked and the command buffer is recorded and not under way.
+        unsafe { self.device.0.raw.queue_submit2(*queue, &[info], vk::Fence::null()) }
+            .map_err(|e| driver("vkQueueSubmit2", e))
+    }
+
+    fn timeline_value(&self) -> Result<u64> {
+        // SAFETY: the semaphore is alive.
+        unsafe { self.device.0.raw.get_semaphore_counter_value(self.timeline) }
+            .map_err(|e| driver("vkGetSemaphoreCounterValue", e))
+    }
+
+    fn wait(&self, value: u64) -> Result<()> {
+        let (semaphores, values) = ([self.timeline], [value]);
+        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        // SAFETY: the value was submitted for signalling.
+        unsafe { self.device.0.raw.wait_semaphores(&info, u64::MAX) }.map_err(|e| driver("vkWaitSemaphores", e))
+    }
+
+    fn discard_batches(&mut self) {
+        let commands: Vec<_> = self.batches.drain(..).map(|b| b.commands).collect();
+        if !commands.is_empty() {
+            // SAFETY: the caller waited for what was submitted.
+            unsafe { self.device.0.raw.free_command_buffers(self.pool, &commands) };
+        }
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let raw = &self.device.0.raw;
+        // SAFETY: every execution waits for its submissions before it returns.
+        unsafe {
+            raw.destroy_command_pool(self.pool, None);
+            raw.destroy_semaphore(self.timeline, None);
+        }
+    }
+}
+
+fn arena_id(tensor: Tensor) -> usize {
+    match tensor.home {
+        Home::Arena(id) => id as usize,
+        Home::Resident(_) => panic!("resident tensors are written through their own memory"),
+    }
+}

@@ -1,0 +1,217 @@
+//! RGB pictures: reading photos, writing PNG.
+
+use std::fmt;
+use std::io::Cursor;
+use std::path::Path;
+
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader, Limits, codecs::png::PngEncoder};
+
+use super::file::write_atomic;
+use crate::{Error, Result};
+
+/// Longest side that is read; above it a file is broken or hostile.
+const MAX_SIDE: u32 = 32_768;
+/// Most bytes that decoding one photo may take: 350 megapixels of RGB8.
+const MAX_DECODED_BYTES: u64 = 1 << 30;
+
+/// A picture of 8-bit RGB.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Image {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `[height][width][rgb]`, first row at the top.
+    pub rgb: Vec<u8>,
+}
+
+impl fmt::Debug for Image {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Image({}x{})", self.width, self.height)
+    }
+}
+
+impl Image {
+    /// A picture from `[height][width][rgb]` bytes.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when a side is zero or the number of bytes is not `3 * width * height`.
+    pub fn new(width: u32, height: u32, rgb: Vec<u8>) -> Result<Self> {
+        let image = Self { width, height, rgb };
+        image.validate()?;
+        Ok(image)
+    }
+
+    /// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped (as
+    /// Pillow's `convert("RGB")` does), grey is repeated, and of 16-bit samples the high byte is kept.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read; [`Error::Format`] with the decoder's reason when it is none of these
+    /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        let (mut decoded, orientation) = decode(&bytes).map_err(|reason| Error::format(path, None, reason))?;
+        decoded.apply_orientation(orientation);
+        Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
+    }
+
+    /// Width and height of a photo as [`Image::open`] would return it, read from the file's header.
+    ///
+    /// # Errors
+    /// As [`Image::open`], but damage after the header goes unseen.
+    pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        let (decoder, orientation) = open_decoder(&bytes).map_err(|reason| Error::format(path, None, reason))?;
+        let (width, height) = decoder.dimensions();
+        Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
+    }
+
+    /// Writes a PNG; the file appears whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the fields disagree, [`Error::Io`] when the file cannot be written.
+    pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
+        self.validate()?;
+        write_atomic(path.as_ref(), |out| {
+            PngEncoder::new(out)
+                .write_image(&self.rgb, self.width, self.height, image::ExtendedColorType::Rgb8)
+                .map_err(std::io::Error::other)
+        })
+    }
+
+    /// A rendered frame as a picture: `[height][width][rgb]` floats are clamped to 0..1, multiplied by 255 and truncated,
+    /// as the reference's viewer does. NaN becomes 0.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when there are not `3 * width * height` floats, or a side is zero.
+    pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
+        Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
+    }
+
+    /// The rectangle of `width` x `height` pixels whose first pixel is (`left`, `top`).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when it is empty or leaves the picture.
+    pub fn crop(&self, left: u32, top: u32, width: u32, height: u32) -> Result<Self> {
+        self.validate()?;
+        let within = |start: u32, len: u32, all: u32| start.checked_add(len).is_some_and(|end| end <= all);
+        if !within(left, width, self.width) || !within(top, height, self.height) {
+            let found = format!("{width}x{height} at ({left}, {top})");
+            return Err(Error::argument("crop", found, format!("a rectangle within {self:?}")));
+        }
+        let row = 3 * width as usize;
+        let mut rgb = Vec::with_capacity(row * height as usize);
+        for y in top..top + height {
+            let start = 3 * (y as usize * self.width as usize + left as usize);
+            rgb.extend_from_slice(&self.rgb[start..start + row]);
+        }
+        Self::new(width, height, rgb)
+    }
+
+    /// # Errors
+    /// [`Error::Argument`] when a side is zero or `rgb` has not `3 * width * height` bytes.
+    pub fn validate(&self) -> Result<()> {
+        let expected = 3 * u64::from(self.width) * u64::from(self.height);
+        if expected == 0 || self.rgb.len() as u64 != expected {
+            let found = format!("{} bytes for {}x{}", self.rgb.len(), self.width, self.height);
+            return Err(Error::argument("image", found, format!("{expected} bytes and no empty side")));
+        }
+        Ok(())
+    }
+}
+
+/// Pictures side by side on black, `columns` a row, each at the top left of a cell as large as the largest of them.
+///
+/// # Errors
+/// [`Error::Argument`] without pictures or columns, or when the sheet would be larger than [`Image::open`] reads.
+pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
+    if images.is_empty() || columns == 0 {
+        let found = format!("{} images in {columns} columns", images.len());
+        return Err(Error::argument("contact sheet", found, "at least one of each"));
+    }
+    images.iter().try_for_each(Image::validate)?;
+    let columns = columns.min(images.len());
+    let cell_width = images.iter().map(|image| image.width as usize).max().unwrap_or(0);
+    let cell_height = images.iter().map(|image| image.height as usize).max().unwrap_or(0);
+    let (width, height) = (cell_width * columns, cell_height * images.len().div_ceil(columns));
+    if width.max(height) > MAX_SIDE as usize {
+        return Err(Error::argument("contact sheet", format!("{width}x{height}"), format!("sides up to {MAX_SIDE}")));
+    }
+    let mut rgb = vec![0; 3 * width * height];
+    for (i, image) in images.iter().enumerate() {
+        let (left, top) = (i % columns * cell_width, i / columns * cell_height);
+        let row = 3 * image.width as usize;
+        for (y, pixels) in image.rgb.chunks_exact(row).enumerate() {
+            let start = 3 * ((top + y) * width + left);
+            rgb[start..start + row].copy_from_slice(pixels);
+        }
+    }
+    Image::new(width as u32, height as u32, rgb)
+}
+
+type Decoded<T> = std::result::Result<T, String>;
+
+fn open_decoder(bytes: &[u8]) -> Decoded<(impl ImageDecoder + '_, Orientation)> {
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+    if reader.format().is_none() {
+        return Err("found no PNG, JPEG or WebP picture".into());
+    }
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_DECODED_BYTES);
+    reader.limits(limits);
+    let mut decoder = reader.into_decoder().map_err(|e| e.to_string())?;
+    if decoder.total_bytes() > MAX_DECODED_BYTES {
+        let (width, height) = decoder.dimensions();
+        return Err(format!("{width}x{height} pixels decode to more than {MAX_DECODED_BYTES} bytes"));
+    }
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    Ok((decoder, orientation))
+}
+
+fn decode(bytes: &[u8]) -> Decoded<(DynamicImage, Orientation)> {
+    let (decoder, orientation) = open_decoder(bytes)?;
+    let decoded = DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
+    if bytes.starts_with(&JPEG_START) && !jpeg_has_end(bytes) {
+        return Err("truncated: a JPEG without its end marker".into());
+    }
+    Ok((decoded, orientation))
+}
+
+const JPEG_START: [u8; 2] = [0xff, 0xd8];
+const JPEG_SCAN: u8 = 0xda;
+const JPEG_END: [u8; 2] = [0xff, 0xd9];
+
+/// The decoder fills what a cut-off JPEG lacks with grey and says nothing. The end marker is looked for behind the
+/// start of the scan: a thumbnail in an earlier segment has one of its own.
+fn jpeg_has_end(bytes: &[u8]) -> bool {
+    let mut at = JPEG_START.len();
+    while let Some(&[0xff, marker, high, low]) = bytes.get(at..at + 4) {
+        match marker {
+            JPEG_SCAN => break,
+            0xff => at += 1,
+            _ => at += 2 + usize::from(u16::from_be_bytes([high, low])),
+        }
+    }
+    bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == JPEG_END))
+}
+
+fn swaps_sides(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
+fn into_rgb(decoded: DynamicImage) -> Vec<u8> {
+    use DynamicImage::{ImageLuma16, ImageLumaA16, ImageRgb16, ImageRgba16};
+    match decoded {
+        // The crate's own conversion rounds; Pillow keeps the high byte.
+        ImageLuma16(_) | ImageLumaA16(_) | ImageRgb16(_) | ImageRgba16(_) => {
+            decoded.into_rgb16().iter().map(|sample| (sample >> 8) as u8).collect()
+        }
+        narrow => narrow.into_rgb8().into_raw(),
+    }
+}

@@ -1,0 +1,131 @@
+//! The PLY layout of 3D Gaussian Splatting that viewers read (Kerbl et al. 2023): logit opacity, log scale,
+//! channel-first `f_rest_*`.
+
+mod table;
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::{Scene, file::write_atomic};
+use crate::{Error, Result};
+use table::{Column, Fault, Table};
+
+/// Gaussians that are encoded before they are written.
+const BATCH: usize = 1 << 16;
+/// Opacities are kept this far from 0 and 1, where their logit is infinite.
+const OPACITY_MARGIN: f32 = 1e-6;
+/// Smallest scale that is written: the logarithm of 0 is infinite.
+const MIN_SCALE: f32 = 1e-6;
+
+/// Writes a binary little-endian PLY of f32 properties; the file appears whole or not at all.
+///
+/// # Errors
+/// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
+pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
+    scene.validate()?;
+    let names = property_names(scene.sh_coeffs_per_gaussian());
+    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", scene.len());
+    for name in &names {
+        header += &format!("property float {name}\n");
+    }
+    header += "end_header\n";
+    let row = 4 * names.len();
+    write_atomic(path.as_ref(), |out| {
+        out.write_all(header.as_bytes())?;
+        let mut rows = vec![0; row * BATCH.min(scene.len())];
+        for start in (0..scene.len()).step_by(BATCH) {
+            let batch = &mut rows[..row * BATCH.min(scene.len() - start)];
+            batch.par_chunks_exact_mut(row).enumerate().for_each(|(i, row)| encode(scene, start + i, row));
+            out.write_all(batch)?;
+        }
+        Ok(())
+    })
+}
+
+fn property_names(coeffs: usize) -> Vec<String> {
+    let numbered = |prefix: &'static str, count| (0..count).map(move |i| format!("{prefix}_{i}"));
+    let fixed = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
+    fixed(&["x", "y", "z", "nx", "ny", "nz"])
+        .into_iter()
+        .chain(numbered("f_dc", 3))
+        .chain(numbered("f_rest", 3 * (coeffs - 1)))
+        .chain(fixed(&["opacity"]))
+        .chain(numbered("scale", 3))
+        .chain(numbered("rot", 4))
+        .collect()
+}
+
+fn encode(scene: &Scene, i: usize, row: &mut [u8]) {
+    let k = scene.sh_coeffs_per_gaussian();
+    let sh = &scene.sh_coeffs[i * k..][..k];
+    let opacity = scene.opacities[i].clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    let normal = [0.0; 3];
+    let values = (scene.means[i].into_iter().chain(normal).chain(sh[0]))
+        .chain((0..3).flat_map(|channel| sh[1..].iter().map(move |coeff| coeff[channel])))
+        .chain([(opacity / (1.0 - opacity)).ln()])
+        .chain(scene.scales[i].map(|scale| scale.max(MIN_SCALE).ln()))
+        .chain(scene.quats[i]);
+    for (bytes, value) in row.chunks_exact_mut(4).zip(values) {
+        bytes.copy_from_slice(&value.to_le_bytes());
+    }
+}
+
+/// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII: properties in any order and of any scalar type,
+/// others skipped, degree 0 to 3 from the number of `f_rest_*`. Quaternions keep their length.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is truncated, lacks a property, or holds values
+/// that are not finite once activated.
+pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
+    let path = path.as_ref();
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let scene = Table::parse(&bytes)
+        .and_then(|table| decode(&table))
+        .map_err(|Fault { offset, reason }| Error::format(path, Some(offset as u64), reason))?;
+    scene.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
+    Ok(scene)
+}
+
+fn decode(table: &Table) -> std::result::Result<Scene, Fault> {
+    let column = |name: &str| table.column(name);
+    let means = [column("x")?, column("y")?, column("z")?];
+    let scales = [column("scale_0")?, column("scale_1")?, column("scale_2")?];
+    let quats = [column("rot_0")?, column("rot_1")?, column("rot_2")?, column("rot_3")?];
+    let opacity = column("opacity")?;
+    let (coeffs, sh_degree) = sh_columns(table)?;
+
+    let mut sh_coeffs = vec![[0.0; 3]; table.len() * coeffs.len()];
+    sh_coeffs.par_chunks_exact_mut(coeffs.len()).zip(table.rows()).for_each(|(out, row)| {
+        for (out, columns) in out.iter_mut().zip(&coeffs) {
+            *out = read(columns, row);
+        }
+    });
+    Ok(Scene {
+        means: table.rows().map(|row| read(&means, row)).collect(),
+        scales: table.rows().map(|row| read(&scales, row).map(f32::exp)).collect(),
+        quats: table.rows().map(|row| read(&quats, row)).collect(),
+        opacities: table.rows().map(|row| 1.0 / (1.0 + (-opacity.read(row)).exp())).collect(),
+        sh_coeffs,
+        sh_degree,
+    })
+}
+
+/// The columns of each coefficient's red, green and blue, and the degree.
+fn sh_columns(table: &Table) -> std::result::Result<(Vec<[Column; 3]>, u32), Fault> {
+    let rest = table.names().filter(|name| name.starts_with("f_rest_")).count();
+    let Some(sh_degree) = (0..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == rest as u32) else {
+        return Err(table.fault(format!("{rest} f_rest properties, expected 0, 9, 24 or 45 (degree 0 to 3)")));
+    };
+    let channel = rest / 3;
+    let mut coeffs = vec![[table.column("f_dc_0")?, table.column("f_dc_1")?, table.column("f_dc_2")?]];
+    for k in 0..channel {
+        let rest = |c: usize| table.column(&format!("f_rest_{}", c * channel + k));
+        coeffs.push([rest(0)?, rest(1)?, rest(2)?]);
+    }
+    Ok((coeffs, sh_degree))
+}
+
+fn read<const N: usize>(columns: &[Column; N], row: &[u8]) -> [f32; N] {
+    columns.map(|column| column.read(row))
+}

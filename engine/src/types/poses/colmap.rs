@@ -1,0 +1,283 @@
+//! COLMAP models, text and binary: world-to-camera poses with OpenCV axes.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::str::SplitAsciiWhitespace;
+
+use glam::DVec3;
+
+use super::super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion};
+use super::{Frame, Poses, checked};
+use crate::{Error, Result};
+
+/// The perspective models: id in binary files, name in text files, parameters in all.
+/// Parameters begin `f, cx, cy` or `fx, fy, cx, cy`; distortion follows.
+const MODELS: [(i32, &str, usize); 6] = [
+    (0, "SIMPLE_PINHOLE", 3),
+    (1, "PINHOLE", 4),
+    (2, "SIMPLE_RADIAL", 4),
+    (3, "RADIAL", 5),
+    (4, "OPENCV", 8),
+    (6, "FULL_OPENCV", 12),
+];
+const ONE_FOCAL: [&str; 3] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+
+/// Bytes of one 2D point in `images.bin`: x and y as f64 and the 3D point's id.
+const POINT_BYTES: u64 = 24;
+
+/// Whether a folder holds a model's cameras.
+pub(super) fn is_model(folder: &Path) -> bool {
+    is_binary(folder) || folder.join("cameras.txt").is_file()
+}
+
+fn is_binary(folder: &Path) -> bool {
+    folder.join("cameras.bin").is_file()
+}
+
+pub(super) fn read(folder: &Path) -> Result<Poses> {
+    let binary = is_binary(folder);
+    let [cameras, images] = ["cameras", "images"].map(|name| {
+        folder.join(name).with_extension(match binary {
+            true => "bin",
+            false => "txt",
+        })
+    });
+    let (cameras_bytes, images_bytes) = (load(&cameras)?, load(&images)?);
+    let lenses = if binary { binary_cameras(&cameras_bytes) } else { text_cameras(&cameras_bytes) };
+    let lenses = lenses.map_err(|fault| fault.in_file(&cameras))?;
+    let views = if binary { binary_images(&images_bytes) } else { text_images(&images_bytes) };
+    let mut views = views.map_err(|fault| fault.in_file(&images))?;
+    // The order of a model is that of a hash table.
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+
+    let mut poses = Poses::default();
+    let mut distorted = 0;
+    for view in views {
+        let fail = |reason: String| Error::format(&images, None, reason);
+        let lens = lenses.get(&view.camera_id).ok_or_else(|| {
+            fail(format!("image {:?} has camera {}, which {} lacks", view.name, view.camera_id, cameras.display()))
+        })?;
+        distorted += usize::from(lens.distorted);
+        let camera = Camera { intrinsics: lens.intrinsics, pose: view.pose };
+        let camera = checked(camera, &format!("image {:?}", view.name)).map_err(fail)?;
+        poses.frames.push(Frame { photo: find_photo(folder, &view.name), name: view.name, camera });
+    }
+    if distorted > 0 {
+        poses.notes.push(format!("lens distortion of {distorted} frames is ignored: undistort the photos"));
+    }
+    Ok(poses)
+}
+
+fn load(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(|source| Error::io(path, source))
+}
+
+/// Photos stand in `images` beside the model or up to two folders above it.
+fn find_photo(model: &Path, name: &str) -> Option<PathBuf> {
+    let places = model.ancestors().take(3).flat_map(|folder| [folder.join("images").join(name), folder.join(name)]);
+    places.into_iter().find(|path| path.is_file())
+}
+
+/// What is wrong, and the byte in a binary file.
+struct Fault {
+    offset: Option<u64>,
+    reason: String,
+}
+
+impl Fault {
+    fn in_file(self, path: &Path) -> Error {
+        Error::format(path, self.offset, self.reason)
+    }
+}
+
+type Parsed<T> = std::result::Result<T, Fault>;
+
+struct Lens {
+    intrinsics: Intrinsics,
+    distorted: bool,
+}
+
+struct View {
+    name: String,
+    camera_id: u32,
+    pose: Pose,
+}
+
+impl Lens {
+    fn new(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Result<Self, String> {
+        let side = |side: u64| u32::try_from(side).map_err(|_| format!("a side of {side} pixels"));
+        let (width, height) = (side(width)?, side(height)?);
+        let (fx, fy, rest) = match *params {
+            [f, ref rest @ ..] if ONE_FOCAL.contains(&model) => (f, f, rest),
+            [fx, fy, ref rest @ ..] => (fx, fy, rest),
+            _ => return Err(format!("{} parameters for model {model}", params.len())),
+        };
+        let [cx, cy, ref distortion @ ..] = *rest else {
+            return Err(format!("{} parameters for model {model}", params.len()));
+        };
+        let distorted = distortion.iter().any(|&value| value != 0.0);
+        Ok(Self { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distorted })
+    }
+}
+
+/// Camera-to-world from COLMAP's world-to-camera quaternion wxyz and translation.
+fn pose([w, x, y, z, tx, ty, tz]: [f64; 7]) -> Pose {
+    Pose { rotation: matrix_from_quaternion([w, x, y, z]), translation: DVec3::new(tx, ty, tz) }.inverse()
+}
+
+fn unknown_model(model: impl std::fmt::Display) -> String {
+    let known: Vec<&str> = MODELS.iter().map(|(_, name, _)| *name).collect();
+    format!("camera model {model}, expected one of {}; undistort the photos in COLMAP", known.join(", "))
+}
+
+/// A line's fields in order.
+struct Line<'a> {
+    number: usize,
+    text: &'a str,
+    fields: SplitAsciiWhitespace<'a>,
+}
+
+impl<'a> Line<'a> {
+    fn fault(&self, reason: impl std::fmt::Display) -> Fault {
+        Fault { offset: None, reason: format!("line {}: {reason}", self.number) }
+    }
+
+    fn next<T: std::str::FromStr>(&mut self, field: &str) -> Parsed<T> {
+        let found = self.fields.next();
+        let value = found.and_then(|token| token.parse().ok());
+        value.ok_or_else(|| self.fault(format!("{field}: found {:?}, expected a number", found.unwrap_or_default())))
+    }
+}
+
+/// Every line, with its number from 1.
+fn lines(bytes: &[u8]) -> Parsed<impl Iterator<Item = Line<'_>>> {
+    let text = std::str::from_utf8(bytes)
+        .map_err(|error| Fault { offset: Some(error.valid_up_to() as u64), reason: "not UTF-8 text".into() })?;
+    Ok(text.lines().enumerate().map(|(i, line)| {
+        let text = line.trim();
+        Line { number: i + 1, text, fields: text.split_ascii_whitespace() }
+    }))
+}
+
+fn is_comment(line: &Line) -> bool {
+    line.text.is_empty() || line.text.starts_with('#')
+}
+
+fn text_cameras(bytes: &[u8]) -> Parsed<HashMap<u32, Lens>> {
+    let mut lenses = HashMap::new();
+    for mut line in lines(bytes)?.filter(|line| !is_comment(line)) {
+        let id = line.next("CAMERA_ID")?;
+        let model = line.fields.next().unwrap_or_default();
+        let Some((_, _, count)) = MODELS.iter().find(|(_, name, _)| *name == model) else {
+            return Err(line.fault(unknown_model(model)));
+        };
+        let (width, height) = (line.next("WIDTH")?, line.next("HEIGHT")?);
+        let params = (0..*count).map(|i| line.next(&format!("PARAMS[{i}]"))).collect::<Parsed<Vec<f64>>>()?;
+        lenses.insert(id, Lens::new(model, width, height, &params).map_err(|reason| line.fault(reason))?);
+    }
+    Ok(lenses)
+}
+
+fn text_images(bytes: &[u8]) -> Parsed<Vec<View>> {
+    let mut views = Vec::new();
+    let mut lines = lines(bytes)?;
+    while let Some(mut line) = lines.next() {
+        if is_comment(&line) {
+            continue;
+        }
+        let _: u32 = line.next("IMAGE_ID")?;
+        let mut numbers = [0.0; 7];
+        for (number, field) in numbers.iter_mut().zip(["QW", "QX", "QY", "QZ", "TX", "TY", "TZ"]) {
+            *number = line.next(field)?;
+        }
+        let camera_id = line.next("CAMERA_ID")?;
+        let name = line.fields.collect::<Vec<_>>().join(" ");
+        views.push(View { name, camera_id, pose: pose(numbers) });
+        // The image's 2D points, often an empty line.
+        lines.next();
+    }
+    Ok(views)
+}
+
+/// A binary file's values in order.
+struct Values<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Values<'a> {
+    fn fault(&self, reason: impl Into<String>) -> Fault {
+        Fault { offset: Some(self.at as u64), reason: reason.into() }
+    }
+
+    fn take<const N: usize>(&mut self, field: &str) -> Parsed<[u8; N]> {
+        let bytes = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk());
+        let bytes = *bytes.ok_or_else(|| self.fault(format!("truncated: {field} expected")))?;
+        self.at += N;
+        Ok(bytes)
+    }
+
+    fn u32(&mut self, field: &str) -> Parsed<u32> {
+        self.take(field).map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self, field: &str) -> Parsed<u64> {
+        self.take(field).map(u64::from_le_bytes)
+    }
+
+    fn f64(&mut self, field: &str) -> Parsed<f64> {
+        self.take(field).map(f64::from_le_bytes)
+    }
+
+    /// Up to a zero byte.
+    fn name(&mut self) -> Parsed<String> {
+        let rest = &self.bytes[self.at..];
+        let end = rest.iter().position(|&byte| byte == 0).ok_or_else(|| self.fault("truncated: a name expected"))?;
+        self.at += end + 1;
+        Ok(String::from_utf8_lossy(&rest[..end]).into_owned())
+    }
+
+    fn skip(&mut self, count: u64, size: u64, what: &str) -> Parsed<()> {
+        let left = (self.bytes.len() - self.at) as u64;
+        match count.checked_mul(size).filter(|bytes| *bytes <= left) {
+            Some(bytes) => self.at += bytes as usize,
+            None => return Err(self.fault(format!("truncated: {count} {what} of {size} bytes, {left} bytes are left"))),
+        }
+        Ok(())
+    }
+}
+
+// Counts are never used to allocate: a hostile one runs into the end of the file.
+fn binary_cameras(bytes: &[u8]) -> Parsed<HashMap<u32, Lens>> {
+    let mut values = Values { bytes, at: 0 };
+    let mut lenses = HashMap::new();
+    for _ in 0..values.u64("number of cameras")? {
+        let id = values.u32("camera id")?;
+        let model = values.u32("model id")? as i32;
+        let Some((_, name, count)) = MODELS.iter().find(|(id, _, _)| *id == model) else {
+            return Err(values.fault(unknown_model(model)));
+        };
+        let (width, height) = (values.u64("width")?, values.u64("height")?);
+        let params = (0..*count).map(|_| values.f64("parameter")).collect::<Parsed<Vec<f64>>>()?;
+        lenses.insert(id, Lens::new(name, width, height, &params).map_err(|reason| values.fault(reason))?);
+    }
+    Ok(lenses)
+}
+
+fn binary_images(bytes: &[u8]) -> Parsed<Vec<View>> {
+    let mut values = Values { bytes, at: 0 };
+    let mut views = Vec::new();
+    for _ in 0..values.u64("number of images")? {
+        values.u32("image id")?;
+        let mut numbers = [0.0; 7];
+        for number in &mut numbers {
+            *number = values.f64("pose")?;
+        }
+        let camera_id = values.u32("camera id")?;
+        let name = values.name()?;
+        views.push(View { name, camera_id, pose: pose(numbers) });
+        let points = values.u64("number of points")?;
+        values.skip(points, POINT_BYTES, "2D points")?;
+    }
+    Ok(views)
+}

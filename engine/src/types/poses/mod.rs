@@ -1,0 +1,99 @@
+//! Cameras from files: `transforms.json` of instant-ngp and nerfstudio, and COLMAP models.
+
+mod colmap;
+mod transforms;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use super::camera::{Camera, matrix_from_quaternion, quaternion_from_matrix};
+use crate::{Error, Result};
+
+pub use transforms::write_transforms;
+
+/// The posed photos of a capture.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Poses {
+    /// In the file's order, or by name where the file has none.
+    pub frames: Vec<Frame>,
+    /// What was ignored or left out, in words for the user.
+    pub notes: Vec<String>,
+}
+
+/// One posed photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// The photo's name as the file writes it.
+    pub name: String,
+    /// The photo, where it was found near the file.
+    pub photo: Option<PathBuf>,
+    /// OpenCV axes; the world frame and unit are the file's.
+    pub camera: Camera,
+}
+
+impl Poses {
+    /// The cameras of `photos`, matched by file name; where several frames share it, by the longest common end of the
+    /// path.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when a photo has no frame or several equally good ones.
+    pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
+        let mut by_name: HashMap<_, Vec<&Frame>> = HashMap::new();
+        for frame in &self.frames {
+            by_name.entry(Path::new(&frame.name).file_name()).or_default().push(frame);
+        }
+        let camera = |photo: &Path| {
+            // Frames may be named without the extension.
+            let named = by_name.get(&photo.file_name()).or_else(|| by_name.get(&photo.file_stem()));
+            let named = named.map(Vec::as_slice).unwrap_or_default();
+            let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
+            let most = named.iter().map(|frame| common(frame)).max();
+            match named.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
+                [frame] => Ok(frame.camera),
+                [] => Err(Error::argument("photo", photo.display(), "one that the poses name")),
+                [first, second, ..] => {
+                    let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
+                    Err(Error::argument("photo", found, "a path that tells the poses' frames apart"))
+                }
+            }
+        };
+        photos.iter().map(|photo| camera(photo.as_ref())).collect()
+    }
+}
+
+/// How many folders above the file two paths share.
+fn common_folders(a: &Path, b: &Path) -> usize {
+    let above = |path: &Path| path.parent().map(Path::to_path_buf).unwrap_or_default();
+    let (a, b) = (above(a), above(b));
+    a.components().rev().zip(b.components().rev()).take_while(|(a, b)| a == b).count()
+}
+
+/// Reads a `transforms.json`, or a COLMAP model: a folder with `cameras` and `images` as `.bin` or `.txt`, or a capture's
+/// folder that has one of these, directly or under `sparse/0`.
+///
+/// # Errors
+/// [`Error::Io`] when a file cannot be read, [`Error::Format`] naming file, frame and field when it is malformed,
+/// [`Error::Argument`] when there is none of these at `path`.
+pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
+    let path = path.as_ref();
+    let found = path.metadata().map_err(|source| Error::io(path, source))?;
+    if found.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+        return transforms::read(path);
+    }
+    let folder = if found.is_file() { path.parent().unwrap_or(path) } else { path };
+    if found.is_dir() && path.join("transforms.json").is_file() {
+        return transforms::read(&path.join("transforms.json"));
+    }
+    let model = ["", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
+    match model.into_iter().find(|model| colmap::is_model(model)) {
+        Some(model) => colmap::read(&model),
+        None => Err(Error::argument("poses", path.display(), "a transforms.json or a COLMAP model's folder")),
+    }
+}
+
+/// A file's camera, its rotation made exactly one. `label` says where it stands in the file.
+fn checked(mut camera: Camera, label: &str) -> Result<Camera, String> {
+    camera.validate(label).map_err(|error| error.to_string())?;
+    camera.pose.rotation = matrix_from_quaternion(quaternion_from_matrix(&camera.pose.rotation));
+    Ok(camera)
+}

@@ -1,0 +1,201 @@
+//! `transforms.json` (instant-ngp, nerfstudio): camera-to-world matrices of OpenGL cameras (x right, y up, z backward).
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use serde_json::{Map, Value, json};
+
+use super::super::file::write_atomic;
+use super::super::{Camera, Image, Intrinsics, Pose};
+use super::{Frame, Poses, checked};
+use crate::{Error, Result};
+
+/// What photos are called when `file_path` has no extension.
+const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
+const DISTORTION: [&str; 8] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
+
+/// Parsing failed for this reason; the file's name is added by [`read`].
+type Parsed<T> = std::result::Result<T, String>;
+
+pub(super) fn read(path: &Path) -> Result<Poses> {
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let parse = || {
+        let shared: Value = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+        parse(&shared, folder)
+    };
+    parse().map_err(|reason| Error::format(path, None, reason))
+}
+
+fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
+    let frames = shared.get("frames").and_then(Value::as_array).ok_or("frames: expected a list")?;
+    let mut poses = Poses::default();
+    let (mut distorted, mut lost) = (0, 0);
+    for (i, frame) in frames.iter().enumerate() {
+        let fields = Fields { frame, shared, label: format!("frames[{i}]") };
+        let name = fields.get("file_path").and_then(Value::as_str).ok_or_else(|| fields.lacks("file_path"))?;
+        let photo = find_photo(folder, name);
+        let Some((width, height)) = fields.size(photo.as_deref())? else {
+            lost += 1;
+            continue;
+        };
+        fields.check_perspective()?;
+        distorted += usize::from(fields.is_distorted()?);
+        let intrinsics = fields.intrinsics(width, height)?;
+        let camera = checked(Camera { intrinsics, pose: fields.pose()? }, &fields.label)?;
+        poses.frames.push(Frame { name: name.into(), photo, camera });
+    }
+    if distorted > 0 {
+        poses.notes.push(format!("lens distortion of {distorted} frames is ignored: undistort the photos"));
+    }
+    if lost > 0 {
+        poses.notes.push(format!("{lost} frames left out: no w and h, and no photo to take them from"));
+    }
+    Ok(poses)
+}
+
+fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
+    let path = folder.join(name);
+    let extended = EXTENSIONS.iter().map(|extension| {
+        let mut extended = path.clone().into_os_string();
+        extended.push(format!(".{extension}"));
+        PathBuf::from(extended)
+    });
+    std::iter::once(path.clone()).chain(extended).find(|path| path.is_file())
+}
+
+/// A frame's fields, which may stand at the top for all frames.
+struct Fields<'a> {
+    frame: &'a Value,
+    shared: &'a Value,
+    label: String,
+}
+
+impl<'a> Fields<'a> {
+    fn get(&self, key: &str) -> Option<&'a Value> {
+        self.frame.get(key).or_else(|| self.shared.get(key)).filter(|value| !value.is_null())
+    }
+
+    fn lacks(&self, key: &str) -> String {
+        let found = self.get(key).map_or("nothing".into(), Value::to_string);
+        format!("{}.{key}: found {found}, expected a value of its type", self.label)
+    }
+
+    fn number(&self, key: &str) -> Parsed<Option<f64>> {
+        self.get(key).map(|value| value.as_f64().ok_or_else(|| self.lacks(key))).transpose()
+    }
+
+    /// Written, or the photo's.
+    fn size(&self, photo: Option<&Path>) -> Parsed<Option<(u32, u32)>> {
+        let side = |key: &str| {
+            let Some(side) = self.number(key)? else { return Ok(None) };
+            let whole = side.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&side);
+            if whole { Ok(Some(side as u32)) } else { Err(self.lacks(key)) }
+        };
+        match (side("w")?, side("h")?) {
+            (Some(width), Some(height)) => Ok(Some((width, height))),
+            _ => photo.map(Image::size).transpose().map_err(|error| format!("{}: {error}", self.label)),
+        }
+    }
+
+    fn check_perspective(&self) -> Parsed<()> {
+        let model = self.get("camera_model").and_then(Value::as_str).unwrap_or("PINHOLE");
+        let fisheye = self.get("is_fisheye").and_then(Value::as_bool).unwrap_or(false);
+        if fisheye || model.contains("FISHEYE") || model.contains("EQUIRECTANGULAR") {
+            return Err(format!("{}.camera_model: found {model}, expected a perspective camera", self.label));
+        }
+        Ok(())
+    }
+
+    fn is_distorted(&self) -> Parsed<bool> {
+        for key in DISTORTION {
+            if self.number(key)?.is_some_and(|value| value != 0.0) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    fn intrinsics(&self, width: u32, height: u32) -> Parsed<Intrinsics> {
+        let (w, h) = (f64::from(width), f64::from(height));
+        let focal = |key: &str, angle: &str, size: f64| {
+            let from_angle = self.number(angle)?.map(|angle| size / (2.0 * (angle / 2.0).tan()));
+            Ok::<_, String>(self.number(key)?.or(from_angle))
+        };
+        let (fx, fy) = (focal("fl_x", "camera_angle_x", w)?, focal("fl_y", "camera_angle_y", h)?);
+        let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
+            return Err(format!("{}: found neither fl_x nor camera_angle_x", self.label));
+        };
+        let cx = self.number("cx")?.unwrap_or(w / 2.0);
+        let cy = self.number("cy")?.unwrap_or(h / 2.0);
+        Ok(Intrinsics { width, height, fx, fy, cx, cy })
+    }
+
+    fn pose(&self) -> Parsed<Pose> {
+        let key = "transform_matrix";
+        let row = |row: &Value| {
+            let numbers = row.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<_>>>()?;
+            <[f64; 4]>::try_from(numbers).ok()
+        };
+        let matrix = self.frame.get(key).and_then(Value::as_array);
+        let rows = matrix.and_then(|rows| rows.iter().map(row).collect::<Option<Vec<_>>>());
+        let (x, y, z) = match rows.as_deref() {
+            Some(&[x, y, z]) => (x, y, z),
+            Some(&[x, y, z, [a, b, c, d]]) if (a.abs() + b.abs() + c.abs() + (d - 1.0).abs()) < 1e-6 => (x, y, z),
+            _ => return Err(format!("{}.{key}: expected 4 rows of 4 numbers, the last 0 0 0 1", self.label)),
+        };
+        let axis = |i: usize| DVec3::new(x[i], y[i], z[i]);
+        Ok(Pose { rotation: DMat3::from_cols(axis(0), -axis(1), -axis(2)), translation: axis(3) })
+    }
+}
+
+/// Writes cameras as nerfstudio reads them: OpenGL axes, intrinsics at the top when all cameras share them. `names` are
+/// the photos' paths relative to the file.
+///
+/// # Errors
+/// [`Error::Argument`] when a camera is not valid or the numbers of cameras and names differ, [`Error::Io`] when the file
+/// cannot be written.
+pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[impl AsRef<str>]) -> Result<()> {
+    if cameras.len() != names.len() {
+        return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
+    }
+    for (i, camera) in cameras.iter().enumerate() {
+        camera.validate(&format!("camera {i}"))?;
+    }
+    let shared = cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics);
+    let mut top = Map::from_iter([("camera_model".into(), json!("PINHOLE"))]);
+    if let (true, Some(camera)) = (shared, cameras.first()) {
+        top.extend(intrinsics_fields(&camera.intrinsics));
+    }
+    let frames: Vec<Value> = cameras
+        .iter()
+        .zip(names)
+        .map(|(camera, name)| {
+            let mut frame = Map::from_iter([("file_path".into(), json!(name.as_ref()))]);
+            frame.insert("transform_matrix".into(), opengl_rows(&camera.pose));
+            if !shared {
+                frame.extend(intrinsics_fields(&camera.intrinsics));
+            }
+            Value::Object(frame)
+        })
+        .collect();
+    top.insert("frames".into(), Value::Array(frames));
+    write_atomic(path.as_ref(), |out| {
+        serde_json::to_writer_pretty(&mut *out, &top)?;
+        writeln!(out)
+    })
+}
+
+fn intrinsics_fields(i: &Intrinsics) -> [(String, Value); 6] {
+    let whole = [("w", json!(i.width)), ("h", json!(i.height))];
+    let [w, h] = whole.map(|(key, value)| (key.to_string(), value));
+    let real = [("fl_x", i.fx), ("fl_y", i.fy), ("cx", i.cx), ("cy", i.cy)];
+    let [fx, fy, cx, cy] = real.map(|(key, value)| (key.to_string(), json!(value)));
+    [w, h, fx, fy, cx, cy]
+}
+
+fn opengl_rows(pose: &Pose) -> Value {
+    let (r, t) = (pose.rotation, pose.translation);
+    let row = |i: usize| json!([r.x_axis[i], -r.y_axis[i], -r.z_axis[i], t[i]]);
+    json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
+}

@@ -1,0 +1,145 @@
+//! Photos to the network's input size, as the reference does it: bit for bit on the inference path.
+
+use super::resample::{resize_bilinear, resize_lanczos};
+use super::{Image, Intrinsics};
+use crate::{Error, Result};
+
+/// Side of a patch in pixels: the network's input is a whole number of these.
+pub const PATCH: u32 = 14;
+/// Side of the network's input that the released models were trained with, in pixels.
+pub const DEFAULT_SIZE: u32 = 252;
+
+/// Longest side before the centre crop of [`cover`]; only a photo of a few pixels' width needs more.
+const MAX_COVER: u32 = 16_384;
+
+/// A photo brought to the network's size.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// The picture the network sees.
+    pub image: Image,
+    /// How pixels of the photo map to pixels of `image`.
+    pub map: PixelMap,
+}
+
+/// What cropping and scaling do to pixel coordinates: `new = scale * old + offset` for x and y, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelMap {
+    /// Width and height of the photo.
+    pub from: [u32; 2],
+    /// Width and height of the result.
+    pub to: [u32; 2],
+    /// Pixels of the result per pixel of the photo.
+    pub scale: [f64; 2],
+    /// Where the photo's top left corner lands.
+    pub offset: [f64; 2],
+}
+
+impl PixelMap {
+    /// Intrinsics of the photo as intrinsics of the result. Intrinsics given for another resolution of the same photo
+    /// are scaled to it first.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when their aspect ratio is more than 1 % off the photo's.
+    pub fn apply(&self, intrinsics: &Intrinsics) -> Result<Intrinsics> {
+        let [width, height] = self.from;
+        let stretch =
+            f64::from(intrinsics.width) * f64::from(height) / (f64::from(intrinsics.height) * f64::from(width));
+        let alike = (stretch - 1.0).abs() < 0.01;
+        if !alike {
+            let found = format!("{}x{}", intrinsics.width, intrinsics.height);
+            return Err(Error::argument(
+                "intrinsics",
+                found,
+                format!("the aspect ratio of the photo, {width}x{height}"),
+            ));
+        }
+        let photo = intrinsics.resized(width, height);
+        let ([sx, sy], [x, y]) = (self.scale, self.offset);
+        Ok(Intrinsics {
+            width: self.to[0],
+            height: self.to[1],
+            fx: photo.fx * sx,
+            fy: photo.fy * sy,
+            cx: photo.cx * sx + x,
+            cy: photo.cy * sy + y,
+        })
+    }
+}
+
+/// The inference path: centre crop to the aspect ratio of `width` x `height`, then Pillow's LANCZOS filter.
+///
+/// # Errors
+/// [`Error::Argument`] when a side is not a positive multiple of [`PATCH`], or the photo's fields disagree.
+pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
+    check_size(width, height)?;
+    photo.validate()?;
+    let rect = crop_to_aspect(photo.width, photo.height, f64::from(width) / f64::from(height));
+    let crop = photo.crop(rect.left, rect.top, rect.width, rect.height)?;
+    let image = resize_lanczos(&crop, width, height)?;
+    let scale = [f64::from(width) / f64::from(rect.width), f64::from(height) / f64::from(rect.height)];
+    let offset = [-f64::from(rect.left) * scale[0], -f64::from(rect.top) * scale[1]];
+    Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
+}
+
+/// The evaluation path: scale to cover `width` x `height` with a bilinear antialiasing filter in f32, truncate to 8
+/// bits, crop the centre. The size before the crop is even, as in the reference's data loader.
+///
+/// # Errors
+/// As [`fit`].
+pub fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
+    check_size(width, height)?;
+    photo.validate()?;
+    let [w, h] = cover_size(photo.width, photo.height, width, height);
+    if w.max(h) > MAX_COVER {
+        let found = format!("{}x{}", photo.width, photo.height);
+        return Err(Error::argument(
+            "photo",
+            found,
+            format!("one that covers {width}x{height} within {MAX_COVER} a side"),
+        ));
+    }
+    let covering = Image::from_rgb_f32(w, h, &resize_bilinear(photo, w, h)?)?;
+    let (left, top) = ((w - width) / 2, (h - height) / 2);
+    let image = covering.crop(left, top, width, height)?;
+    let scale = [f64::from(w) / f64::from(photo.width), f64::from(h) / f64::from(photo.height)];
+    let offset = [-f64::from(left), -f64::from(top)];
+    Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
+}
+
+/// A rectangle of pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rect {
+    /// First column.
+    pub left: u32,
+    /// First row.
+    pub top: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// The largest centred rectangle of aspect ratio `width / height = aspect`, sides rounded half to even.
+pub fn crop_to_aspect(width: u32, height: u32, aspect: f64) -> Rect {
+    let round = |side: f64, most: u32| (side.round_ties_even() as u32).clamp(1, most);
+    let wanted = (f64::from(height) * aspect).round_ties_even();
+    let (w, h) = if wanted <= f64::from(width) {
+        (round(wanted, width), height)
+    } else {
+        (width, round(f64::from(width) / aspect, height))
+    };
+    Rect { left: (width - w) / 2, top: (height - h) / 2, width: w, height: h }
+}
+
+fn check_size(width: u32, height: u32) -> Result<()> {
+    if width == 0 || height == 0 || !width.is_multiple_of(PATCH) || !height.is_multiple_of(PATCH) {
+        let expected = format!("positive multiples of {PATCH}");
+        return Err(Error::argument("input size", format!("{width}x{height}"), expected));
+    }
+    Ok(())
+}
+
+fn cover_size(width: u32, height: u32, to_width: u32, to_height: u32) -> [u32; 2] {
+    let scale = (f64::from(to_width) / f64::from(width)).max(f64::from(to_height) / f64::from(height));
+    [width, height].map(|side| 2 * (f64::from(side) * scale / 2.0).round_ties_even() as u32)
+}

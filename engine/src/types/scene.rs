@@ -1,0 +1,125 @@
+//! The product: 3D Gaussians, one array a field.
+
+use crate::{Error, Result};
+
+/// N 3D Gaussians in the frame of the first view's camera (OpenCV axes).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    /// `[N]` centres.
+    pub means: Vec<[f32; 3]>,
+    /// `[N]` standard deviations along the Gaussian's own axes, linear, not negative.
+    pub scales: Vec<[f32; 3]>,
+    /// `[N]` rotations as wxyz, of any length but zero: the renderer normalises.
+    pub quats: Vec<[f32; 4]>,
+    /// `[N]` opacities in 0..=1.
+    pub opacities: Vec<f32>,
+    /// `[N * K]` spherical harmonics coefficients as `[gaussian][k][rgb]`, `K = (sh_degree + 1)^2`.
+    pub sh_coeffs: Vec<[f32; 3]>,
+    /// Highest band of spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+}
+
+impl Scene {
+    /// Highest degree of spherical harmonics that scenes and PLY files have.
+    pub const MAX_SH_DEGREE: u32 = 3;
+
+    /// Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are no Gaussians.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// `K`: coefficients a Gaussian and colour channel.
+    pub fn sh_coeffs_per_gaussian(&self) -> usize {
+        coeffs(self.sh_degree)
+    }
+
+    /// From the decoder's packed rows of 11 + 3 K: mean 3, scale 3, quaternion wxyz 4, opacity 1, coefficients `[K][rgb]`.
+    /// The values are taken as they are; see [`Scene::validate`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the degree is above 3 or the length is no whole number of rows.
+    pub fn from_packed(packed: &[f32], sh_degree: u32) -> Result<Self> {
+        check_degree(sh_degree)?;
+        let width = 11 + 3 * coeffs(sh_degree);
+        if !packed.len().is_multiple_of(width) {
+            return Err(Error::argument("packed Gaussians", packed.len(), format!("a multiple of {width} floats")));
+        }
+        let count = packed.len() / width;
+        let mut scene = Self { sh_degree, ..Self::with_capacity(count, coeffs(sh_degree)) };
+        for row in packed.chunks_exact(width) {
+            let [x, y, z, sx, sy, sz, qw, qx, qy, qz, opacity] = *row.first_chunk().expect("a row has 11 and more");
+            scene.means.push([x, y, z]);
+            scene.scales.push([sx, sy, sz]);
+            scene.quats.push([qw, qx, qy, qz]);
+            scene.opacities.push(opacity);
+            scene.sh_coeffs.extend_from_slice(bytemuck::cast_slice(&row[11..]));
+        }
+        Ok(scene)
+    }
+
+    fn with_capacity(count: usize, coeffs: usize) -> Self {
+        Self {
+            means: Vec::with_capacity(count),
+            scales: Vec::with_capacity(count),
+            quats: Vec::with_capacity(count),
+            opacities: Vec::with_capacity(count),
+            sh_coeffs: Vec::with_capacity(count * coeffs),
+            sh_degree: 0,
+        }
+    }
+
+    /// Scales the world about the origin: means and scales times `factor`.
+    pub fn scale(&mut self, factor: f32) {
+        self.means.iter_mut().chain(&mut self.scales).flatten().for_each(|value| *value *= factor);
+    }
+
+    /// Checks that the arrays fit each other and that every value is finite and in its range.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the number of bad Gaussians and the first of them.
+    pub fn validate(&self) -> Result<()> {
+        check_degree(self.sh_degree)?;
+        let n = self.len();
+        let lengths = [
+            ("scales", self.scales.len(), n),
+            ("quats", self.quats.len(), n),
+            ("opacities", self.opacities.len(), n),
+            ("sh_coeffs", self.sh_coeffs.len(), n * self.sh_coeffs_per_gaussian()),
+        ];
+        for (field, found, expected) in lengths {
+            if found != expected {
+                return Err(Error::argument(format!("scene {field}"), found, format!("{expected} for {n} means")));
+            }
+        }
+        let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
+        let all = |field: &str, expected: &str, good: &dyn Fn(usize) -> bool| {
+            let mut bad = (0..n).filter(|&i| !good(i));
+            let Some(first) = bad.next() else { return Ok(()) };
+            let found = format!("{} of {n} Gaussians otherwise, the first is {first}", 1 + bad.count());
+            Err(Error::argument(format!("scene {field}"), found, expected))
+        };
+        let k = self.sh_coeffs_per_gaussian();
+        all("means", "finite numbers", &|i| finite(&self.means[i]))?;
+        all("scales", "finite numbers, none negative", &|i| self.scales[i].iter().all(|s| s.is_finite() && *s >= 0.0))?;
+        all("quats", "finite numbers, not all zero", &|i| finite(&self.quats[i]) && self.quats[i] != [0.0; 4])?;
+        all("opacities", "0 to 1", &|i| (0.0..=1.0).contains(&self.opacities[i]))?;
+        all("sh_coeffs", "finite numbers", &|i| finite(self.sh_coeffs[i * k..][..k].as_flattened()))
+    }
+}
+
+/// Coefficients a channel of spherical harmonics up to `degree`.
+fn coeffs(degree: u32) -> usize {
+    (degree as usize + 1).pow(2)
+}
+
+fn check_degree(degree: u32) -> Result<()> {
+    if degree > Scene::MAX_SH_DEGREE {
+        return Err(Error::argument("sh_degree", degree, format!("0 to {}", Scene::MAX_SH_DEGREE)));
+    }
+    Ok(())
+}

@@ -1,0 +1,81 @@
+//! Camera paths around a scene whose world is the first view's camera.
+
+use glam::{DMat3, DVec3};
+
+use super::{Pose, Scene};
+use crate::{Error, Result};
+
+/// Share of the Gaussians that lie within the orbit's radius before its margin.
+const RADIUS_QUANTILE: f64 = 0.9;
+/// Radius of the orbit per radius of the scene.
+const RADIUS_MARGIN: f64 = 1.2;
+/// OpenCV axes: y points down.
+const UP: DVec3 = DVec3::NEG_Y;
+
+/// Cameras on a sphere that look at its centre. Azimuth 0, elevation 0 looks along the world's +z, as the first view
+/// does; azimuth turns to the right and elevation up, in degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// What the cameras look at.
+    pub center: DVec3,
+    /// Distance of the cameras from it.
+    pub radius: f64,
+}
+
+impl Orbit {
+    /// The reference's turntable: the centre is the median of the means per axis (the lower one of an even number), the
+    /// radius the 0.9 quantile of the distances from it, interpolated linearly, times 1.2.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the scene is empty.
+    pub fn around(scene: &Scene) -> Result<Self> {
+        if scene.is_empty() {
+            return Err(Error::argument("scene", "no Gaussians", "at least one to look at"));
+        }
+        let median = |axis: usize| {
+            let mut values: Vec<f32> = scene.means.iter().map(|mean| mean[axis]).collect();
+            let middle = (values.len() - 1) / 2;
+            f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+        };
+        let center = DVec3::from_array([0, 1, 2].map(median));
+        let distance = |mean: &[f32; 3]| DVec3::from_array(mean.map(f64::from)).distance(center);
+        let spread = quantile(scene.means.iter().map(distance).collect(), RADIUS_QUANTILE);
+        Ok(Self { center, radius: RADIUS_MARGIN * spread })
+    }
+
+    /// The camera at an azimuth and elevation in degrees. Straight above and below, right is the world's +x.
+    pub fn pose(&self, azimuth: f64, elevation: f64) -> Pose {
+        let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
+        let toward = DVec3::new(azimuth.sin() * elevation.cos(), -elevation.sin(), -azimuth.cos() * elevation.cos());
+        let forward = -toward;
+        let right = forward.cross(UP);
+        let right = if right.length() < 1e-6 { DVec3::X } else { right.normalize() };
+        let down = forward.cross(right);
+        Pose { rotation: DMat3::from_cols(right, down, forward), translation: self.center + self.radius * toward }
+    }
+
+    /// `frames` cameras from azimuth `start` on through `degrees`, both ends included, at one elevation.
+    pub fn sweep(&self, frames: usize, start: f64, degrees: f64, elevation: f64) -> Vec<Pose> {
+        path(frames).map(|t| self.pose(start + degrees * t, elevation)).collect()
+    }
+
+    /// `frames` cameras on a figure of eight about the front: for scenes whose back was never seen. The reference's
+    /// amplitudes are 16 degrees of azimuth and 2 of elevation.
+    pub fn wiggle(&self, frames: usize, azimuth: f64, elevation: f64) -> Vec<Pose> {
+        let turn = std::f64::consts::TAU;
+        path(frames).map(|t| self.pose(azimuth * (turn * t).sin(), elevation * (2.0 * turn * t).sin())).collect()
+    }
+}
+
+/// From 0 to 1 in `frames` steps.
+fn path(frames: usize) -> impl Iterator<Item = f64> {
+    (0..frames).map(move |i| i as f64 / (frames - 1).max(1) as f64)
+}
+
+/// Of a non-empty set, interpolated linearly between the two nearest ranks.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    let rank = share * (values.len() - 1) as f64;
+    let (_, &mut low, above) = values.select_nth_unstable_by(rank as usize, f64::total_cmp);
+    let high = above.iter().copied().min_by(f64::total_cmp).unwrap_or(low);
+    low + (high - low) * rank.fract()
+}

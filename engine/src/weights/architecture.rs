@@ -1,0 +1,323 @@
+//! The shape of a ZipSplat network, and the names and shapes of its parameters.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+/// The released variants, by their backbone.
+pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
+
+/// Largest size of any one dimension: keeps every product of a few of them within 64 bits.
+const MAX_SIZE: usize = 1 << 16;
+const MAX_DEPTH: usize = 256;
+const MAX_SH_DEGREE: usize = 3;
+
+/// Channels of the camera prior: translation 3, quaternion 4, vertical and horizontal field of view.
+const POSE_ENCODING: usize = 9;
+
+/// The feed-forward network of a backbone block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ffn {
+    /// `fc2(gelu(fc1(x)))`, the exact (erf) GELU.
+    Gelu,
+    /// `w3(silu(gate) * value)` with `w12(x)` = [gate | value].
+    SwiGlu,
+}
+
+/// Everything that the forward pass needs to know about a network besides its weights.
+///
+/// Blocks count from 0. Source: ZipSplat, section 3 and appendix A; Depth Anything 3 for the backbone.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Architecture {
+    /// What messages call it; one of [`VARIANTS`] for the released networks.
+    pub name: String,
+    /// D, channels of a token.
+    pub width: usize,
+    /// Blocks of the backbone; all of them run.
+    pub depth: usize,
+    /// Attention heads of a backbone block.
+    pub heads: usize,
+    /// Feed-forward network of the backbone's blocks.
+    pub ffn: Ffn,
+    /// Its hidden channels (for SwiGLU those of `gate` alone).
+    pub ffn_hidden: usize,
+    /// Side of a patch in pixels.
+    pub patch: usize,
+    /// Side M of the learned M x M grid of position embeddings.
+    pub position_grid: usize,
+    /// First block that may be global; camera tokens are inserted before it.
+    pub alt_start: usize,
+    /// First block with LayerNorm on queries and keys; `depth` or more for none.
+    pub qk_norm_start: usize,
+    /// First block with rotary position embedding; `depth` or more for none.
+    pub rope_start: usize,
+    /// Blocks whose output is a feature, ascending. Feature 0 of the reference is the last of them.
+    pub out_layers: Vec<usize>,
+    /// Self-attention blocks of the camera encoder.
+    pub camera_depth: usize,
+    /// Attention heads of the camera encoder.
+    pub camera_heads: usize,
+    /// Hidden channels of the feed-forward network of the camera encoder's blocks.
+    pub camera_hidden: usize,
+    /// Hidden channels of the two-layer network that embeds a 9-dimensional pose.
+    pub camera_pose_hidden: usize,
+    /// Attention heads of the cross- and self-attention over scene tokens.
+    pub fusion_heads: usize,
+    /// Hidden channels of their feed-forward networks.
+    pub fusion_hidden: usize,
+    /// Channels of a colour token.
+    pub color_width: usize,
+    /// Attention heads of the colour cross-attention.
+    pub color_heads: usize,
+    /// Hidden channels of its feed-forward network.
+    pub color_hidden: usize,
+    /// Hidden channels of the Gaussian head.
+    pub head_hidden: usize,
+    /// G, Gaussians that one scene token decodes to.
+    pub gaussians_per_token: usize,
+    /// Degree of the spherical harmonics of a Gaussian's colour, at most 3.
+    pub sh_degree: usize,
+}
+
+impl Architecture {
+    /// The paper's network at another width and depth: GELU, heads of 64 channels, patches of 14 pixels, a 37 x 37
+    /// position grid, 32 Gaussians of degree 1 a token, q/k norm and rotary embedding from `alt_start` on.
+    pub fn new(name: &str, width: usize, depth: usize, alt_start: usize, out_layers: &[usize]) -> Self {
+        let (heads, color_width) = ((width / 64).max(1), 128);
+        Self {
+            name: name.into(),
+            width,
+            depth,
+            heads,
+            ffn: Ffn::Gelu,
+            ffn_hidden: 4 * width,
+            patch: 14,
+            position_grid: 37,
+            alt_start,
+            qk_norm_start: alt_start,
+            rope_start: alt_start,
+            out_layers: out_layers.into(),
+            camera_depth: 4,
+            camera_heads: 16,
+            camera_hidden: 4 * width,
+            camera_pose_hidden: width / 2,
+            fusion_heads: heads,
+            fusion_hidden: 4 * width,
+            color_width,
+            color_heads: color_width / 64,
+            color_hidden: color_width,
+            head_hidden: 2 * (width + color_width),
+            gaussians_per_token: 32,
+            sh_degree: 1,
+        }
+    }
+
+    /// One of [`VARIANTS`]; any other name is an [`Error::Argument`].
+    pub fn named(variant: &str) -> Result<Self> {
+        Ok(match variant {
+            "vits" => Self::new("vits", 384, 12, 4, &[5, 7, 9, 11]),
+            "vitb" => Self::new("vitb", 768, 12, 4, &[5, 7, 9, 11]),
+            "vitl" => Self::new("vitl", 1024, 24, 8, &[11, 15, 19, 23]),
+            "vitg" => {
+                let gelu = Self::new("vitg", 1536, 40, 13, &[19, 29, 39]);
+                Self { ffn: Ffn::SwiGlu, ffn_hidden: 4096, ..gelu }
+            }
+            _ => return Err(Error::argument("variant", variant, format!("one of {}", VARIANTS.join(", ")))),
+        })
+    }
+
+    /// Channels of one attention head of the backbone.
+    pub fn head_dim(&self) -> usize {
+        self.width / self.heads
+    }
+
+    /// Whether block `block` attends over the tokens of all views at once.
+    pub fn is_global(&self, block: usize) -> bool {
+        block >= self.alt_start && block % 2 == 1
+    }
+
+    /// Values of one packed Gaussian: mean 3, scale 3, quaternion 4, opacity 1, and 3 for each SH coefficient.
+    pub fn gaussian_width(&self) -> usize {
+        11 + 3 * (self.sh_degree + 1).pow(2)
+    }
+
+    /// Number of values of all parameters.
+    pub fn parameter_count(&self) -> usize {
+        self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
+    }
+
+    /// Checks that the numbers make a network; [`Error::Argument`] names the first field that does not.
+    pub fn validate(&self) -> Result<()> {
+        let sizes = [
+            ("width", self.width, MAX_SIZE),
+            ("depth", self.depth, MAX_DEPTH),
+            ("heads", self.heads, MAX_SIZE),
+            ("ffn_hidden", self.ffn_hidden, MAX_SIZE),
+            ("patch", self.patch, 256),
+            ("position_grid", self.position_grid, 1024),
+            ("camera_depth", self.camera_depth, MAX_DEPTH),
+            ("camera_heads", self.camera_heads, MAX_SIZE),
+            ("camera_hidden", self.camera_hidden, MAX_SIZE),
+            ("camera_pose_hidden", self.camera_pose_hidden, MAX_SIZE),
+            ("fusion_heads", self.fusion_heads, MAX_SIZE),
+            ("fusion_hidden", self.fusion_hidden, MAX_SIZE),
+            ("color_width", self.color_width, MAX_SIZE),
+            ("color_heads", self.color_heads, MAX_SIZE),
+            ("color_hidden", self.color_hidden, MAX_SIZE),
+            ("head_hidden", self.head_hidden, MAX_SIZE),
+            ("gaussians_per_token", self.gaussians_per_token, 1024),
+        ];
+        for (field, found, max) in sizes {
+            self.expect((1..=max).contains(&found), field, found, format!("1 to {max}"))?;
+        }
+        let heads = [
+            ("heads", self.heads, self.width),
+            ("camera_heads", self.camera_heads, self.width),
+            ("fusion_heads", self.fusion_heads, self.width),
+            ("color_heads", self.color_heads, self.color_width),
+        ];
+        for (field, found, width) in heads {
+            self.expect(width.is_multiple_of(found), field, found, format!("a divisor of the width {width}"))?;
+        }
+        let rope_fits = self.rope_start >= self.depth || self.head_dim().is_multiple_of(4);
+        self.expect(rope_fits, "heads", self.heads, "heads whose channels divide by 4, for rotary embedding")?;
+        self.expect(self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
+        self.expect(self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
+        let ascending = self.out_layers.is_sorted_by(|a, b| a < b);
+        let inside = self.out_layers.last().is_some_and(|&last| last < self.depth);
+        let found = format!("{:?}", self.out_layers);
+        self.expect(ascending && inside, "out_layers", found, format!("ascending blocks below {}", self.depth))
+    }
+
+    fn expect(&self, holds: bool, field: &str, found: impl ToString, expected: impl Into<String>) -> Result<()> {
+        if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
+    }
+
+    /// Names and shapes of all parameters, in the order and with the names of the reference's `state_dict`.
+    pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
+        let mut list = Parameters(Vec::new());
+        self.backbone(&mut list);
+        self.camera_encoder(&mut list);
+        self.fusion(&mut list);
+        self.color_and_head(&mut list);
+        list.0
+    }
+
+    fn backbone(&self, list: &mut Parameters) {
+        let d = self.width;
+        let root = "backbone.backbone";
+        list.push(format!("{root}.cls_token"), &[1, 1, d]);
+        list.push(format!("{root}.camera_token"), &[1, 2, d]);
+        list.push(format!("{root}.pos_embed"), &[1, 1 + self.position_grid * self.position_grid, d]);
+        list.patches(&format!("{root}.patch_embed"), d, self.patch);
+        for i in 0..self.depth {
+            let qk_norm = (i >= self.qk_norm_start).then_some(self.head_dim());
+            list.block(&format!("{root}.blocks.{i}"), d, qk_norm, self.ffn, self.ffn_hidden);
+        }
+        list.norm(&format!("{root}.norm"), d);
+    }
+
+    fn camera_encoder(&self, list: &mut Parameters) {
+        let d = self.width;
+        let root = "backbone.cam_enc";
+        for i in 0..self.camera_depth {
+            list.block(&format!("{root}.trunk.{i}"), d, None, Ffn::Gelu, self.camera_hidden);
+        }
+        list.norm(&format!("{root}.token_norm"), d);
+        list.norm(&format!("{root}.trunk_norm"), d);
+        list.linear(&format!("{root}.pose_branch.fc1"), self.camera_pose_hidden, POSE_ENCODING);
+        list.linear(&format!("{root}.pose_branch.fc2"), d, self.camera_pose_hidden);
+    }
+
+    fn fusion(&self, list: &mut Parameters) {
+        let (d, layers) = (self.width, self.out_layers.len());
+        for half in ["local", "global"] {
+            for i in 0..layers {
+                list.norm(&format!("pre_norm_{half}.{i}"), d);
+            }
+        }
+        for i in 0..layers {
+            list.linear(&format!("downscale.{i}"), d, 2 * d);
+        }
+        let head_dim = d / self.fusion_heads;
+        for i in 0..layers {
+            list.cross_block(&format!("cross_attention.{i}"), d, head_dim, self.fusion_hidden);
+        }
+        for i in 0..layers {
+            list.block(&format!("self_attention.{i}"), d, Some(head_dim), Ffn::Gelu, self.fusion_hidden);
+        }
+    }
+
+    fn color_and_head(&self, list: &mut Parameters) {
+        let c = self.color_width;
+        list.patches("color_embed", c, self.patch);
+        list.cross_block("color_cross_attention", c, c / self.color_heads, self.color_hidden);
+        let (root, input) = ("gaussian_head.gaussian_head", self.width + c);
+        list.linear(&format!("{root}.0.fc1"), self.head_hidden, input);
+        list.linear(&format!("{root}.0.fc2"), input, self.head_hidden);
+        list.linear(&format!("{root}.1"), self.gaussians_per_token * self.gaussian_width(), input);
+    }
+}
+
+/// A `state_dict` in the making; `at` is the name of the module that owns the parameters.
+struct Parameters(Vec<(String, Vec<usize>)>);
+
+impl Parameters {
+    fn push(&mut self, name: String, shape: &[usize]) {
+        self.0.push((name, shape.into()));
+    }
+
+    fn norm(&mut self, at: &str, width: usize) {
+        self.push(format!("{at}.weight"), &[width]);
+        self.push(format!("{at}.bias"), &[width]);
+    }
+
+    fn linear(&mut self, at: &str, outputs: usize, inputs: usize) {
+        self.push(format!("{at}.weight"), &[outputs, inputs]);
+        self.push(format!("{at}.bias"), &[outputs]);
+    }
+
+    fn patches(&mut self, at: &str, width: usize, patch: usize) {
+        self.push(format!("{at}.proj.weight"), &[width, 3, patch, patch]);
+        self.push(format!("{at}.proj.bias"), &[width]);
+    }
+
+    fn qk_norm(&mut self, at: &str, head_dim: usize) {
+        self.norm(&format!("{at}.attn.q_norm"), head_dim);
+        self.norm(&format!("{at}.attn.k_norm"), head_dim);
+    }
+
+    /// What follows the projections of queries, keys and values in every block.
+    fn rest_of_block(&mut self, at: &str, width: usize, ffn: Ffn, hidden: usize) {
+        self.linear(&format!("{at}.attn.proj"), width, width);
+        self.push(format!("{at}.ls1.gamma"), &[width]);
+        self.norm(&format!("{at}.norm2"), width);
+        let (first, rows, second) = match ffn {
+            Ffn::Gelu => ("fc1", hidden, "fc2"),
+            Ffn::SwiGlu => ("w12", 2 * hidden, "w3"),
+        };
+        self.linear(&format!("{at}.mlp.{first}"), rows, width);
+        self.linear(&format!("{at}.mlp.{second}"), width, hidden);
+        self.push(format!("{at}.ls2.gamma"), &[width]);
+    }
+
+    fn block(&mut self, at: &str, width: usize, qk_norm: Option<usize>, ffn: Ffn, hidden: usize) {
+        self.norm(&format!("{at}.norm1"), width);
+        self.linear(&format!("{at}.attn.qkv"), 3 * width, width);
+        if let Some(head_dim) = qk_norm {
+            self.qk_norm(at, head_dim);
+        }
+        self.rest_of_block(at, width, ffn, hidden);
+    }
+
+    fn cross_block(&mut self, at: &str, width: usize, head_dim: usize, hidden: usize) {
+        self.norm(&format!("{at}.norm_q"), width);
+        self.norm(&format!("{at}.norm_kv"), width);
+        self.linear(&format!("{at}.attn.q_proj"), width, width);
+        self.linear(&format!("{at}.attn.kv_proj"), 2 * width, width);
+        self.qk_norm(at, head_dim);
+        self.rest_of_block(at, width, Ffn::Gelu, hidden);
+    }
+}

@@ -1,0 +1,203 @@
+//! A network's weights, wherever they come from.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use memmap2::Mmap;
+
+use super::contents::Contents;
+use super::tensor::Stored;
+use super::{Architecture, Dtype, safetensors, seeded, torch};
+use crate::{Error, Result};
+
+/// Exactly the tensors of an [`Architecture`], read one at a time: neither a file nor a seed is ever expanded whole.
+#[derive(Debug)]
+pub struct Checkpoint {
+    architecture: Architecture,
+    /// Name and shape, in the architecture's order.
+    parameters: Vec<(String, Vec<usize>)>,
+    source: Source,
+    /// The file, or what [`Checkpoint::parse`] accepts for a seed.
+    provenance: String,
+}
+
+#[derive(Debug)]
+enum Source {
+    /// A tensor for each parameter.
+    Mapped {
+        file: Mmap,
+        tensors: Vec<Stored>,
+    },
+    Seeded {
+        key: String,
+    },
+}
+
+impl Checkpoint {
+    /// `seeded:VARIANT[:KEY]` or the path of a file; `variant` is as in [`Checkpoint::open`] and only for files.
+    pub fn parse(text: &str, variant: Option<&str>) -> Result<Self> {
+        match text.strip_prefix("seeded:") {
+            None => Self::open(text, variant),
+            Some(seed) => match seed.split_once(':') {
+                Some((name, key)) => Self::seeded(name, Some(key)),
+                None => Self::seeded(seed, None),
+            },
+        }
+    }
+
+    /// Opens a safetensors file or a PyTorch checkpoint (`torch.save`, entry `model`), F32, F16 or BF16.
+    ///
+    /// A prefix `module.` is dropped from names. Files without architecture in their metadata need one of
+    /// [`VARIANTS`](super::VARIANTS) as `variant`, unless their size or configuration gives it away.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a variant that is unknown, missing or
+    /// not what the file states; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
+    pub fn open(path: impl AsRef<Path>, variant: Option<&str>) -> Result<Self> {
+        Self::load(path.as_ref(), |contents, path| contents.architecture(path, variant))
+    }
+
+    /// Opens a file whose architecture the caller knows, whatever the file says; otherwise as [`Checkpoint::open`].
+    pub fn open_architecture(path: impl AsRef<Path>, architecture: Architecture) -> Result<Self> {
+        architecture.validate()?;
+        Self::load(path.as_ref(), |_, _| Ok(architecture))
+    }
+
+    /// Reproducible weights for a variant; `key` names the stream of values, the variant itself if none is given.
+    pub fn seeded(variant: &str, key: Option<&str>) -> Result<Self> {
+        Self::seeded_architecture(Architecture::named(variant)?, key.unwrap_or(variant))
+    }
+
+    /// Reproducible weights for any architecture.
+    pub fn seeded_architecture(architecture: Architecture, key: &str) -> Result<Self> {
+        architecture.validate()?;
+        let provenance = format!("seeded:{}:{key}", architecture.name);
+        let parameters = architecture.parameters();
+        Ok(Self { architecture, parameters, source: Source::Seeded { key: key.into() }, provenance })
+    }
+
+    fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>) -> Result<Self> {
+        let file = File::open(path).map_err(|error| Error::io(path, error))?;
+        // SAFETY: the map is only read, as bytes, for which every value is valid. As with every mapped file, whoever
+        // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
+        #[allow(unsafe_code)]
+        let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
+        let contents =
+            if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };
+        let architecture = architecture(&contents, path)?;
+        let parameters = architecture.parameters();
+        let tensors = matching(path, &architecture, &parameters, contents)?;
+        let provenance = path.display().to_string();
+        Ok(Self { architecture, parameters, source: Source::Mapped { file, tensors }, provenance })
+    }
+
+    /// The network that these are the weights of.
+    pub fn architecture(&self) -> &Architecture {
+        &self.architecture
+    }
+
+    /// Name and shape of every tensor, in the order of [`Architecture::parameters`].
+    pub fn parameters(&self) -> &[(String, Vec<usize>)] {
+        &self.parameters
+    }
+
+    /// Name of every tensor, in the order of [`Architecture::parameters`].
+    pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
+        self.parameters.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Shape of a tensor; [`Error::Argument`] for a name that the architecture does not have.
+    pub fn shape(&self, name: &str) -> Result<&[usize]> {
+        self.find(name).map(|i| self.parameters[i].1.as_slice())
+    }
+
+    /// Reads a tensor in C order. `out` has as many values as the tensor.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for a value that is not finite.
+    pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
+        let index = self.find(name)?;
+        let shape = &self.parameters[index].1;
+        let expected: usize = shape.iter().product();
+        if out.len() != expected {
+            return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
+        }
+        match &self.source {
+            Source::Mapped { file, tensors } => tensors[index].read(file, out),
+            Source::Seeded { key } => seeded::fill(key, name, shape, out),
+        }
+        match out.iter().position(|value| !value.is_finite()) {
+            Some(i) => {
+                let reason = format!("{name}: found {} as value {i}, expected finite values", out[i]);
+                Err(Error::format(&self.provenance, None, reason))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Bytes of all tensors as they are stored; of a seed, as f32.
+    pub fn bytes(&self) -> u64 {
+        let size = |i: usize| match &self.source {
+            Source::Mapped { tensors, .. } => tensors[i].dtype.size(),
+            Source::Seeded { .. } => Dtype::F32.size(),
+        };
+        let tensors = self.parameters.iter().enumerate();
+        tensors.map(|(i, (_, shape))| (size(i) * shape.iter().product::<usize>()) as u64).sum()
+    }
+
+    /// Where the weights come from: a path or `seeded:VARIANT:KEY`.
+    pub fn provenance(&self) -> &str {
+        &self.provenance
+    }
+
+    /// Writes safetensors with the architecture as metadata. `path` appears whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Argument`] names a tensor with a value too large for `dtype`; those of
+    /// [`Checkpoint::read_f32`].
+    pub fn save(&self, path: impl AsRef<Path>, dtype: Dtype) -> Result<()> {
+        let path = path.as_ref();
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut builder = tempfile::Builder::new();
+        // Temporary files are private by default; the result is an ordinary file under the caller's umask.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
+        let mut out = BufWriter::with_capacity(1 << 20, file);
+        safetensors::write(self, dtype, path, &mut out)?;
+        let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
+        file.as_file().sync_all().map_err(|error| Error::io(path, error))?;
+        file.persist(path).map_err(|error| Error::io(path, error.error))?;
+        Ok(())
+    }
+
+    fn find(&self, name: &str) -> Result<usize> {
+        let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
+        self.tensor_names().position(|other| other == name).ok_or_else(unknown)
+    }
+}
+
+/// The file's tensors in the order of `parameters`, if they are those and no others.
+fn matching(
+    path: &Path,
+    architecture: &Architecture,
+    parameters: &[(String, Vec<usize>)],
+    mut contents: Contents,
+) -> Result<Vec<Stored>> {
+    let (mut tensors, mut missing, mut misshapen) = (Vec::new(), Vec::new(), Vec::new());
+    for (name, expected) in parameters {
+        match contents.tensors.remove(name) {
+            Some(tensor) if tensor.shape == *expected => tensors.push(tensor),
+            Some(tensor) => misshapen.push(format!("{name}: found {:?}, expected {expected:?}", tensor.shape)),
+            None => missing.push(name.clone()),
+        }
+    }
+    let mut unexpected: Vec<String> = contents.tensors.into_keys().collect();
+    unexpected.sort();
+    if missing.is_empty() && unexpected.is_empty() && misshapen.is_empty() {
+        return Ok(tensors);
+    }
+    let (path, architecture) = (PathBuf::from(path), architecture.name.clone());
+    Err(Error::Weights { path, architecture, missing, unexpected, misshapen })
+}

@@ -1,0 +1,73 @@
+//! Reproducible weights without a file: splitmix64 seeded by the hash of a parameter's name.
+//!
+//! Each parameter draws bytes, and a table of 256 values says what they mean, so that activations keep their size
+//! through the network. Every value has at most 9 significant bits: f32, f16 and bf16 hold it exactly.
+//! Sources: FNV-1a (Fowler, Noll, Vo); splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
+
+use rayon::prelude::*;
+
+/// Parameters that keys ending in `_eps` shrink, so that the epsilon of every LayerNorm shows in the result.
+const SHRUNK: [&str; 15] = [
+    "cls_token",
+    "camera_token",
+    "pos_embed",
+    "patch_embed.proj.",
+    "color_embed.proj.",
+    ".attn.qkv.",
+    ".attn.q_proj.",
+    ".attn.kv_proj.",
+    ".attn.proj.bias",
+    ".mlp.fc2.",
+    "pose_branch.fc2.",
+    "pre_norm_local.",
+    "pre_norm_global.",
+    "backbone.backbone.norm.",
+    "cam_enc.token_norm.",
+];
+
+/// Parameter `name` of the network that `key` stands for, C order.
+pub(super) fn fill(key: &str, name: &str, shape: &[usize], out: &mut [f32]) {
+    let seed = fnv1a64(&format!("{key}/{name}"));
+    let shrink = key.ends_with("_eps") && SHRUNK.iter().any(|part| name.contains(part));
+    let scale = if shrink { 1.0 / 64.0 } else { 1.0 };
+    let values: [f32; 256] = std::array::from_fn(|byte| scale * value(byte as u8, name, shape));
+    out.par_iter_mut()
+        .with_min_len(4096)
+        .enumerate()
+        .for_each(|(i, out)| *out = values[usize::from(draw(seed, i as u64))]);
+}
+
+/// What byte `byte` means for a parameter.
+fn value(byte: u8, name: &str, shape: &[usize]) -> f32 {
+    let integer = u32::from(byte);
+    // odd / 256, within (-1, 1) and never 0
+    let centred = (2.0 * f32::from(byte) - 255.0) / 256.0;
+    match name.rsplit('.').next() {
+        Some("gamma") => (52 + ((integer * 204) >> 8)) as f32 / 256.0,
+        Some("cls_token" | "camera_token") => centred,
+        Some("pos_embed") => centred / 2.0,
+        Some("bias") => centred / 8.0,
+        _ if shape.len() == 1 => (64 + integer / 2) as f32 / 128.0,
+        _ => centred * matrix_scale(name, shape),
+    }
+}
+
+/// The power of two next to sqrt(3 / fan-in) from below; twice that for the layer that gives the Gaussians.
+fn matrix_scale(name: &str, shape: &[usize]) -> f32 {
+    let fan_in: usize = shape.iter().skip(1).product();
+    let halvings = (0..30).find(|&e| 3usize << (2 * e) >= fan_in).unwrap_or(30);
+    let gain = if name == "gaussian_head.gaussian_head.1.weight" { 2.0 } else { 1.0 };
+    gain * 0.5f32.powi(halvings)
+}
+
+fn fnv1a64(text: &str) -> u64 {
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+/// Top byte of output `i` of splitmix64.
+fn draw(seed: u64, i: u64) -> u8 {
+    let state = seed.wrapping_add((i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let mixed = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((mixed ^ (mixed >> 31)) >> 56) as u8
+}

@@ -1,0 +1,28 @@
+// Average of the local and the global half of a feature: the skip path around the layer that merges them.
+//
+// Halves [rows, 2 * width] f32
+// Out    [rows, width] f32
+//
+// One invocation an element.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "shared/index.glsl"
+
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0) readonly buffer Halves { float halves[]; };
+layout(set = 0, binding = 1) writeonly buffer Out { float result[]; };
+
+layout(push_constant) uniform Push {
+    uint rows;
+    uint width;
+};
+
+void main() {
+    uint i = global_index();
+    if (i >= rows * width) {
+        return;
+    }
+    uint at = i / width * 2 * width + i % width;
+    result[i] = 0.5 * (halves[at] + halves[at + width]);
+}

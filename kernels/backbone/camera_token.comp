@@ -1,0 +1,33 @@
+// Overwrites every view's first token with its camera token.
+//
+// CameraTokens [2, width] f32 learned (reference view, other views), or [views, width] from the camera encoder
+// Out          [views, tokens, width] f32
+//
+// One invocation an element of a camera token.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "shared/index.glsl"
+
+layout(local_size_x = 64) in;
+
+layout(constant_id = 1) const bool ENCODED = false;
+
+layout(set = 0, binding = 0) readonly buffer CameraTokens { float camera_tokens[]; };
+layout(set = 0, binding = 1) writeonly buffer Out { float result[]; };
+
+layout(push_constant) uniform Push {
+    uint views;
+    uint tokens;
+    uint width;
+    uint first_view; // where Out is a part of all views
+};
+
+void main() {
+    uint i = global_index();
+    if (i >= views * width) {
+        return;
+    }
+    uint view = first_view + i / width;
+    uint row = ENCODED ? view : min(view, 1);
+    result[i / width * tokens * width + i % width] = camera_tokens[row * width + i % width];
+}

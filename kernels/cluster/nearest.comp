@@ -1,0 +1,86 @@
+// The nearest target of every point, in squared Euclidean distance; of equal ones the first.
+//
+// Points  [points, width] f32
+// Targets [targets, width] f32
+// Out     [points] index of a target
+//
+// Differences are summed, not |p|^2 - 2 p t + |t|^2, which cancels where points lie far from the origin. One workgroup
+// (a subgroup) owns ROWS points; lanes go through the targets side by side. The distance matrix never exists (flash
+// k-means).
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "shared/index.glsl"
+
+layout(local_size_x_id = 0) in;
+
+const uint ROWS = 8;
+const uint COLUMNS = 4;
+
+layout(set = 0, binding = 0) readonly buffer Points { vec4 points[]; };
+layout(set = 0, binding = 1) readonly buffer Targets { vec4 targets[]; };
+layout(set = 0, binding = 2) writeonly buffer Out { uint result[]; };
+
+layout(push_constant) uniform Push {
+    uint point_count;
+    uint target_count;
+    uint width;
+};
+
+float squared_length(vec4 d) { return dot(d, d); }
+
+void main() {
+    uint first = group_index() * ROWS;
+    if (first >= point_count) {
+        return;
+    }
+    uint quads = width / 4;
+    uint point_at[ROWS];
+    float best[ROWS];
+    uint best_target[ROWS];
+    [[unroll]] for (uint r = 0; r < ROWS; r++) {
+        point_at[r] = min(first + r, point_count - 1) * quads;
+        best[r] = uintBitsToFloat(0x7f800000u);
+        best_target[r] = 0;
+    }
+    for (uint tile = 0; tile < target_count; tile += gl_WorkGroupSize.x * COLUMNS) {
+        uint target_at[COLUMNS];
+        vec4 sum[ROWS];
+        [[unroll]] for (uint c = 0; c < COLUMNS; c++) {
+            uint t = tile + COLUMNS * gl_LocalInvocationID.x + c;
+            target_at[c] = min(t, target_count - 1) * quads;
+        }
+        [[unroll]] for (uint r = 0; r < ROWS; r++) {
+            sum[r] = vec4(0.0);
+        }
+        for (uint k = 0; k < quads; k++) {
+            vec4 t0 = targets[target_at[0] + k];
+            vec4 t1 = targets[target_at[1] + k];
+            vec4 t2 = targets[target_at[2] + k];
+            vec4 t3 = targets[target_at[3] + k];
+            [[unroll]] for (uint r = 0; r < ROWS; r++) {
+                vec4 p = points[point_at[r] + k];
+                sum[r] += vec4(squared_length(p - t0), squared_length(p - t1), squared_length(p - t2),
+                               squared_length(p - t3));
+            }
+        }
+        // A lane's targets rise from tile to tile, so "less" keeps the first of equal ones.
+        [[unroll]] for (uint r = 0; r < ROWS; r++) {
+            [[unroll]] for (uint c = 0; c < COLUMNS; c++) {
+                uint t = tile + COLUMNS * gl_LocalInvocationID.x + c;
+                if (t < target_count && sum[r][c] < best[r]) {
+                    best[r] = sum[r][c];
+                    best_target[r] = t;
+                }
+            }
+        }
+    }
+    [[unroll]] for (uint r = 0; r < ROWS; r++) {
+        float least = subgroupMin(best[r]);
+        uint nearest = subgroupMin(best[r] == least ? best_target[r] : 0xffffffffu);
+        if (gl_LocalInvocationID.x == 0 && first + r < point_count) {
+            result[first + r] = min(nearest, target_count - 1);
+        }
+    }
+}

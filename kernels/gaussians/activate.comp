@@ -1,0 +1,68 @@
+// Turns the head's raw output into Gaussians.
+//
+// Raw       [gaussians, 11 + 3 * bases] f32: mean 3, scale 3, quaternion 4, opacity 1, SH (basis, RGB)
+// Means     [gaussians, 3] f32, world (first view's camera)
+// Scales    [gaussians, 3] f32, standard deviations, world
+// Quats     [gaussians, 4] f32, wxyz, unit
+// Opacities [gaussians] f32, 0..1
+// ShCoeffs  [gaussians, bases, 3] f32
+//
+// One invocation a Gaussian. Activations as the reference's head (paper, section 3.3).
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "shared/index.glsl"
+
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0) readonly buffer Raw { float raw[]; };
+layout(set = 0, binding = 1) writeonly buffer Means { float means[]; };
+layout(set = 0, binding = 2) writeonly buffer Scales { float scales[]; };
+layout(set = 0, binding = 3) writeonly buffer Quats { float quats[]; };
+layout(set = 0, binding = 4) writeonly buffer Opacities { float opacities[]; };
+layout(set = 0, binding = 5) writeonly buffer ShCoeffs { float sh_coeffs[]; };
+
+layout(push_constant) uniform Push {
+    uint count;
+    uint bases;
+};
+
+// exp(x) - 1 for x >= 0; a series where the difference would cancel.
+float expm1(float x) {
+    float series = x * (1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x / 720.0)))));
+    return x < 0.35 ? series : exp(x) - 1.0;
+}
+
+// log(1 + exp(x)), as torch: x itself above 20. log1p(u) by Kahan's correction of the rounding of 1 + u.
+float softplus(float x) {
+    float u = exp(min(x, 20.0));
+    float w = 1.0 + u;
+    float small = w == 1.0 ? u : log(w) * u / (w - 1.0);
+    return x > 20.0 ? x : small;
+}
+
+void main() {
+    uint i = global_index();
+    if (i >= count) {
+        return;
+    }
+    uint at = i * (11 + 3 * bases);
+    for (uint c = 0; c < 3; c++) {
+        float y = clamp(raw[at + c], -5.0, 5.0);
+        means[3 * i + c] = sign(y) * expm1(abs(y));
+        scales[3 * i + c] = clamp(softplus(raw[at + 3 + c] - 4.0), 1e-6, 15.0);
+    }
+    vec4 q = vec4(raw[at + 6], raw[at + 7], raw[at + 8], raw[at + 9]);
+    // Divided by its largest component first, so that squares neither overflow nor vanish.
+    float largest = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
+    if (largest > 0.0) {
+        float norm = length(q / largest) * largest;
+        q = norm >= 1e-12 ? (q / largest) / length(q / largest) : q / 1e-12;
+    }
+    for (uint c = 0; c < 4; c++) {
+        quats[4 * i + c] = q[c];
+    }
+    opacities[i] = 1.0 / (1.0 + exp(-raw[at + 10]));
+    for (uint c = 0; c < 3 * bases; c++) {
+        sh_coeffs[3 * bases * i + c] = raw[at + 11 + c];
+    }
+}

@@ -1,0 +1,70 @@
+// Layer normalisation of rows: out = (x - mean) / sqrt(variance + eps) * weight + bias, x = input (+ addend).
+//
+// Input     [rows, width] f32 at input_stride, from input_offset on
+// Addend    [rows, width] f32, packed; read where ADD
+// Weight    [width] f32
+// Bias      [width] f32
+// Out       [rows, width] f32 at output_stride, from output_offset on
+//
+// One workgroup (a subgroup) owns a row. Mean and variance take two passes, as a difference of sums would cancel.
+// With `tokens` > 0 the input has one more row (its camera token) before every `tokens` rows, which is left out.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "shared/index.glsl"
+
+layout(local_size_x_id = 0) in;
+
+layout(constant_id = 1) const bool ADD = false;
+
+layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
+layout(set = 0, binding = 1) readonly buffer Addend { float addend[]; };
+layout(set = 0, binding = 2) readonly buffer Weight { float weight[]; };
+layout(set = 0, binding = 3) readonly buffer Bias { float bias[]; };
+layout(set = 0, binding = 4) writeonly buffer Out { float result[]; };
+
+layout(push_constant) uniform Push {
+    uint rows;
+    uint width;
+    uint source_stride;
+    uint source_offset;
+    uint out_stride;
+    uint out_offset;
+    uint first_row; // of the whole, where this dispatch has a part of it
+    uint tokens;
+    float eps;
+};
+
+float load(uint from, uint packed_row, uint c) {
+    float x = source[from + c];
+    return ADD ? x + addend[packed_row * width + c] : x;
+}
+
+void main() {
+    uint row = group_index();
+    if (row >= rows) {
+        return;
+    }
+    uint source_row = row;
+    if (tokens > 0) {
+        source_row = first_row + row;
+        source_row += source_row / tokens + 1;
+    }
+    uint from = source_offset + source_row * source_stride;
+
+    float sum = 0.0;
+    for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
+        sum += load(from, row, c);
+    }
+    float mean = subgroupAdd(sum) / float(width);
+    float squares = 0.0;
+    for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
+        float d = load(from, row, c) - mean;
+        squares += d * d;
+    }
+    float scale = 1.0 / sqrt(subgroupAdd(squares) / float(width) + eps);
+    uint to = out_offset + row * out_stride;
+    for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
+        result[to + c] = (load(from, row, c) - mean) * scale * weight[c] + bias[c];
+    }
+}

@@ -1,0 +1,104 @@
+// Linear layer with its epilogue: out = residual + gamma * activation(a * weight + bias).
+//
+// A         [rows, inner] f32, inner a multiple of 4
+// Weight    [inner, columns] f32, columns padded to a multiple of 4 (SwiGLU: gate and value columns alternate)
+// Bias      [columns] f32
+// Gamma     [columns] f32, LayerScale; read where SCALE
+// Residual  [rows, columns] f32; read where ADD; may be Out itself
+// Out       [rows, columns] f32, half as many columns after SwiGLU
+//
+// One workgroup (a subgroup) owns ROWS rows of 4 columns a lane; A is read at addresses that are uniform over the
+// subgroup, so nothing passes through shared memory.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#include "shared/gelu.glsl"
+
+layout(local_size_x_id = 0) in;
+
+layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
+layout(constant_id = 2) const bool SCALE = false;
+layout(constant_id = 3) const bool ADD = false;
+
+const uint ROWS = 16;
+
+layout(set = 0, binding = 0) readonly buffer A { vec4 a[]; };
+layout(set = 0, binding = 1) readonly buffer Weight { vec4 weight[]; };
+layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
+layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
+layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
+layout(set = 0, binding = 5) buffer Out { float result[]; };
+
+layout(push_constant) uniform Push {
+    uint rows;
+    uint inner;
+    uint columns;
+};
+
+void store(uint row, uint column, float value) {
+    if (ACTIVATION == 1) {
+        value = gelu(value);
+    }
+    if (SCALE) {
+        value *= gamma[column];
+    }
+    uint at = row * columns + column;
+    if (ADD) {
+        value += residual[at];
+    }
+    result[at] = value;
+}
+
+void main() {
+    uint quad = gl_WorkGroupID.y * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
+    uint first_row = gl_WorkGroupID.x * ROWS;
+    uint quads = (columns + 3) / 4;
+    uint quads_inner = inner / 4;
+    uint load_quad = min(quad, quads - 1);
+
+    vec4 sum[ROWS];
+    uint row_at[ROWS];
+    [[unroll]] for (uint r = 0; r < ROWS; r++) {
+        sum[r] = vec4(0.0);
+        row_at[r] = min(first_row + r, rows - 1) * quads_inner;
+    }
+    for (uint k = 0; k < quads_inner; k++) {
+        uint at = 4 * k * quads + load_quad;
+        vec4 b0 = weight[at];
+        vec4 b1 = weight[at + quads];
+        vec4 b2 = weight[at + 2 * quads];
+        vec4 b3 = weight[at + 3 * quads];
+        [[unroll]] for (uint r = 0; r < ROWS; r++) {
+            vec4 x = a[row_at[r] + k];
+            sum[r] += x.x * b0;
+            sum[r] += x.y * b1;
+            sum[r] += x.z * b2;
+            sum[r] += x.w * b3;
+        }
+    }
+
+    if (quad >= quads) {
+        return;
+    }
+    vec4 offset = vec4(bias[4 * quad], 0.0, 0.0, 0.0);
+    [[unroll]] for (uint c = 1; c < 4; c++) {
+        offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;
+    }
+    [[unroll]] for (uint r = 0; r < ROWS; r++) {
+        uint row = first_row + r;
+        if (row < rows) {
+            vec4 v = sum[r] + offset;
+            if (ACTIVATION == 2) {
+                uint at = row * (columns / 2) + 2 * quad;
+                result[at] = silu(v.x) * v.y;
+                result[at + 1] = silu(v.z) * v.w;
+            } else {
+                [[unroll]] for (uint c = 0; c < 4; c++) {
+                    if (4 * quad + c < columns) {
+                        store(row, 4 * quad + c, v[c]);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,99 @@
+// Takes queries, keys or values of every head out of a projection: normalises, rotates and scales them once, and lays
+// them out as attention reads them.
+//
+// Projection [rows, stride] f32; this part begins at column `column`
+// Weight     [dim] f32, affine norm over a head's channels; read where NORM
+// Bias       [dim] f32; read where NORM
+// Rotary     [tokens, dim / 2] (cos, sin) of each rotated pair; read where ROTATE
+// Out        [heads, out_rows, dim] f32, or where TRANSPOSE [heads, sequences, dim, padded length]
+//
+// One workgroup (a subgroup) owns one head of one row, two channels a lane at a time. Rotary embedding: RoPE 2D (Su et
+// al. 2021; DA3), half of the channels with y and half with x, pairs half a half apart.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "shared/index.glsl"
+
+layout(local_size_x_id = 0) in;
+
+layout(constant_id = 1) const bool NORM = false;
+layout(constant_id = 2) const bool ROTATE = false;
+layout(constant_id = 3) const bool TRANSPOSE = false;
+
+layout(set = 0, binding = 0) readonly buffer Projection { float projection[]; };
+layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
+layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
+layout(set = 0, binding = 3) readonly buffer Rotary { vec2 rotary[]; };
+layout(set = 0, binding = 4) writeonly buffer Out { float result[]; };
+
+layout(push_constant) uniform Push {
+    uint rows;
+    uint heads;
+    uint dim;
+    uint stride;
+    uint column;
+    uint first_row; // row of Out that this dispatch's row 0 is
+    uint out_rows;
+    uint sequence;  // rows of one sequence
+    uint tokens;    // rows of Rotary, which repeats
+    float scale;
+    float eps;
+};
+
+// The first channel of pair p; the second is `dim / 4` further.
+uint pair_channel(uint p) {
+    uint quarter = dim / 4;
+    return p < quarter ? p : p + quarter;
+}
+
+void store(uint head, uint row, uint channel, float value) {
+    if (TRANSPOSE) {
+        uint padded = (sequence + 3) / 4 * 4;
+        uint sequences = out_rows / sequence;
+        uint at = (head * sequences + row / sequence) * dim + channel;
+        result[at * padded + row % sequence] = value;
+    } else {
+        result[(head * out_rows + row) * dim + channel] = value;
+    }
+}
+
+void main() {
+    uint group = group_index();
+    if (group >= rows * heads) {
+        return;
+    }
+    uint row = group / heads;
+    uint head = group % heads;
+    uint from = row * stride + column + head * dim;
+    uint apart = dim / 4;
+
+    float mean = 0.0;
+    float normal = 1.0;
+    if (NORM) {
+        float sum = 0.0;
+        for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
+            sum += projection[from + c];
+        }
+        mean = subgroupAdd(sum) / float(dim);
+        float squares = 0.0;
+        for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
+            float d = projection[from + c] - mean;
+            squares += d * d;
+        }
+        normal = 1.0 / sqrt(subgroupAdd(squares) / float(dim) + eps);
+    }
+    for (uint p = gl_LocalInvocationID.x; p < dim / 2; p += gl_WorkGroupSize.x) {
+        uint c = pair_channel(p);
+        vec2 x = vec2(projection[from + c], projection[from + c + apart]);
+        if (NORM) {
+            x = (x - mean) * normal * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
+        }
+        if (ROTATE) {
+            vec2 turn = rotary[((first_row + row) % tokens) * (dim / 2) + p];
+            x = vec2(x.x * turn.x - x.y * turn.y, x.y * turn.x + x.x * turn.y);
+        }
+        x *= scale;
+        store(head, first_row + row, c, x.x);
+        store(head, first_row + row, c + apart, x.y);
+    }
+}

@@ -1,0 +1,34 @@
+//! The networks of the goldens (golden/FORMAT.md, section 3).
+
+use zipsplat::weights::{Architecture, Ffn};
+
+/// The network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`, `small` or `giant_slice`.
+///
+/// Its weights are those of the seed `tiny` for `tiny_rect`, of the golden's own name otherwise.
+pub fn golden(name: &str) -> Architecture {
+    match name {
+        "tiny" | "tiny_eps" | "tiny_rect" => Architecture::new(name, 128, 6, 2, &[3, 4, 5]),
+        "tiny_swiglu" => Architecture {
+            ffn: Ffn::SwiGlu,
+            ffn_hidden: 344,
+            qk_norm_start: 2,
+            rope_start: 4,
+            ..Architecture::new(name, 128, 6, 3, &[1, 3, 5])
+        },
+        "micro" => Architecture {
+            position_grid: 5,
+            color_width: 32,
+            color_heads: 1,
+            color_hidden: 64,
+            head_hidden: 2 * (64 + 32),
+            gaussians_per_token: 4,
+            sh_degree: 2,
+            ..Architecture::new(name, 64, 3, 1, &[1, 2])
+        },
+        "small" => Architecture { name: name.into(), ..Architecture::named("vits").expect("a named variant") },
+        "giant_slice" => {
+            Architecture { ffn: Ffn::SwiGlu, ffn_hidden: 4096, ..Architecture::new(name, 1536, 4, 1, &[3]) }
+        }
+        _ => panic!("no golden is called {name}"),
+    }
+}

@@ -1,0 +1,192 @@
+//! Comparison of pictures; a failure leaves them as PNG for a person to look at.
+
+use std::path::{Path, PathBuf};
+use std::{env, fs};
+
+use super::Float;
+
+/// The most that a picture may deviate from truth, per value: `absolute + relative * |truth|`.
+#[derive(Clone, Copy, Debug)]
+pub struct ImageTolerance {
+    /// In the picture's unit.
+    pub absolute: f64,
+    /// Of the truth's value.
+    pub relative: f64,
+    /// The least peak signal to noise ratio in dB, against the truth's range; 0 asks for nothing.
+    pub psnr: f64,
+}
+
+impl ImageTolerance {
+    // f32 against f64, away from unstable pixels: twice the worst of gsplat's formulas run in f32 on the golden scenes.
+
+    /// Colour and alpha, in [0, 1]: a few dozen blended terms.
+    pub const RGB: ImageTolerance = ImageTolerance { absolute: 8e-6, relative: 0.0, psnr: 110.0 };
+    /// Accumulated depth (D) in world units of a scene a few units deep.
+    pub const DEPTH: ImageTolerance = ImageTolerance { absolute: 4e-5, relative: 0.0, psnr: 110.0 };
+    /// Expected depth (ED), which divides by small alphas.
+    pub const EXPECTED_DEPTH: ImageTolerance = ImageTolerance { absolute: 6e-5, relative: 0.0, psnr: 110.0 };
+    /// Colour and alpha of the scene `edge`: needles and discs, whose inverse covariance is ill-conditioned.
+    pub const RGB_EDGE: ImageTolerance = ImageTolerance { absolute: 1.5e-4, relative: 0.0, psnr: 90.0 };
+    /// The same antialiased: for a needle the determinant before blurring cancels.
+    pub const RGB_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 8e-3, relative: 0.0, psnr: 60.0 };
+    /// Depths of `edge`, which reach a thousand units.
+    pub const DEPTH_EDGE: ImageTolerance = ImageTolerance { absolute: 2e-4, relative: 2e-4, psnr: 80.0 };
+    /// Depths of `edge` antialiased.
+    pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 2.5e-2, psnr: 50.0 };
+    /// A reference in f64 against stored truth: only its rounding to f32.
+    pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
+}
+
+/// One picture, row-major and interleaved.
+#[derive(Clone, Copy, Debug)]
+pub struct Picture<'a, T> {
+    /// `[height, width, channels]`; 1 channel for alpha and depth, 3 for RGB.
+    pub values: &'a [T],
+    /// Width in pixels; the height follows.
+    pub width: usize,
+    /// Channels a pixel: 1 or 3.
+    pub channels: usize,
+}
+
+/// Holds a picture to the truth within `tolerance`, leaving out pixels where `unstable` is not zero (pass `&[]` to leave
+/// out none): there an alpha or a transmittance is so near a threshold that rounding decides.
+///
+/// Gives the peak signal to noise ratio in dB over the pixels compared. Unstable pixels must still be finite.
+///
+/// # Panics
+/// When sizes differ, a value is not finite, or the deviation is larger; the picture, the truth and the amplified
+/// difference are then saved, and the message names them.
+#[track_caller]
+pub fn assert_images_close<G: Float, T: Float>(
+    name: &str,
+    got: Picture<G>,
+    truth: &[T],
+    unstable: &[u8],
+    tolerance: ImageTolerance,
+) -> f64 {
+    let values: Vec<f64> = got.values.iter().map(|&x| x.into()).collect();
+    let truth: Vec<f64> = truth.iter().map(|&x| x.into()).collect();
+    match measure(&values, &truth, got.channels, unstable, tolerance) {
+        Ok(psnr) => psnr,
+        Err(problem) => {
+            let saved = match save(name, &values, &truth, got.width, got.channels) {
+                Ok(paths) => paths.iter().map(|path| format!("\n  {}", path.display())).collect(),
+                Err(error) => format!("\n  (not saved: {error})"),
+            };
+            panic!("{name}: {problem}{saved}");
+        }
+    }
+}
+
+fn measure(
+    got: &[f64],
+    truth: &[f64],
+    channels: usize,
+    unstable: &[u8],
+    tolerance: ImageTolerance,
+) -> Result<f64, String> {
+    if got.len() != truth.len() {
+        return Err(format!("{} values, truth has {}", got.len(), truth.len()));
+    }
+    if !unstable.is_empty() && unstable.len() * channels != got.len() {
+        return Err(format!("{} values for {} marks of unstable pixels", got.len(), unstable.len()));
+    }
+    let (mut sum2, mut compared, mut wrong) = (0.0, 0usize, Vec::new());
+    for (i, (&got, &truth)) in got.iter().zip(truth).enumerate() {
+        if !got.is_finite() || !truth.is_finite() {
+            return Err(format!("value {i} is {got}, truth is {truth}"));
+        }
+        if unstable.get(i / channels).is_some_and(|&mark| mark != 0) {
+            continue;
+        }
+        let err = (got - truth).abs();
+        if err > tolerance.absolute + tolerance.relative * truth.abs() {
+            wrong.push((err, i));
+        }
+        sum2 += err * err;
+        compared += 1;
+    }
+    let peak = truth.iter().fold(1.0f64, |peak, x| peak.max(x.abs()));
+    let psnr = 10.0 * (peak * peak * compared.max(1) as f64 / sum2.max(f64::MIN_POSITIVE)).log10();
+    if let Some(&(err, i)) = wrong.iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
+        let (pixel, channel) = (i / channels, i % channels);
+        return Err(format!(
+            "{} of {compared} values deviate, most at pixel {pixel} channel {channel}: {}, truth {}, apart {err:.2e} ({tolerance:?}); {psnr:.1} dB",
+            wrong.len(),
+            got[i],
+            truth[i]
+        ));
+    }
+    if psnr < tolerance.psnr {
+        return Err(format!("{psnr:.1} dB, at least {:.1} asked for", tolerance.psnr));
+    }
+    Ok(psnr)
+}
+
+/// Saves picture, truth and |difference| (the largest finite one white) under the target folder; gives their paths.
+fn save(
+    name: &str,
+    got: &[f64],
+    truth: &[f64],
+    width: usize,
+    channels: usize,
+) -> Result<[PathBuf; 3], Box<dyn std::error::Error>> {
+    let target = env::var_os("CARGO_TARGET_DIR").map(PathBuf::from);
+    let target = target.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../target"));
+    let folder = target.join("failed-images");
+    fs::create_dir_all(&folder)?;
+    let stem: String = name.chars().map(|c| if c.is_alphanumeric() || c == '.' { c } else { '_' }).collect();
+
+    let largest = |values: &[f64]| values.iter().filter(|x| x.is_finite()).fold(0.0f64, |a, x| a.max(x.abs()));
+    let range = largest(truth).max(1.0);
+    let difference: Vec<f64> = got.iter().zip(truth).map(|(got, truth)| (got - truth).abs()).collect();
+    let pictures = [
+        ("got", got, range),
+        ("truth", truth, range),
+        ("difference", difference.as_slice(), largest(&difference).max(f64::MIN_POSITIVE)),
+    ];
+    let mut paths = Vec::new();
+    for (what, values, white) in pictures {
+        // What is not finite is shown white: it can only be a mistake.
+        let byte = |x: &f64| if x.is_finite() { (x / white * 255.0).round().clamp(0.0, 255.0) as u8 } else { 255 };
+        let bytes: Vec<u8> = values.iter().map(byte).collect();
+        let height = bytes.len() / (width * channels);
+        let colour = if channels == 3 { image::ColorType::Rgb8 } else { image::ColorType::L8 };
+        let path = folder.join(format!("{stem}.{what}.png"));
+        image::save_buffer(&path, &bytes[..height * width * channels], width as u32, height as u32, colour)?;
+        paths.push(path);
+    }
+    Ok(paths.try_into().expect("three pictures"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TOLERANCE: ImageTolerance = ImageTolerance { absolute: 1e-3, relative: 0.0, psnr: 0.0 };
+
+    #[test]
+    fn unstable_pixels_are_left_out_but_must_be_finite() {
+        let truth = [0.5f64; 6];
+        let got = |value: f64| [0.5, 0.5, 0.5, value, 0.5, 0.5];
+        assert!(measure(&got(0.9), &truth, 3, &[0, 1], TOLERANCE).unwrap() > 100.0);
+        assert!(measure(&got(0.9), &truth, 3, &[], TOLERANCE).is_err());
+        assert!(measure(&got(0.9), &truth, 3, &[1, 0], TOLERANCE).is_err());
+        assert!(measure(&got(f64::NAN), &truth, 3, &[0, 1], TOLERANCE).is_err());
+    }
+
+    #[test]
+    fn a_failure_saves_three_pictures_and_names_them() {
+        let (got, truth) = ([0.0f32, 0.25, 0.5, f32::NAN], [0.0f32, 0.25, 0.25, 0.0]);
+        let picture = Picture { values: &got, width: 2, channels: 1 };
+        let caught = std::panic::catch_unwind(|| {
+            assert_images_close("compare self-test", picture, &truth, &[], TOLERANCE);
+        });
+        let message = caught.unwrap_err().downcast_ref::<String>().unwrap().clone();
+        for path in message.lines().skip(1).map(|line| Path::new(line.trim())) {
+            assert_eq!(image::open(path).unwrap().to_luma8().dimensions(), (2, 2));
+            fs::remove_file(path).unwrap();
+        }
+        assert_eq!(message.lines().count(), 4, "{message}");
+    }
+}

@@ -1,0 +1,110 @@
+//! The table of tolerances.
+
+/// The most that an array may deviate from truth; both are relative to the rms of the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tolerance {
+    /// Largest deviation of one element.
+    pub max: f64,
+    /// Rms of all deviations.
+    pub rms: f64,
+}
+
+/// Half a unit in the last place of 1: the most that one f32 rounding moves a value, relatively.
+const F32_ROUNDING: f64 = f32::EPSILON as f64 / 2.0;
+
+/// Taps of the network (digits and the compression prefix removed) and fields of Gaussians, in f32.
+///
+/// Each limit is about three times the worst deviation of the PyTorch implementation's own f32 run from its f64 run,
+/// over all models and inputs. Few mistakes hide below: a wrong LayerNorm epsilon moves Gaussians by 3e-6 to 1e-5 (rms),
+/// and moves the model `tiny_eps`, made to show it, by up to a hundred times that.
+const F32: &[(&str, Tolerance)] = &[
+    // |x| <= 1 times 588 weights; the position embedding's interpolation adds 1e-5 where weights are computed in f32.
+    ("bb/tokens", Tolerance { max: 3e-5, rms: 4e-6 }),
+    ("bb/block", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("bb/alt_in", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("bb/feat", Tolerance { max: 3e-5, rms: 3e-6 }),
+    // A sequence of few views: less to accumulate.
+    ("bb/cam_token", Tolerance { max: 1e-5, rms: 2e-6 }),
+    ("prep/layer", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("color/tokens", Tolerance { max: 1e-5, rms: 1e-6 }),
+    ("centroids", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("scene_init", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("ca_delta", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("scene_ca", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("scene_sa", Tolerance { max: 3e-5, rms: 3e-6 }),
+    ("color_feats", Tolerance { max: 1e-5, rms: 2e-6 }),
+    ("raw", Tolerance { max: 3e-5, rms: 5e-6 }),
+    // expm1 amplifies the deviation of a large raw coordinate by up to e^5.
+    ("means", Tolerance { max: 1e-4, rms: 5e-6 }),
+    ("scales", Tolerance { max: 3e-5, rms: 3e-6 }),
+    // Division by the length amplifies where the raw quaternion is short.
+    ("quats", Tolerance { max: 1e-4, rms: 5e-6 }),
+    // The sigmoid's slope is at most 1/4.
+    ("opacities", Tolerance { max: 1e-5, rms: 2e-6 }),
+    ("sh_coeffs", Tolerance { max: 3e-5, rms: 5e-6 }),
+];
+
+impl Tolerance {
+    /// Equal but for the rounding to f32 with which truth is stored: for references in f64. An element's rounding is
+    /// relative to that element, which may be a dozen times the rms.
+    pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
+
+    /// Gaussians of a network run in f16 (f32 accumulation): the reference under autocast deviates by 8e-4 rms.
+    pub const F16: Tolerance = Tolerance { max: 0.1, rms: 2e-3 };
+
+    /// Gaussians of a network run in bf16 (f32 accumulation): the reference under autocast deviates by 7e-3 rms.
+    pub const BF16: Tolerance = Tolerance { max: 0.6, rms: 1.5e-2 };
+
+    /// The tolerance of a golden's key such as `bb/block3` or `r0.5/ca1_delta`, in f32.
+    ///
+    /// # Panics
+    /// When the table has no such tap.
+    pub fn of_tap(key: &str) -> Tolerance {
+        let tap = match key.split_once('/') {
+            Some((prefix, tap)) if prefix.starts_with('r') && prefix.ends_with(|c: char| c.is_ascii_digit()) => tap,
+            _ => key,
+        };
+        Tolerance::of_field(&tap.replace(|c: char| c.is_ascii_digit(), ""))
+    }
+
+    /// The tolerance of a field of activated Gaussians (`means`, `scales`, `quats`, `opacities`, `sh_coeffs`), in f32.
+    ///
+    /// # Panics
+    /// When the table has no such field.
+    pub fn of_field(field: &str) -> Tolerance {
+        let entry = F32.iter().find(|(name, _)| *name == field);
+        entry.unwrap_or_else(|| panic!("no tolerance for {field:?}")).1
+    }
+
+    /// The tolerance of a kernel that computes each element with a few f32 operations, `exp` and division among them,
+    /// which Vulkan allows 3 ulp and more.
+    pub const ELEMENTWISE: Tolerance = Tolerance { max: 2e-6, rms: 5e-7 };
+
+    /// The tolerance of f32 sums of `terms` products of comparable size: roundings walk at random, so that the sum
+    /// moves by about sqrt(terms) of them; a factor of 8 covers the tail over millions of elements.
+    pub fn sum_of(terms: usize) -> Tolerance {
+        let walk = F32_ROUNDING * (terms.max(4) as f64).sqrt();
+        Tolerance { max: 8.0 * walk, rms: 2.0 * walk }
+    }
+
+    /// The tolerance of the same sums where the factors are rounded to f16 (11 bits) before they are multiplied:
+    /// every term moves by up to 2^-10 relatively, at random, so the sum by as much relative to its rms.
+    pub fn sum_of_f16(terms: usize) -> Tolerance {
+        const F16_ROUNDING: f64 = 1.0 / 2048.0;
+        let Tolerance { max, rms } = Tolerance::sum_of(terms);
+        Tolerance { max: max + 8.0 * F16_ROUNDING, rms: rms + 2.0 * F16_ROUNDING }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn taps_are_found_by_their_golden_keys() {
+        assert_eq!(Tolerance::of_tap("r0.5/ca1_delta"), Tolerance::of_field("ca_delta"));
+        assert_eq!(Tolerance::of_tap("bb/block11"), Tolerance::of_field("bb/block"));
+        assert_eq!(Tolerance::of_tap("r1/raw"), Tolerance::of_field("raw"));
+        assert!(std::panic::catch_unwind(|| Tolerance::of_tap("bb/nothing")).is_err());
+    }
+}

@@ -1,0 +1,157 @@
+//! Goldens: safetensors dumps of the PyTorch implementation, run in f64 (see `data/README.md`).
+//!
+//! Small ones are committed in `tests/data`; large ones are read from `../shared/golden/data` beside the repository
+//! when that folder exists, and a test that needs an absent one says so and passes.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Metadata, TensorInfo};
+use safetensors::{Dtype, SafeTensors};
+
+/// A safetensors file starts with the length of its header, a u64.
+const LENGTH_BYTES: usize = 8;
+
+/// Where goldens lie, nearest first: committed ones, then those beside the repository.
+fn folders() -> [PathBuf; 2] {
+    let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
+    [tests.join("data"), tests.join("../../shared/golden/data")]
+}
+
+/// The path of a golden file of any kind, or `None` with a printed line when it is in neither folder.
+pub fn find(file: &str) -> Option<PathBuf> {
+    let found = folders().into_iter().map(|folder| folder.join(file)).find(|path| path.is_file());
+    if found.is_none() {
+        // Not println!, which the test harness swallows when a test passes.
+        let _ = writeln!(io::stderr(), "golden {file} is absent (tests/data, ../shared/golden/data): not compared");
+    }
+    found
+}
+
+/// File names in both folders that start with `prefix` and end with `.safetensors`, sorted: `micro.v` lists the
+/// cases of the model `micro`, `raster.` the scenes.
+pub fn list(prefix: &str) -> Vec<String> {
+    let entries = folders().into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let matching = names.filter(|name| name.starts_with(prefix) && name.ends_with(".safetensors"));
+    matching.collect::<BTreeSet<_>>().into_iter().collect()
+}
+
+/// A JSON golden, or `None` with a printed line when it is absent.
+pub fn json(file: &str) -> Option<serde_json::Value> {
+    let path = find(file)?;
+    let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    Some(serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
+}
+
+/// An open golden. A missing key or an unexpected type is a mistake in the test and panics with the key's name.
+pub struct Golden {
+    file: String,
+    bytes: Vec<u8>,
+    data_start: usize,
+    header: Metadata,
+}
+
+impl Golden {
+    /// Opens `file` (such as `micro.v2.safetensors`), or prints a line and gives `None` when it is absent.
+    pub fn open(file: &str) -> Option<Golden> {
+        let path = find(file)?;
+        let bytes = fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let (header_len, header) =
+            SafeTensors::read_metadata(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        Some(Golden { file: file.to_owned(), bytes, data_start: LENGTH_BYTES + header_len, header })
+    }
+
+    /// Opens a golden that is committed in `tests/data`: absence is a failure.
+    pub fn committed(file: &str) -> Golden {
+        Golden::open(file).unwrap_or_else(|| panic!("golden {file} must be in tests/data"))
+    }
+
+    /// The file's name, for messages.
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// Whether `key` is stored.
+    pub fn has(&self, key: &str) -> bool {
+        self.header.info(key).is_some()
+    }
+
+    /// All keys, sorted.
+    pub fn keys(&self) -> Vec<String> {
+        self.header.tensors().into_keys().collect::<BTreeSet<_>>().into_iter().collect()
+    }
+
+    /// What stands before `suffix` in the keys that end with it, sorted: `stems("/x")` lists the cases of `kmeans`.
+    pub fn stems(&self, suffix: &str) -> Vec<String> {
+        self.keys().iter().filter_map(|key| key.strip_suffix(suffix)).map(str::to_owned).collect()
+    }
+
+    /// A value of `__metadata__`.
+    pub fn metadata(&self, name: &str) -> &str {
+        let entry = self.header.metadata().as_ref().and_then(|entries| entries.get(name));
+        entry.unwrap_or_else(|| panic!("{}: no metadata {name:?}", self.file))
+    }
+
+    /// The compression ratios of a model golden with the prefix of their keys: `(0.5, "r0.5")`.
+    pub fn compressions(&self) -> Vec<(f64, String)> {
+        let ratios: Vec<f64> = serde_json::from_str(self.metadata("compressions")).expect("a list of ratios");
+        ratios.into_iter().map(|ratio| (ratio, format!("r{ratio}"))).collect()
+    }
+
+    /// The shape of `key`, C order.
+    pub fn shape(&self, key: &str) -> &[usize] {
+        &self.info(key).shape
+    }
+
+    /// The values of an F32 tensor.
+    pub fn f32(&self, key: &str) -> Vec<f32> {
+        self.values(key, Dtype::F32, f32::from_le_bytes)
+    }
+
+    /// The values of an F32 or F64 tensor (keys ending in `@f64` are F64), widened.
+    pub fn f64(&self, key: &str) -> Vec<f64> {
+        match self.info(key).dtype {
+            Dtype::F64 => self.values(key, Dtype::F64, f64::from_le_bytes),
+            _ => self.f32(key).into_iter().map(f64::from).collect(),
+        }
+    }
+
+    /// The values of an I64 or I32 tensor, widened.
+    pub fn i64(&self, key: &str) -> Vec<i64> {
+        match self.info(key).dtype {
+            Dtype::I32 => self.i32(key).into_iter().map(i64::from).collect(),
+            _ => self.values(key, Dtype::I64, i64::from_le_bytes),
+        }
+    }
+
+    /// The values of an I32 tensor.
+    pub fn i32(&self, key: &str) -> Vec<i32> {
+        self.values(key, Dtype::I32, i32::from_le_bytes)
+    }
+
+    /// The values of an I64 or I32 tensor of indices, as a kernel holds them.
+    pub fn u32(&self, key: &str) -> Vec<u32> {
+        let index = |value: i64| u32::try_from(value).unwrap_or_else(|_| panic!("{} {key}: {value}", self.file));
+        self.i64(key).into_iter().map(index).collect()
+    }
+
+    /// The values of a U8 tensor.
+    pub fn u8(&self, key: &str) -> Vec<u8> {
+        self.values(key, Dtype::U8, |[byte]| byte)
+    }
+
+    fn info(&self, key: &str) -> &TensorInfo {
+        self.header.info(key).unwrap_or_else(|| panic!("{}: no tensor {key:?}", self.file))
+    }
+
+    fn values<T, const N: usize>(&self, key: &str, dtype: Dtype, from_le: fn([u8; N]) -> T) -> Vec<T> {
+        let info = self.info(key);
+        assert_eq!(info.dtype, dtype, "{}: type of {key:?}", self.file);
+        let (start, end) = info.data_offsets;
+        let bytes = &self.bytes[self.data_start + start..self.data_start + end];
+        bytes.chunks_exact(N).map(|chunk| from_le(chunk.try_into().expect("chunks of N"))).collect()
+    }
+}

@@ -1,0 +1,63 @@
+//! The pre-norm transformer block of backbone, camera encoder and fusion.
+
+use super::rope::rope;
+use crate::reference::model::Scope;
+use crate::reference::ops::activation::{gelu, swiglu};
+use crate::reference::ops::attention::attention;
+use crate::reference::ops::linear::{add, layer_scale};
+
+/// The epsilon of every LayerNorm but the backbone's `norm1`, `norm2` and final `norm`.
+pub const EPS: f64 = 1e-5;
+
+/// What blocks differ in, apart from their parameters.
+#[derive(Clone, Copy)]
+pub struct Options<'a> {
+    /// Attention heads.
+    pub heads: usize,
+    /// Epsilon of `norm1` and `norm2`.
+    pub eps: f64,
+    /// Sequences that attend to themselves only; the rows split evenly.
+    pub sequences: usize,
+    /// Positions (y, x) of a sequence's tokens, where the block rotates queries and keys.
+    pub positions: Option<&'a [[f64; 2]]>,
+}
+
+/// `x += gamma1 * proj(attention(norm1(x))); x += gamma2 * mlp(norm2(x))`.
+pub fn block(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
+    let attended = self_attention(&weights.scope("attn"), &weights.layer_norm("norm1", x, options.eps), options);
+    let x = add(x, &layer_scale(&attended, weights.get("ls1.gamma")));
+    let hidden = mlp(&weights.scope("mlp"), &weights.layer_norm("norm2", &x, options.eps));
+    add(&x, &layer_scale(&hidden, weights.get("ls2.gamma")))
+}
+
+fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
+    let width = weights.get("proj.bias").len();
+    let head_dim = width / options.heads;
+    let qkv = weights.linear("qkv", x);
+    let part =
+        |i: usize| -> Vec<f64> { qkv.chunks(3 * width).flat_map(|row| &row[i * width..][..width]).copied().collect() };
+    let (mut q, mut k, v) = (norm_heads(weights, "q_norm", part(0)), norm_heads(weights, "k_norm", part(1)), part(2));
+    let length = x.len() / options.sequences;
+    if let Some(positions) = options.positions {
+        let rotate = |x: &[f64]| x.chunks(length).flat_map(|sequence| rope(sequence, positions, head_dim)).collect();
+        (q, k) = (rotate(&q), rotate(&k));
+    }
+    let sequences = q.chunks(length).zip(k.chunks(length)).zip(v.chunks(length));
+    let mixed: Vec<f64> = sequences.flat_map(|((q, k), v)| attention(q, k, v, options.heads, head_dim)).collect();
+    weights.linear("proj", &mixed)
+}
+
+/// LayerNorm over each head's channels, shared by the heads, where the block has it.
+pub fn norm_heads(weights: &Scope, name: &str, x: Vec<f64>) -> Vec<f64> {
+    if weights.has(&format!("{name}.weight")) { weights.layer_norm(name, &x, EPS) } else { x }
+}
+
+/// Two linear layers with GELU between, or three with SwiGLU.
+pub fn mlp(weights: &Scope, x: &[f64]) -> Vec<f64> {
+    if weights.has("w12.weight") {
+        let gate_value = weights.linear("w12", x);
+        return weights.linear("w3", &swiglu(&gate_value, weights.get("w12.bias").len() / 2));
+    }
+    let hidden: Vec<f64> = weights.linear("fc1", x).into_iter().map(gelu).collect();
+    weights.linear("fc2", &hidden)
+}

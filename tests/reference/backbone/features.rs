@@ -1,0 +1,29 @@
+//! Blocks' results to the tokens that are fused.
+
+use super::block::EPS;
+use crate::compare::columns;
+use crate::reference::model::Model;
+
+/// The feature of one output layer: `[local | final norm(x)]` per token, the camera token of each view dropped.
+///
+/// `local` and `x` are `[views, tokens, width]` and the result `[views, tokens - 1, 2 width]`; `normed` is `x` behind
+/// the backbone's final LayerNorm.
+pub fn feature(local: &[f64], normed: &[f64], width: usize, tokens: usize) -> Vec<f64> {
+    let rows = local.chunks(width).zip(normed.chunks(width)).enumerate();
+    let patches = rows.filter(|(row, _)| row % tokens != 0);
+    patches.flat_map(|(_, (local, normed))| local.iter().chain(normed)).copied().collect()
+}
+
+/// One feature layer `[rows, 2 width]` to tokens `[rows, width]`: both halves normed, joined by a linear layer around
+/// their mean. `layer` counts from the deepest.
+pub fn prepare(model: &Model, feature: &[f64], layer: usize) -> Vec<f64> {
+    let width = model.architecture.width;
+    let layer = layer.to_string();
+    let half = |start: usize| columns(feature, 2 * width, start, start + width);
+    let local = model.scope("pre_norm_local").layer_norm(&layer, &half(0), EPS);
+    let global = model.scope("pre_norm_global").layer_norm(&layer, &half(width), EPS);
+    let joined: Vec<f64> =
+        local.chunks(width).zip(global.chunks(width)).flat_map(|(a, b)| a.iter().chain(b)).copied().collect();
+    let projected = model.scope("downscale").linear(&layer, &joined);
+    projected.iter().zip(local.iter().zip(&global)).map(|(p, (a, b))| p + (a + b) / 2.0).collect()
+}

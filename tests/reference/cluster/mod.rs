@@ -1,0 +1,3 @@
+//! Tokens to fewer tokens: k-means, then the token nearest to each centroid.
+
+pub mod kmeans;

@@ -1,0 +1,149 @@
+//! The whole network, stage by stage, keeping every tap that the goldens have under their keys.
+
+use std::collections::BTreeMap;
+
+use super::backbone::block::{EPS, Options, block};
+use super::backbone::camera_encoder::{Prior, camera_tokens};
+use super::backbone::features::{feature, prepare};
+use super::backbone::patch_embed::{Images, patch_embed};
+use super::backbone::{positions, rope};
+use super::fuse::cross_attention::cross_attention;
+use super::gaussians::head::{activate, head};
+use super::model::Model;
+use super::ops::linear::add;
+use super::{gather, widen};
+
+/// Intermediate results by golden key: `bb/block0`, `prep/layer1`, `scene_ca0`.
+pub type Taps = BTreeMap<String, Vec<f64>>;
+
+/// Epsilon of the backbone's `norm1`, `norm2` and final `norm`.
+const BACKBONE_EPS: f64 = 1e-6;
+
+/// Tokens of all views, as clustering and fusion take them.
+pub struct Tokens {
+    /// `[views * patches, width]` per output layer, deepest first.
+    pub layers: Vec<Vec<f64>>,
+    /// `[views * patches, colour_width]`.
+    pub colour: Vec<f64>,
+    /// `bb/*`, `prep/*` and `color/tokens`.
+    pub taps: Taps,
+}
+
+/// Images, with cameras where they are known, to tokens.
+pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>) -> Tokens {
+    let architecture = &model.architecture;
+    let mut taps = Taps::new();
+    let features = backbone(model, images, priors, &mut taps);
+    let layers: Vec<Vec<f64>> =
+        features.iter().enumerate().map(|(layer, feature)| prepare(model, feature, layer)).collect();
+    for (j, (feature, layer)) in features.iter().zip(&layers).enumerate() {
+        taps.insert(format!("bb/feat{j}"), feature.clone());
+        taps.insert(format!("prep/layer{j}"), layer.clone());
+    }
+    let embed = model.scope("color_embed.proj");
+    let colour = patch_embed(images, embed.get("weight"), embed.get("bias"), architecture.patch);
+    taps.insert("color/tokens".into(), colour.clone());
+    Tokens { layers, colour, taps }
+}
+
+/// One feature `[views * patches, 2 width]` per output layer, deepest first.
+fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<Vec<f64>> {
+    let architecture = &model.architecture;
+    let weights = model.scope("backbone.backbone");
+    let [rows, columns] = images.grid(architecture.patch);
+    let token_count = 1 + rows * columns;
+    let local_positions = rope::local_positions(rows, columns);
+    let global_positions = rope::global_positions(rows, columns).repeat(images.views);
+
+    let mut x = embed(model, images);
+    taps.insert("bb/tokens0".into(), x.clone());
+    let mut local = Vec::new();
+    let mut features = Vec::new();
+    for i in 0..architecture.depth {
+        if i == architecture.alt_start {
+            insert_camera_tokens(model, &mut x, token_count, priors, taps);
+            taps.insert("bb/alt_in".into(), x.clone());
+        }
+        let global = i >= architecture.alt_start && i % 2 == 1;
+        let (sequences, positions) = if global { (1, &global_positions) } else { (images.views, &local_positions) };
+        let options = Options {
+            heads: architecture.heads,
+            eps: BACKBONE_EPS,
+            sequences,
+            positions: (i >= architecture.rope_start).then_some(positions.as_slice()),
+        };
+        x = block(&weights.scope(&format!("blocks.{i}")), &x, options);
+        taps.insert(format!("bb/block{i}"), x.clone());
+        if !global {
+            local = x.clone();
+        }
+        if architecture.out_layers.contains(&i) {
+            let normed = weights.layer_norm("norm", &x, BACKBONE_EPS);
+            features.insert(0, feature(&local, &normed, architecture.width, token_count));
+        }
+    }
+    features
+}
+
+/// Class token and patches of every view, positions added.
+fn embed(model: &Model, images: &Images) -> Vec<f64> {
+    let weights = model.scope("backbone.backbone");
+    let projection = weights.scope("patch_embed.proj");
+    let [rows, columns] = images.grid(model.architecture.patch);
+    let width = model.architecture.width;
+    let patches = patch_embed(images, projection.get("weight"), projection.get("bias"), model.architecture.patch);
+    let positions = positions::interpolate(&widen(weights.get("pos_embed")), width, rows, columns);
+    let class = widen(weights.get("cls_token"));
+    let views = patches.chunks(rows * columns * width);
+    views.flat_map(|patches| add(&[&class, patches].concat(), &positions)).collect()
+}
+
+/// Overwrites the first token of every view by what is known of its camera: its encoding, or only whether it is the
+/// reference view, the first.
+fn insert_camera_tokens(model: &Model, x: &mut [f64], token_count: usize, priors: Option<&[Prior]>, taps: &mut Taps) {
+    let width = model.architecture.width;
+    let views = x.chunks_mut(token_count * width);
+    if let Some(priors) = priors {
+        let cameras = camera_tokens(&model.scope("backbone.cam_enc"), priors);
+        for (view, camera) in views.zip(cameras.chunks(width)) {
+            view[..width].copy_from_slice(camera);
+        }
+        taps.insert("bb/cam_token".into(), cameras);
+        return;
+    }
+    let learned = widen(model.scope("backbone.backbone").get("camera_token"));
+    for (i, view) in views.enumerate() {
+        view[..width].copy_from_slice(&learned[i.min(1) * width..][..width]);
+    }
+}
+
+/// Tokens, of which those at `nearest` represent the scene, to Gaussians `gauss [K * G, 11 + 3 (degree + 1)^2]`; every
+/// tap on the way, without the prefix of the compression ratio.
+pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
+    let architecture = &model.architecture;
+    let (width, colour_width) = (architecture.width, architecture.colour_width);
+    let mut taps = Taps::new();
+    let mut scene = gather(&tokens.layers[0], width, nearest);
+    taps.insert("scene_init".into(), scene.clone());
+    for (l, layer) in tokens.layers.iter().enumerate() {
+        let queries = gather(layer, width, nearest);
+        let weights = model.scope(&format!("cross_attention.{l}"));
+        let delta = cross_attention(&weights, &queries, layer, architecture.heads);
+        scene = add(&scene, &delta);
+        taps.insert(format!("ca{l}_delta"), delta);
+        taps.insert(format!("scene_ca{l}"), scene.clone());
+        let options = Options { heads: architecture.heads, eps: EPS, sequences: 1, positions: None };
+        scene = block(&model.scope(&format!("self_attention.{l}")), &scene, options);
+        taps.insert(format!("scene_sa{l}"), scene.clone());
+    }
+    let queries = gather(&tokens.colour, colour_width, nearest);
+    let delta =
+        cross_attention(&model.scope("color_cross_attention"), &queries, &tokens.colour, (colour_width / 64).max(1));
+    let colour = add(&queries, &delta);
+    let raw = head(&model.scope("gaussian_head.gaussian_head"), &scene, width, &colour, colour_width);
+    let packed = 11 + 3 * (architecture.sh_degree + 1).pow(2);
+    taps.insert("gauss".into(), raw.chunks(packed).flat_map(activate).collect());
+    taps.insert("color_feats".into(), colour);
+    taps.insert("raw".into(), raw);
+    taps
+}

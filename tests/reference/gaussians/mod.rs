@@ -1,0 +1,3 @@
+//! Scene and colour tokens to Gaussians.
+
+pub mod head;

@@ -1,0 +1,192 @@
+//! A model of the goldens: its architecture, read from `<config>.manifest.json`, and its generated weights.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::ops::layer_norm::layer_norm;
+use super::ops::linear::linear;
+use crate::golden;
+
+/// The switches of a model that its parameters' shapes do not tell.
+#[derive(Clone, Debug)]
+pub struct Architecture {
+    /// Side of a square patch, pixels.
+    pub patch: usize,
+    /// Width of a backbone token.
+    pub width: usize,
+    /// Number of backbone blocks.
+    pub depth: usize,
+    /// Attention heads of the backbone and of the fusion.
+    pub heads: usize,
+    /// First block that may be global; camera tokens enter here.
+    pub alt_start: usize,
+    /// First block that rotates queries and keys.
+    pub rope_start: usize,
+    /// Blocks whose results are features, ascending.
+    pub out_layers: Vec<usize>,
+    /// Width of a colour token.
+    pub colour_width: usize,
+    /// G, Gaussians of a token.
+    pub gaussians: usize,
+    /// SH degree of a Gaussian.
+    pub sh_degree: usize,
+}
+
+impl Architecture {
+    fn from_manifest(manifest: &Value) -> Architecture {
+        let conf = &manifest["conf"];
+        let number = |value: &Value| value.as_u64().expect("a whole number") as usize;
+        let params = manifest["params"].as_object().expect("parameters");
+        let width = number(&params["backbone.backbone.cls_token"][2]);
+        let depth = (0..).take_while(|i| params.contains_key(&format!("backbone.backbone.blocks.{i}.ls1.gamma")));
+        // Written in no checkpoint: a property of the named vision transformer.
+        let (alt_start, rope_start) = match conf["vit_name"].as_str().expect("vit_name") {
+            "micro" | "giant_slice" => (1, 1),
+            "tiny" => (2, 2),
+            "tiny_swiglu" => (3, 4),
+            "vits" | "vitb" => (4, 4),
+            "vitl" => (8, 8),
+            "vitg" => (13, 13),
+            name => panic!("vision transformer {name:?} is unknown"),
+        };
+        Architecture {
+            patch: number(&conf["patch_size"]),
+            width,
+            depth: depth.count(),
+            heads: width / 64,
+            alt_start,
+            rope_start,
+            out_layers: conf["out_layers"].as_array().expect("out_layers").iter().map(number).collect(),
+            colour_width: number(&conf["color_skip_dim"]),
+            gaussians: number(&conf["gaussians_per_token"]),
+            sh_degree: number(&conf["sh_degree"]),
+        }
+    }
+}
+
+/// An architecture with its weights.
+pub struct Model {
+    /// The switches.
+    pub architecture: Architecture,
+    /// Every parameter by its name in a checkpoint: shape and values.
+    pub weights: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+}
+
+impl Model {
+    /// The model of `<config>.manifest.json` with generated weights, or `None` with a printed line when it is absent.
+    ///
+    /// `config` seeds the weights: `tiny` and `tiny_eps` have the same architecture.
+    pub fn generated(config: &str) -> Option<Model> {
+        let manifest = golden::json(&format!("{config}.manifest.json"))?;
+        let params = manifest["params"].as_object().expect("parameters");
+        let weights = params.iter().map(|(name, shape)| {
+            let shape: Vec<usize> = serde_json::from_value(shape.clone()).expect("a shape");
+            let values = generate(config, name, &shape);
+            (name.clone(), (shape, values))
+        });
+        Some(Model { architecture: Architecture::from_manifest(&manifest), weights: weights.collect() })
+    }
+
+    /// The parameters below `prefix`.
+    pub fn scope(&self, prefix: &str) -> Scope<'_> {
+        Scope { model: self, prefix: prefix.to_owned() }
+    }
+}
+
+/// The parameters of one module of the network.
+#[derive(Clone)]
+pub struct Scope<'a> {
+    model: &'a Model,
+    prefix: String,
+}
+
+impl<'a> Scope<'a> {
+    /// The parameters of a part of this module.
+    pub fn scope(&self, name: &str) -> Scope<'a> {
+        Scope { model: self.model, prefix: format!("{}.{name}", self.prefix) }
+    }
+
+    /// Whether this module has a parameter `name`.
+    pub fn has(&self, name: &str) -> bool {
+        self.model.weights.contains_key(&format!("{}.{name}", self.prefix))
+    }
+
+    /// The values of parameter `name`.
+    pub fn get(&self, name: &str) -> &'a [f32] {
+        let name = format!("{}.{name}", self.prefix);
+        &self.model.weights.get(&name).unwrap_or_else(|| panic!("no parameter {name}")).1
+    }
+
+    /// Applies the linear layer `name`.
+    pub fn linear(&self, name: &str, x: &[f64]) -> Vec<f64> {
+        linear(x, self.get(&format!("{name}.weight")), self.get(&format!("{name}.bias")))
+    }
+
+    /// Applies the LayerNorm `name`.
+    pub fn layer_norm(&self, name: &str, x: &[f64], eps: f64) -> Vec<f64> {
+        layer_norm(x, self.get(&format!("{name}.weight")), self.get(&format!("{name}.bias")), eps)
+    }
+}
+
+/// Parameters that a config ending in `_eps` shrinks by 64, so that every LayerNorm's epsilon becomes visible.
+const SHRUNK: [&str; 15] = [
+    "cls_token",
+    "camera_token",
+    "pos_embed",
+    "patch_embed.proj.",
+    "color_embed.proj.",
+    ".attn.qkv.",
+    ".attn.q_proj.",
+    ".attn.kv_proj.",
+    ".attn.proj.bias",
+    ".mlp.fc2.",
+    "pose_branch.fc2.",
+    "pre_norm_local.",
+    "pre_norm_global.",
+    "backbone.backbone.norm.",
+    "cam_enc.token_norm.",
+];
+
+/// The values of a generated parameter: bytes of splitmix64, seeded by the FNV-1a hash of `config/name`, scaled by what
+/// the parameter is. Every value is exact in f32, f16 and bf16.
+pub fn generate(config: &str, name: &str, shape: &[usize]) -> Vec<f32> {
+    let seed = fnv1a64(format!("{config}/{name}").as_bytes());
+    let bytes = (1..=shape.iter().product::<usize>() as u64).map(|i| (splitmix64(seed, i) >> 56) as u32);
+    let shrink = if config.ends_with("_eps") && SHRUNK.iter().any(|part| name.contains(part)) { 64.0 } else { 1.0 };
+    // Odd multiples of 1/256 in (-1, 1).
+    let signed = |b: u32| (2.0 * b as f32 - 255.0) / 256.0;
+    let value: Box<dyn Fn(u32) -> f32> = match (name.rsplit('.').next().expect("a last part"), shape.len()) {
+        ("gamma", _) => Box::new(|b| (52 + b * 204 / 256) as f32 / 256.0),
+        ("weight", 1) => Box::new(|b| (64 + b / 2) as f32 / 128.0),
+        ("weight", _) => {
+            let amplitude = weight_amplitude(name, shape[1..].iter().product());
+            Box::new(move |b| signed(b) * amplitude)
+        }
+        ("bias", _) => Box::new(move |b| signed(b) / 8.0),
+        ("pos_embed", _) => Box::new(move |b| signed(b) / 2.0),
+        ("cls_token" | "camera_token", _) => Box::new(signed),
+        _ => panic!("no rule generates {name}"),
+    };
+    bytes.map(|b| value(b) / shrink).collect()
+}
+
+/// The power of two nearest above `sqrt(3 / fan_in)` from below: uniform weights then keep a variance of about 1. The last
+/// layer has twice that, for Gaussians of visible size.
+fn weight_amplitude(name: &str, fan_in: usize) -> f32 {
+    let halvings = (0..).find(|&e| 3usize << (2 * e) >= fan_in).expect("a power of four above any size");
+    let halvings = if name == "gaussian_head.gaussian_head.1.weight" { halvings - 1 } else { halvings };
+    (-(halvings as f32)).exp2()
+}
+
+fn fnv1a64(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+/// Output number `count` (from 1) of the generator seeded with `seed` (Steele, Lea and Flood 2014).
+fn splitmix64(seed: u64, count: u64) -> u64 {
+    let z = seed.wrapping_add(count.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}

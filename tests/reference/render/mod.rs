@@ -1,0 +1,5 @@
+//! Gaussians to pictures, by the rules of gsplat 1.5.3.
+
+pub mod project;
+pub mod rasterise;
+pub mod sh;

@@ -1,0 +1,152 @@
+//! Gaussians to ellipses on the picture (Zwicker et al. 2002).
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::sh;
+
+/// Variance in pixels^2 that blurs every ellipse.
+const EPS_2D: f64 = 0.3;
+/// A Gaussian nearer than this is not seen, nor one beyond `FAR`.
+const NEAR: f64 = 0.01;
+const FAR: f64 = 1e10;
+/// Contributions below it are not seen.
+pub const MIN_ALPHA: f64 = 1.0 / 255.0;
+/// Side of the tiles that `Splat::tiles` counts.
+const TILE: f64 = 16.0;
+
+/// A set of Gaussians in world units, in the order that breaks ties of depth.
+#[derive(Clone, Debug, Default)]
+pub struct Gaussians {
+    /// Centres.
+    pub means: Vec<[f64; 3]>,
+    /// wxyz, of any length but zero.
+    pub quats: Vec<[f64; 4]>,
+    /// Standard deviations along the axes.
+    pub scales: Vec<[f64; 3]>,
+    /// In [0, 1].
+    pub opacities: Vec<f64>,
+    /// `[N, K, 3]`.
+    pub sh_coeffs: Vec<f64>,
+}
+
+/// A pinhole camera, OpenCV axes, pixel centres at +0.5.
+#[derive(Clone, Copy, Debug)]
+pub struct Camera {
+    /// Rotation, world to camera.
+    pub rotation: DMat3,
+    /// Translation, world to camera.
+    pub translation: DVec3,
+    /// fx, fy, cx, cy in pixels.
+    pub intrinsics: [f64; 4],
+    /// Width and height in pixels.
+    pub size: [usize; 2],
+}
+
+impl Camera {
+    /// From a world-to-camera matrix `[4, 4]` and an intrinsic matrix `[3, 3]`, row-major.
+    pub fn new(viewmat: &[f64], k: &[f64], size: [usize; 2]) -> Camera {
+        let row = |i: usize| DVec3::from_slice(&viewmat[4 * i..]);
+        Camera {
+            rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
+            translation: DVec3::new(viewmat[3], viewmat[7], viewmat[11]),
+            intrinsics: [k[0], k[4], k[2], k[5]],
+            size,
+        }
+    }
+
+    fn centre(&self) -> DVec3 {
+        self.rotation.inverse() * -self.translation
+    }
+}
+
+/// A Gaussian as the picture has it.
+#[derive(Clone, Copy, Debug)]
+pub struct Splat {
+    /// Centre, pixels.
+    pub mean: [f64; 2],
+    /// Camera z.
+    pub depth: f64,
+    /// Inverse covariance: xx, xy, yy.
+    pub conic: [f64; 3],
+    /// Peak alpha: opacity, times `compensation` if antialiased.
+    pub opacity: f64,
+    /// What the blur takes from the peak: `sqrt(det before / det after)`.
+    pub compensation: f64,
+    /// Half extent of the box outside which alpha is below `MIN_ALPHA`, whole pixels.
+    pub radii: [u32; 2],
+    /// First and one past the last tile of that box, x and y.
+    pub tiles: [[u32; 2]; 2],
+    /// RGB seen from the camera, not clamped above.
+    pub colour: [f64; 3],
+}
+
+/// Every Gaussian's splat; `None` for those that the camera cannot see.
+pub fn project(gaussians: &Gaussians, camera: &Camera, antialiased: bool) -> Vec<Option<Splat>> {
+    (0..gaussians.means.len()).map(|i| project_one(gaussians, i, camera, antialiased)).collect()
+}
+
+fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bool) -> Option<Splat> {
+    let [fx, fy, cx, cy] = camera.intrinsics;
+    let mean = DVec3::from(gaussians.means[i]);
+    let p = camera.rotation * mean + camera.translation;
+    if !(NEAR..=FAR).contains(&p.z) {
+        return None;
+    }
+    let centre = [fx * p.x / p.z + cx, fy * p.y / p.z + cy];
+    let before = covariance_2d(gaussians, i, camera, p);
+    let [xx, xy, yy] = [before[0] + EPS_2D, before[1], before[2] + EPS_2D];
+    let determinant = xx * yy - xy * xy;
+    let compensation = ((before[0] * before[2] - xy * xy) / determinant).max(0.0).sqrt();
+    let opacity = gaussians.opacities[i] * if antialiased { compensation } else { 1.0 };
+    if opacity < MIN_ALPHA {
+        return None;
+    }
+    // Where opacity exp(-d^2 / 2) falls below MIN_ALPHA, in standard deviations.
+    let reach = (2.0 * (opacity / MIN_ALPHA).ln()).sqrt().min(3.33);
+    let radii = [xx, yy].map(|variance| (reach * variance.sqrt()).ceil());
+    let outside =
+        |axis: usize| centre[axis] + radii[axis] <= 0.0 || centre[axis] - radii[axis] >= camera.size[axis] as f64;
+    if radii == [0.0, 0.0] || outside(0) || outside(1) {
+        return None;
+    }
+    let coeffs = gaussians.sh_coeffs.len() / gaussians.means.len();
+    Some(Splat {
+        mean: centre,
+        depth: p.z,
+        conic: [yy / determinant, -xy / determinant, xx / determinant],
+        opacity,
+        compensation,
+        radii: radii.map(|r| r as u32),
+        tiles: tiles(centre, radii, camera.size),
+        colour: sh::colour(&gaussians.sh_coeffs[i * coeffs..][..coeffs], mean - camera.centre()),
+    })
+}
+
+/// The ellipse's covariance xx, xy, yy before the blur, linearised at the camera-space mean `p`, whose slope is held
+/// within 15 % of the picture's width (height) beyond its borders.
+fn covariance_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> [f64; 3] {
+    let [w, x, y, z] = gaussians.quats[i];
+    let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+    let spread = camera.rotation * axes * DMat3::from_diagonal(DVec3::from(gaussians.scales[i]));
+    let covariance = spread * spread.transpose();
+
+    let [fx, fy, cx, cy] = camera.intrinsics;
+    let held = |slope: f64, focal: f64, principal: f64, size: usize| {
+        let size = size as f64;
+        let beyond = 0.3 * 0.5 * size / focal;
+        slope.clamp(-(principal / focal + beyond), (size - principal) / focal + beyond)
+    };
+    let [tx, ty] = [held(p.x / p.z, fx, cx, camera.size[0]), held(p.y / p.z, fy, cy, camera.size[1])];
+    // Rows of the Jacobian of (fx x / z, fy y / z).
+    let u = DVec3::new(fx, 0.0, -fx * tx) / p.z;
+    let v = DVec3::new(0.0, fy, -fy * ty) / p.z;
+    [u.dot(covariance * u), u.dot(covariance * v), v.dot(covariance * v)]
+}
+
+fn tiles(centre: [f64; 2], radii: [f64; 2], size: [usize; 2]) -> [[u32; 2]; 2] {
+    let count = size.map(|pixels| (pixels as f64 / TILE).ceil());
+    let tile = |axis: usize, edge: f64| (edge / TILE).clamp(0.0, count[axis]);
+    let first = [0, 1].map(|axis| tile(axis, centre[axis] - radii[axis]).floor() as u32);
+    let end = [0, 1].map(|axis| tile(axis, centre[axis] + radii[axis]).ceil() as u32);
+    [first, end]
+}

@@ -1,0 +1,83 @@
+//! Splats to pixels: every pixel walks all splats from front to back.
+
+use rayon::prelude::*;
+
+use super::project::{Camera, Gaussians, MIN_ALPHA, Splat, project};
+
+/// No splat hides more than this of what is behind it.
+const MAX_ALPHA: f64 = 0.999;
+/// A pixel is finished before its transmittance would fall to this.
+const MIN_TRANSMITTANCE: f64 = 1e-4;
+
+/// What a camera sees, row-major.
+#[derive(Clone, Debug, Default)]
+pub struct Rendering {
+    /// `[H, W, 3]`, in front of the background.
+    pub rgb: Vec<f64>,
+    /// `[H, W]`: 1 - transmittance.
+    pub alpha: Vec<f64>,
+    /// `[H, W]` accumulated depth (D): the sum of depth times weight, world units.
+    pub depth: Vec<f64>,
+    /// `[H, W]` expected depth (ED): accumulated depth over alpha.
+    pub expected_depth: Vec<f64>,
+    /// `[H, W]`: 1 where an alpha or a transmittance is so near its threshold that f32 rounding decides.
+    pub unstable: Vec<u8>,
+}
+
+/// Renders `gaussians`; `antialiased` scales each by what the blur takes from its peak.
+pub fn render(gaussians: &Gaussians, camera: &Camera, antialiased: bool, background: [f64; 3]) -> Rendering {
+    rasterise(&project(gaussians, camera, antialiased), camera.size, background)
+}
+
+/// Blends splats, ordered by depth in f32 and then by index.
+pub fn rasterise(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3]) -> Rendering {
+    let mut order: Vec<&Splat> = splats.iter().flatten().collect();
+    order.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32)));
+    let [width, height] = size;
+    let pixels: Vec<Pixel> = (0..width * height)
+        .into_par_iter()
+        .map(|i| blend(&order, [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5]))
+        .collect();
+    let behind = |pixel: &Pixel| -> [f64; 3] {
+        std::array::from_fn(|channel| pixel.rgb[channel] + pixel.transmittance * background[channel])
+    };
+    let alpha = |pixel: &Pixel| 1.0 - pixel.transmittance;
+    Rendering {
+        rgb: pixels.iter().flat_map(behind).collect(),
+        alpha: pixels.iter().map(alpha).collect(),
+        depth: pixels.iter().map(|pixel| pixel.depth).collect(),
+        expected_depth: pixels.iter().map(|pixel| pixel.depth / alpha(pixel).max(1e-10)).collect(),
+        unstable: pixels.iter().map(|pixel| u8::from(pixel.unstable)).collect(),
+    }
+}
+
+struct Pixel {
+    rgb: [f64; 3],
+    depth: f64,
+    transmittance: f64,
+    unstable: bool,
+}
+
+fn blend(splats: &[&Splat], [x, y]: [f64; 2]) -> Pixel {
+    let mut pixel = Pixel { rgb: [0.0; 3], depth: 0.0, transmittance: 1.0, unstable: false };
+    for splat in splats {
+        let [dx, dy] = [x - splat.mean[0], y - splat.mean[1]];
+        let [xx, xy, yy] = splat.conic;
+        let sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
+        let alpha = (splat.opacity * (-sigma).exp()).min(MAX_ALPHA);
+        pixel.unstable |= (alpha / MIN_ALPHA - 1.0).abs() < 2e-4;
+        if sigma < 0.0 || alpha < MIN_ALPHA {
+            continue;
+        }
+        let transmittance = pixel.transmittance * (1.0 - alpha);
+        pixel.unstable |= (transmittance / MIN_TRANSMITTANCE - 1.0).abs() < 2e-3;
+        if transmittance <= MIN_TRANSMITTANCE {
+            break;
+        }
+        let weight = alpha * pixel.transmittance;
+        (0..3).for_each(|channel| pixel.rgb[channel] += weight * splat.colour[channel]);
+        pixel.depth += weight * splat.depth;
+        pixel.transmittance = transmittance;
+    }
+    pixel
+}

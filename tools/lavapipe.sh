@@ -1,0 +1,57 @@
+#!/usr/bin/env bash
+# Unpacks a Debian suite's lavapipe (Vulkan on the CPU), loader and validation layers under PREFIX, with every library
+# they need, the C library included. Needs no root and changes nothing outside PREFIX. About 84 MB to download, 334 MB
+# on disk. trixie-backports has Mesa 26, the only lavapipe with cooperative matrices; trixie has Mesa 25.
+# usage: tools/lavapipe.sh PREFIX [SUITE]      then: PREFIX/run PROGRAM ARGS...
+set -euo pipefail
+
+prefix=$(realpath -m "${1:?usage: tools/lavapipe.sh PREFIX [SUITE]}")
+suite=${2:-trixie-backports}
+mkdir -p "$prefix"
+exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
+[[ ! -x $prefix/run ]] || exit 0
+
+say() { echo "zipsplat: $*" >&2; }
+# shellcheck disable=SC2016 # $(REPO_URI) is apt's
+mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' |
+  awk '/\/debian(\.list)?\/?$/ { mirror = $0 } END { print mirror }')
+[[ -n $mirror ]] || { say "no Debian mirror among the apt sources to fetch a current lavapipe from"; exit 1; }
+say "unpacking lavapipe from $suite in $prefix (84 MB to download)"
+
+apt=$prefix/apt root=$prefix/root
+rm -rf "$apt" "$root"
+mkdir -p "$apt"/{lists,archives}/partial "$root"/usr/{bin,lib,lib64,sbin}
+for dir in bin lib lib64 sbin; do ln -s "usr/$dir" "$root/$dir"; done
+
+for s in trixie trixie-backports; do
+  echo "deb [arch=amd64 signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] $mirror $s main"
+done > "$apt/sources.list"
+: > "$apt/status" # nothing counts as installed: every dependency is fetched
+cat > "$apt/apt.conf" << END
+Dir::Etc::SourceList "$apt/sources.list";
+Dir::Etc::SourceParts "/dev/null";
+Dir::State::Lists "$apt/lists";
+Dir::State::Status "$apt/status";
+Dir::Cache "$apt";
+Acquire::Languages "none";
+APT::Default-Release "$suite";
+APT::Install-Recommends "false";
+APT::Sandbox::User "root";
+#clear APT::Update;
+END
+apt-get -c "$apt/apt.conf" -qq update
+apt-get -c "$apt/apt.conf" -qq --download-only install \
+  libvulkan1 mesa-vulkan-drivers vulkan-validationlayers > /dev/null
+for package in "$apt"/archives/*.deb; do dpkg-deb -x "$package" "$root"; done
+rm -r "$apt"
+
+# A newer C library than the system's only works through its own dynamic loader.
+cat > "$prefix/run.part" << 'END'
+#!/usr/bin/env bash
+root=$(dirname "$(realpath "$0")")/root
+export VK_DRIVER_FILES=$root/usr/share/vulkan/icd.d/lvp_icd.json
+export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DISABLE='~implicit~'
+exec "$root/usr/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2" --library-path "$root/usr/lib/x86_64-linux-gnu" "$@"
+END
+chmod +x "$prefix/run.part"
+mv "$prefix/run.part" "$prefix/run" # last: it marks PREFIX as complete

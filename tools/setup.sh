@@ -1,0 +1,101 @@
+#!/usr/bin/env bash
+# Chooses the Vulkan driver, installs what is missing, and exports what cargo needs to run programs on that driver.
+# demo.sh, test.sh and .ci/run source this file; on its own it runs a cargo command in the same way.
+# usage: tools/setup.sh [cargo run --release -- info]
+#   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25
+#   ZIPSPLAT_CACHE   drivers, compiled shaders and libshaderc; default ~/.cache/zipsplat
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cache=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}
+mkdir -p "$cache"
+export MESA_SHADER_CACHE_DIR="$cache/mesa" # a lavapipe kernel takes up to a second to compile
+PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
+
+say() { echo "zipsplat: $*" >&2; }
+die() { say "$@"; exit 1; }
+
+# stage NAME COMMAND...: runs COMMAND and says how long it took.
+stage() {
+  local TIMEFORMAT="zipsplat: $1 took %1R s"
+  time "${@:2}"
+}
+
+apt_install() {
+  [[ -e /etc/debian_version ]] || return 0
+  local package missing=() as_root=()
+  for package in "$@"; do
+    [[ $(dpkg-query -W -f '${db:Status-Status}' "$package" 2> /dev/null) == installed ]] || missing+=("$package")
+  done
+  [[ ${#missing[@]} != 0 ]] || return 0
+  [[ $EUID == 0 ]] || as_root=(sudo -n)
+  say "installing ${missing[*]}"
+  "${as_root[@]}" apt-get -qq update 2> /dev/null || true # a broken third-party source is no reason to stop
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+    apt-get -qq -y --no-install-recommends install "${missing[@]}" > /dev/null ||
+    { say "that failed; please run: sudo apt-get update && sudo apt-get install ${missing[*]}"; return 1; }
+}
+
+wanted_rust() { sed -n 's/^rust-version = "\(.*\)"/\1/p' "$root/Cargo.toml"; }
+
+check_rust() {
+  local wanted found
+  wanted=$(wanted_rust)
+  found=$(cargo --version 2> /dev/null | awk '{ print $2 }') || true
+  printf '%s\n' "$wanted" "${found:-0}" | sort -V -C ||
+    die "needs Rust $wanted or newer and found ${found:-none}: install it from https://rustup.rs"
+}
+
+# offers_device PATTERN: whether the Vulkan loader finds a device of at least Vulkan 1.3 whose type matches.
+offers_device() {
+  vulkaninfo --summary 2> /dev/null | awk -v type="PHYSICAL_DEVICE_TYPE_($1)" '
+    /apiVersion/ { match($0, /1\.[0-9]+/); minor = substr($0, RSTART + 2, RLENGTH - 2) + 0 }
+    $0 ~ type && minor >= 3 { found = 1 }
+    END { exit !found }'
+}
+
+find_gpu() {
+  local gpu='DISCRETE_GPU|INTEGRATED_GPU'
+  compgen -G '/dev/dri/renderD*' > /dev/null || compgen -G '/dev/nvidia[0-9]*' > /dev/null || return 1
+  apt_install libvulkan1 vulkan-tools || return 1
+  offers_device "$gpu" && return
+  if [[ -e /dev/dri ]] && apt_install mesa-vulkan-drivers && offers_device "$gpu"; then return; fi
+  say "no Vulkan 1.3 driver answers for this machine's GPU (missing, too old, or no permission to use it)"
+  return 1
+}
+
+# use_lavapipe VERSION SUITE: Debian's lavapipe unpacked in the cache; where that cannot be had, the distribution's.
+use_lavapipe() {
+  local prefix=$cache/lavapipe$1 version
+  if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
+    export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
+    say "Vulkan on the CPU: $prefix"
+    return
+  fi
+  apt_install libvulkan1 mesa-vulkan-drivers
+  version=$(dpkg-query -W -f '${Version}' mesa-vulkan-drivers)
+  dpkg --compare-versions "$version" ge 25 ||
+    die "this system's lavapipe (Mesa $version) computes wrong results: needs Mesa 25 or a GPU with a Vulkan 1.3 driver"
+  VK_DRIVER_FILES=$(compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json')
+  export VK_DRIVER_FILES
+  say "Vulkan on the CPU: Mesa $version"
+}
+
+[[ -e /etc/debian_version ]] || offers_device '.*' ||
+  die "only Debian and Ubuntu are set up automatically; here, please install Rust $(wanted_rust) or newer," \
+    "vulkaninfo (vulkan-tools), the Vulkan loader and a Vulkan 1.3 driver (the GPU's, or lavapipe of Mesa 25 on)," \
+    "and for the tests the Khronos validation layer"
+check_rust
+if [[ -e /etc/debian_version ]]; then
+  command -v cc > /dev/null || apt_install gcc libc6-dev
+  case ${ZIPSPLAT_DRIVER:-auto} in
+    auto) if find_gpu; then say "Vulkan on the GPU"; else use_lavapipe 26 trixie-backports; fi ;;
+    system) apt_install libvulkan1 ;;
+    lavapipe) use_lavapipe 26 trixie-backports ;;
+    lavapipe25) use_lavapipe 25 trixie ;;
+    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe or lavapipe25" ;;
+  esac
+fi
+
+# Run rather than sourced.
+if [[ ${BASH_SOURCE[0]} == "$0" && $# != 0 ]]; then exec "$@"; fi

@@ -1,0 +1,12 @@
+#!/usr/bin/env bash
+# Every test, on lavapipe with Vulkan validation and synchronisation validation on: a message of the layer is a failure.
+# usage: tools/test.sh [ARGS of cargo test]
+set -euo pipefail
+export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-lavapipe}
+# shellcheck source-path=SCRIPTDIR
+source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+
+# An unpacked lavapipe has its own validation layer.
+[[ -n ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} ]] || apt_install vulkan-validationlayers
+export ZIPSPLAT_VALIDATION=1 VK_LAYER_SETTINGS_PATH="$root/tests/vk_layer_settings.txt"
+stage tests cargo test --manifest-path "$root/Cargo.toml" --workspace "$@"
