@@ -4,8 +4,10 @@
 //! - [`golden`] opens the dumps of the PyTorch implementation.
 //! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
 //! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
+//! - [`scenes`] are Gaussians and cameras as the engine takes them.
 
 pub mod architectures;
 pub mod compare;
 pub mod golden;
 pub mod reference;
+pub mod scenes;

@@ -4,6 +4,8 @@
 
 mod error;
 pub mod gpu;
+pub mod ops;
+pub mod stages;
 pub mod types;
 pub mod weights;
 

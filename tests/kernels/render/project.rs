@@ -26,7 +26,7 @@ const TILE: u32 = 16;
 fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
     let mut rec = Recorder::new(device.limits());
     let pairs = scene.len() * cameras.len();
-    let kernel = Project { //
+    let kernel = Project {
         means: rec.input::<[f32; 3]>("means", scene.len()),
         scales: rec.input::<[f32; 3]>("scales", scene.len()),
         quats: rec.input::<[f32; 4]>("quats", scene.len()),
@@ -51,13 +51,10 @@ fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool
         tile: TILE,
     };
     rec.dispatch(kernel, pairs);
-    println!("{kernel:?}");
     for output in [kernel.xy_opacities, kernel.conics, kernel.colours, kernel.depths, kernel.tile_sets, kernel.indices] {
         rec.output(output);
     }
-    let plan = rec.finish().unwrap();
-    println!("{:#?}", plan.arena_map());
-    let mut run = Run::new(device, plan).unwrap();
+    let mut run = Run::new(device, rec.finish().unwrap()).unwrap();
     run.write(kernel.means, &scene.means).unwrap();
     run.write(kernel.scales, &scene.scales).unwrap();
     run.write(kernel.quats, &scene.quats).unwrap();
@@ -65,8 +62,7 @@ fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool
     run.write(kernel.sh_coeffs, &scene.sh_coeffs).unwrap();
     run.write(kernel.cameras, &cameras.iter().map(camera_rows).collect::<Vec<_>>()).unwrap();
     run.execute().unwrap();
-    println!("{:?}", run.read::<u32>(kernel.indices).unwrap());
-    if false { return panic!() } //assert_same("indices", &run.read::<u32>(kernel.indices).unwrap(), &(0..pairs as u32).collect::<Vec<_>>());
+    assert_same("indices", &run.read::<u32>(kernel.indices).unwrap(), &(0..pairs as u32).collect::<Vec<_>>());
     Projection {
         xy_opacities: run.read(kernel.xy_opacities).unwrap(),
         conics: run.read(kernel.conics).unwrap(),
