@@ -5,9 +5,11 @@
 //! - [`mod@device`] is the device that tests run on.
 //! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
 //! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
+//! - [`scenes`] are Gaussians and cameras as the engine takes them.
 
 pub mod architectures;
 pub mod compare;
 pub mod device;
 pub mod golden;
 pub mod reference;
+pub mod scenes;

@@ -1,1 +1,3 @@
-//! Tests.
+//! Pictures against truth.
+
+mod render;

@@ -1,1 +1,10 @@
-//! Tests.
+//! Kernels against references in f64 that use other algorithms, on the device that is there.
+
+mod ops {
+    mod scan;
+    mod sort;
+}
+mod render {
+    mod project;
+    mod rasterise;
+}

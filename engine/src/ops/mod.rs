@@ -7,6 +7,8 @@ mod linear;
 mod norm;
 mod parameters;
 mod rows;
+pub mod scan;
+pub mod sort;
 
 pub use attention::{Attention, Heads, Part};
 pub use block::{Block, Sequences};

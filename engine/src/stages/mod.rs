@@ -4,6 +4,7 @@ pub mod backbone;
 pub mod cluster;
 pub mod fuse;
 pub mod gaussians;
+pub mod render;
 
 use crate::gpu::{Recorder, Tensor};
 

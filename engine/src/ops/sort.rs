@@ -1,0 +1,56 @@
+//! Least significant digit radix sort of u32 keys with u32 values: stable, over the bits in use, of a number of items
+//! that only the device knows. Shares are cut for the capacity, so that no dispatch depends on that number.
+
+use super::scan::exclusive_scan;
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{
+        limits::RADIX,
+        ops::{SortCount, SortScatter},
+    },
+};
+
+/// Bits of a digit.
+const DIGIT_BITS: u32 = RADIX.ilog2();
+/// Items that a workgroup should have at least: four of each digit, so that the table of digits stays smaller.
+const SHARE: usize = 1024;
+/// Workgroups at most: the table of digits has a column for each.
+const MAX_BLOCKS: usize = 1024;
+
+/// Records the sort of the first `item_count[0]` of `capacity` keys by their lowest `bits` bits, smallest first, equal
+/// keys in their order. Returns the sorted keys and values; what was given keeps its order.
+pub fn sort_pairs(
+    rec: &mut Recorder,
+    mut keys: Tensor,
+    mut values: Tensor,
+    item_count: Tensor,
+    capacity: usize,
+    bits: u32,
+) -> (Tensor, Tensor) {
+    let blocks = capacity.div_ceil(SHARE).clamp(1, MAX_BLOCKS);
+    let table = RADIX as usize * blocks;
+    rec.scope("sort", |rec| {
+        for shift in (0..bits).step_by(DIGIT_BITS as usize) {
+            let digits = rec.tensor::<u32>("digits", table);
+            let sorted_keys = rec.tensor::<u32>("keys", capacity);
+            let sorted_values = rec.tensor::<u32>("values", capacity);
+            let (blocks, mask) = (blocks as u32, (1 << (bits - shift).min(DIGIT_BITS)) - 1);
+            rec.dispatch_groups(SortCount { keys, item_count, digit_counts: digits, shift, mask, blocks }, blocks);
+            exclusive_scan(rec, digits, table);
+            let scatter = SortScatter {
+                keys,
+                values,
+                item_count,
+                digit_offsets: digits,
+                sorted_keys,
+                sorted_values,
+                shift,
+                mask,
+                blocks,
+            };
+            rec.dispatch_groups(scatter, blocks);
+            (keys, values) = (sorted_keys, sorted_values);
+        }
+    });
+    (keys, values)
+}

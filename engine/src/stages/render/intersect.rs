@@ -1,0 +1,70 @@
+//! Ellipses to lists of Gaussians, one a tile, near to far.
+
+use super::{FrameShape, Tiling, project::Splats};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::render::{Intersect, TileCounts, TileOffsets},
+    ops::{scan::exclusive_scan, sort::sort_pairs},
+};
+
+/// The lists of all tiles, one after the other.
+pub(super) struct TileLists {
+    /// `[capacity]` pairs.
+    pub pair_indices: Tensor,
+    /// `[tiles + 1]` where each tile's list starts.
+    pub tile_offsets: Tensor,
+    /// See [`super::RenderOutputs::status`].
+    pub status: Tensor,
+}
+
+/// Bits of a depth: positive f32 order like their bits, and the sign is always 0.
+const DEPTH_BITS: u32 = 31;
+
+pub(super) fn record(
+    rec: &mut Recorder,
+    splats: &Splats,
+    shape: FrameShape,
+    tiling: Tiling,
+    capacity: usize,
+) -> TileLists {
+    let pairs = u32::try_from(splats.pairs).expect("bindings hold fewer than 2^32 words");
+    let tile_sets = splats.tile_sets;
+
+    let pair_count = rec.tensor::<u32>("pair_count", 1);
+    rec.fill(pair_count, pairs);
+    let (_, indices) = rec.scope("by_depth", |rec| {
+        sort_pairs(rec, splats.depths, splats.indices, pair_count, splats.pairs.max(1), DEPTH_BITS)
+    });
+
+    let offsets = rec.tensor::<u32>("offsets", splats.pairs + 1);
+    rec.dispatch(TileCounts { tile_sets, indices, tile_counts: offsets, pairs }, splats.pairs + 1);
+    exclusive_scan(rec, offsets, splats.pairs + 1);
+
+    let tiles = rec.tensor::<u32>("tiles", capacity);
+    let pair_indices = rec.tensor::<u32>("pair_indices", capacity);
+    let status = rec.tensor::<u32>("status", 3);
+    rec.fill(status, 0);
+    let kernel = Intersect {
+        tile_sets,
+        indices,
+        offsets,
+        tiles,
+        pair_indices,
+        status,
+        pairs,
+        camera_count: shape.cameras as u32,
+        grid: tiling.grid,
+        capacity: u32::try_from(capacity).expect("bindings hold fewer than 2^32 words"),
+    };
+    rec.dispatch(kernel, splats.pairs + 1);
+
+    let tile_count = tiling.tiles(shape);
+    let tile_bits = usize::BITS - (tile_count - 1).leading_zeros();
+    let (tiles, pair_indices) = rec.scope("by_tile", |rec| {
+        sort_pairs(rec, tiles, pair_indices, status, capacity, tile_bits)
+    });
+    let tile_offsets = rec.tensor::<u32>("tile_offsets", tile_count + 1);
+    let kernel = TileOffsets { tiles, item_count: status, tile_offsets, tile_count: tile_count as u32 };
+    rec.dispatch(kernel, tile_count + 1);
+    TileLists { pair_indices, tile_offsets, status }
+}

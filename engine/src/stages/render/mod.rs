@@ -1,0 +1,92 @@
+//! Gaussians to pictures: projection, sort by depth, intersections with tiles, sort by tile, blending front to back.
+//!
+//! Gaussians are sorted by depth first, so that the intersections, several times as many, are only sorted by tile.
+//! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
+
+mod frame;
+mod intersect;
+mod project;
+mod rasterise;
+mod renderer;
+
+use crate::gpu::{Limits, Recorder, Tensor};
+
+pub use frame::{Depth, Frame, RenderRequest};
+pub use project::{CameraRows, SceneTensors, camera_rows};
+pub use renderer::Renderer;
+
+/// The pictures of one plan: all of one size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameShape {
+    /// Pictures.
+    pub cameras: usize,
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// What [`record`] leaves on the device.
+#[derive(Clone, Copy, Debug)]
+pub struct RenderOutputs {
+    /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped), alpha and depth those asked for.
+    pub frames: Tensor,
+    /// `[3]` u32: intersections that were drawn, intersections that there are modulo 2^32, and whether that number
+    /// wrapped. The frames hold only where the first two are equal and the third is 0; see [`RenderOutputs::needed`].
+    pub status: Tensor,
+}
+
+impl RenderOutputs {
+    /// How many intersections there are, from the status that was read: draw again with at least that capacity where
+    /// it is larger than the one recorded. `None` where they are too many to count.
+    pub fn needed(status: [u32; 3]) -> Option<usize> {
+        (status[2] == 0).then_some(status[1] as usize)
+    }
+}
+
+/// Records the drawing of `scene` by `cameras` (`[shape.cameras]` of [`camera_rows`]), with room for `capacity`
+/// intersections of Gaussians with tiles.
+pub fn record(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    request: &RenderRequest,
+    capacity: usize,
+) -> RenderOutputs {
+    rec.scope("render", |rec| {
+        let tiling = Tiling::new(rec.limits(), shape);
+        let splats = project::record(rec, scene, cameras, shape, request, tiling);
+        let lists = intersect::record(rec, &splats, shape, tiling, capacity);
+        let frames = rasterise::record(rec, &splats, &lists, shape, request, tiling);
+        rec.output(frames);
+        rec.output(lists.status);
+        RenderOutputs { frames, status: lists.status }
+    })
+}
+
+/// How pictures are cut into tiles and tiles into workgroups of one subgroup.
+#[derive(Clone, Copy, Debug)]
+struct Tiling {
+    /// Pixels a side.
+    tile: u32,
+    /// Pixels of an invocation.
+    pixels: u32,
+    /// Tiles of a picture along x and y.
+    grid: [u32; 2],
+}
+
+impl Tiling {
+    /// Narrow subgroups are those of CPUs, where a pixel costs more than an intersection; on GPUs it is the other way
+    /// round. A workgroup has 64 pixels on both, or one an invocation.
+    fn new(limits: &Limits, shape: FrameShape) -> Self {
+        let tile: u32 = if limits.subgroup_size <= 16 { 8 } else { 16 };
+        let pixels = (64 / limits.subgroup_size).max(1);
+        Self { tile, pixels, grid: [shape.width.div_ceil(tile), shape.height.div_ceil(tile)] }
+    }
+
+    /// Tiles of all pictures.
+    fn tiles(&self, shape: FrameShape) -> usize {
+        shape.cameras * self.grid[0] as usize * self.grid[1] as usize
+    }
+}

@@ -1,0 +1,116 @@
+//! Gaussians to ellipses.
+
+use super::{FrameShape, RenderRequest, Tiling};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::render::Project,
+    types::Camera,
+};
+
+/// A scene on the device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneTensors {
+    /// `[len, 3]` world.
+    pub means: Tensor,
+    /// `[len, 3]` standard deviations, world.
+    pub scales: Tensor,
+    /// `[len, 4]` wxyz, of any length but zero.
+    pub quats: Tensor,
+    /// `[len]` 0 to 1.
+    pub opacities: Tensor,
+    /// `[len, (sh_degree + 1)^2, 3]`.
+    pub sh_coeffs: Tensor,
+    /// Gaussians.
+    pub len: usize,
+    /// Degree of the coefficients that there are.
+    pub sh_degree: u32,
+    /// Degree of the highest band that is not all zero: higher ones are not evaluated.
+    pub sh_degree_used: u32,
+}
+
+/// A camera as kernels read it: three rows of world-to-camera, `(fx, fy, cx, cy)` in pixels, and its centre.
+pub type CameraRows = [[f32; 4]; 5];
+
+/// Converts a camera, in f64 up to the last step.
+pub fn camera_rows(camera: &Camera) -> CameraRows {
+    let view = camera.view_matrix();
+    let (i, centre) = (&camera.intrinsics, camera.pose.translation);
+    [
+        view.row(0).as_vec4().to_array(),
+        view.row(1).as_vec4().to_array(),
+        view.row(2).as_vec4().to_array(),
+        [i.fx, i.fy, i.cx, i.cy].map(|v| v as f32),
+        centre.extend(0.0).as_vec4().to_array(),
+    ]
+}
+
+/// Every pair of a Gaussian and a camera, Gaussian-major.
+pub(super) struct Splats {
+    pub pairs: usize,
+    pub xy_opacities: Tensor,
+    pub conics: Tensor,
+    pub colours: Tensor,
+    pub depths: Tensor,
+    pub tile_sets: Tensor,
+    pub indices: Tensor,
+}
+
+/// Bindings are bounded, so a large scene is projected in several dispatches over parts of it. Parts start at multiples
+/// of so many Gaussians that every tensor's part starts at a multiple of 256 bytes.
+const PART: usize = 64;
+
+pub(super) fn record(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    request: &RenderRequest,
+    tiling: Tiling,
+) -> Splats {
+    let pairs = scene.len * shape.cameras;
+    let tensor = |rec: &mut Recorder, name, words| rec.tensor::<u32>(name, words * pairs.max(1));
+    let splats = Splats {
+        pairs,
+        xy_opacities: tensor(rec, "xy_opacities", 3),
+        conics: tensor(rec, "conics", 3),
+        colours: rec.tensor::<[f32; 3]>("colours", if request.rgb { pairs.max(1) } else { 1 }),
+        depths: tensor(rec, "depths", 1),
+        tile_sets: tensor(rec, "tile_sets", 3),
+        indices: tensor(rec, "indices", 1),
+    };
+    let stride = (scene.sh_degree as usize + 1).pow(2);
+    let largest = [16, 12 * stride, 12 * shape.cameras].into_iter().fold(0, usize::max);
+    let part = (rec.limits().max_binding_bytes as usize / largest / PART * PART).max(PART);
+    for first in (0..scene.len).step_by(part) {
+        let len = part.min(scene.len - first);
+        let pair = |tensor: Tensor, words: usize| {
+            tensor.slice::<u32>(words * first * shape.cameras, words * len * shape.cameras)
+        };
+        let kernel = Project {
+            means: scene.means.slice::<[f32; 3]>(first, len),
+            scales: scene.scales.slice::<[f32; 3]>(first, len),
+            quats: scene.quats.slice::<[f32; 4]>(first, len),
+            opacities: scene.opacities.slice::<f32>(first, len),
+            sh_coeffs: scene.sh_coeffs.slice::<[f32; 3]>(first * stride, len * stride),
+            cameras,
+            xy_opacities: pair(splats.xy_opacities, 3),
+            conics: pair(splats.conics, 3),
+            colours: if request.rgb { pair(splats.colours, 3) } else { splats.colours },
+            depths: pair(splats.depths, 1),
+            tile_sets: pair(splats.tile_sets, 3),
+            indices: pair(splats.indices, 1),
+            pairs: (len * shape.cameras) as u32,
+            first_pair: (first * shape.cameras) as u32,
+            camera_count: shape.cameras as u32,
+            width: shape.width,
+            height: shape.height,
+            colour: request.rgb,
+            sh_degree: scene.sh_degree_used,
+            sh_stride: stride as u32,
+            antialiased: request.antialiased,
+            tile: tiling.tile,
+        };
+        rec.dispatch(kernel, len * shape.cameras);
+    }
+    splats
+}

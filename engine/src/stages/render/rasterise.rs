@@ -1,0 +1,56 @@
+//! Lists of Gaussians to pictures.
+
+use super::{Depth, FrameShape, RenderRequest, Tiling, intersect::TileLists, project::Splats};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::render::Rasterise,
+};
+
+/// Rows after which a picture may be cut: then every part starts at a multiple of 256 bytes.
+const BAND: usize = 64;
+/// Operations of one Gaussian on one pixel.
+const BLEND_FLOPS: u64 = 24;
+
+pub(super) fn record(
+    rec: &mut Recorder,
+    splats: &Splats,
+    lists: &TileLists,
+    shape: FrameShape,
+    request: &RenderRequest,
+    tiling: Tiling,
+) -> Tensor {
+    let height = shape.height as usize;
+    let row = shape.width as usize * request.channels();
+    let frames = rec.tensor::<f32>("frames", shape.cameras * height * row);
+    // A frame larger than a binding is drawn in bands; several frames that are together are for the caller to split.
+    let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
+    let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
+    let runs = tiling.tile * tiling.tile / (tiling.pixels * rec.limits().subgroup_size);
+    let blends = lists.pair_indices.bytes() / 4 * u64::from(tiling.tile * tiling.tile);
+    for first in (0..height).step_by(bands) {
+        let rows = bands.min(height - first);
+        let kernel = Rasterise {
+            pair_indices: lists.pair_indices,
+            tile_offsets: lists.tile_offsets,
+            xy_opacities: splats.xy_opacities,
+            conics: splats.conics,
+            colours: splats.colours,
+            depths: splats.depths,
+            frames: frames.slice::<f32>(first * row, shape.cameras * rows * row),
+            size: [shape.width, shape.height],
+            grid: tiling.grid,
+            first_tile_row: first as u32 / tiling.tile,
+            row_count: rows as u32,
+            background: request.background,
+            colour: request.rgb,
+            alpha: request.alpha,
+            depth: request.depth.is_some(),
+            expected_depth: request.depth == Some(Depth::Expected),
+            tile: tiling.tile,
+            pixels: tiling.pixels,
+        };
+        let groups = [tiling.grid[0] * runs, (rows as u32).div_ceil(tiling.tile), shape.cameras as u32];
+        rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);
+    }
+    frames
+}

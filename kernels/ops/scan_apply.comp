@@ -1,0 +1,26 @@
+// Replaces each value by the sum of all before it: second half of a prefix sum.
+//
+// values [count], in place; sums [blocks] of the shares, from scan_reduce.
+// One workgroup owns one share of values and adds up the sums of the shares before it.
+#version 460
+#extension GL_KHR_shader_subgroup_arithmetic : require
+layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
+
+layout(set = 0, binding = 0) buffer Values { uint values[]; };
+layout(set = 0, binding = 1) readonly buffer Sums { uint sums[]; };
+layout(push_constant) uniform Push { uint count; uint blocks; };
+
+void main() {
+    uint base = 0;
+    for (uint b = gl_SubgroupInvocationID; b < group_index(); b += gl_SubgroupSize) base += sums[b];
+    base = subgroupAdd(base);
+    uvec2 range = block_range(count, blocks);
+    for (uint first = range.x; first < range.y; first += gl_SubgroupSize) {
+        uint i = first + gl_SubgroupInvocationID;
+        uint value = i < range.y ? values[i] : 0;
+        uint before = base + subgroupExclusiveAdd(value);
+        if (i < range.y) values[i] = before;
+        base += subgroupAdd(value);
+    }
+}

@@ -1,0 +1,21 @@
+// Adds up the share of values that each workgroup owns: first half of a prefix sum.
+//
+// values [count]; sums [blocks].
+// One workgroup owns one share of values, each invocation every subgroup-size-th item of it.
+// Reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009): no workgroup waits for another.
+#version 460
+#extension GL_KHR_shader_subgroup_arithmetic : require
+layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
+
+layout(set = 0, binding = 0) readonly buffer Values { uint values[]; };
+layout(set = 0, binding = 1) writeonly buffer Sums { uint sums[]; };
+layout(push_constant) uniform Push { uint count; uint blocks; };
+
+void main() {
+    uvec2 range = block_range(count, blocks);
+    uint sum = 0;
+    for (uint i = range.x + gl_SubgroupInvocationID; i < range.y; i += gl_SubgroupSize) sum += values[i];
+    sum = subgroupAdd(sum);
+    if (subgroupElect()) sums[group_index()] = sum;
+}

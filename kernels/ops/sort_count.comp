@@ -1,0 +1,26 @@
+// Counts how often each digit occurs in the share of keys that each workgroup owns: first part of a radix sort pass.
+//
+// keys [capacity], the first item_count[0] of them in use; digit_counts [256, blocks].
+// One workgroup owns one share of keys and one column of digit_counts.
+#version 460
+#extension GL_KHR_shader_subgroup_basic : require
+layout(local_size_x_id = 0) in;
+#include "shared/blocks.glsl"
+
+layout(set = 0, binding = 0) readonly buffer Keys { uint keys[]; };
+layout(set = 0, binding = 1) readonly buffer ItemCount { uint item_count[]; };
+layout(set = 0, binding = 2) writeonly buffer DigitCounts { uint digit_counts[]; };
+layout(push_constant) uniform Push { uint shift; uint mask; uint blocks; };
+
+shared uint counts[RADIX];
+
+void main() {
+    for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize) counts[d] = 0;
+    subgroupBarrier();
+    uvec2 range = block_range(item_count[0], blocks);
+    for (uint i = range.x + gl_SubgroupInvocationID; i < range.y; i += gl_SubgroupSize)
+        atomicAdd(counts[keys[i] >> shift & mask], 1);
+    subgroupBarrier();
+    for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize)
+        digit_counts[d * blocks + group_index()] = counts[d];
+}

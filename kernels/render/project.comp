@@ -1,0 +1,134 @@
+// Projects Gaussians to the image planes of several cameras and finds the tiles that each one touches.
+//
+// In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; opacities [N];
+// sh_coeffs [N, SH_STRIDE, 3]; cameras [C, 5, 4]: three rows of world-to-camera, (fx, fy, cx, cy) pixels, centre.
+// Out, for each pair of a Gaussian and a camera [N, C]: xy_opacities [3] pixels and opacity; conics [3], see below;
+// colours [3]; depths (bits of camera z); tile_sets [3]; indices of the pairs.
+// One invocation owns one pair.
+//
+// A conic (A, k, P) is the inverse covariance [[A, -Ak], [-Ak, Ak^2 + P]] completed to squares:
+// d' conic d = A (dx - k dy)^2 + P dy^2, which neither cancels for needles nor is ever negative.
+// EWA splatting (Zwicker et al. 2001) with the constants of gsplat 1.5.3.
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+layout(local_size_x = 64) in;
+#include "shared/index.glsl"
+#include "shared/spherical_harmonics.glsl"
+#include "shared/splat.glsl"
+
+layout(constant_id = 1) const bool COLOUR = true;
+layout(constant_id = 2) const uint SH_DEGREE = 0; // evaluated
+layout(constant_id = 3) const uint SH_STRIDE = 1; // coefficients that a Gaussian has
+layout(constant_id = 4) const bool ANTIALIASED = false;
+layout(constant_id = 5) const uint TILE = 16; // pixels a side
+
+layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
+layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };
+layout(set = 0, binding = 2) readonly buffer Quats { vec4 quats[]; };
+layout(set = 0, binding = 3) readonly buffer Opacities { float opacities[]; };
+layout(scalar, set = 0, binding = 4) readonly buffer ShCoeffs { vec3 sh_coeffs[]; };
+layout(set = 0, binding = 5) readonly buffer Cameras { vec4 cameras[]; };
+layout(scalar, set = 0, binding = 6) writeonly buffer XyOpacities { vec3 xy_opacities[]; };
+layout(scalar, set = 0, binding = 7) writeonly buffer Conics { vec3 conics[]; };
+layout(scalar, set = 0, binding = 8) writeonly buffer Colours { vec3 colours[]; };
+layout(set = 0, binding = 9) writeonly buffer Depths { uint depths[]; };
+layout(scalar, set = 0, binding = 10) writeonly buffer TileSets { uvec3 tile_sets[]; };
+layout(set = 0, binding = 11) writeonly buffer Indices { uint indices[]; };
+layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_count; uint width; uint height; };
+
+const float NEAR = 0.01;
+const float FAR = 1e10;
+const float BLUR = 0.3;        // pixels^2 added to both variances: a Gaussian is never thinner than a pixel
+const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 falls below ALPHA_MIN
+
+// Smallest d' conic d over the pixel centres between `from` and `to`, relative to the Gaussian's centre. The form is
+// convex with its minimum at 0, so it lies at 0 or on an edge that faces 0.
+float nearest(vec3 conic, vec2 from, vec2 to) {
+    vec2 edge = clamp(vec2(0), from, to);
+    float y = clamp(conic.x * conic.y * edge.x / (conic.x * conic.y * conic.y + conic.z), from.y, to.y);
+    float x = clamp(conic.y * edge.y, from.x, to.x);
+    vec2 e = vec2(edge.x - conic.y * y, x - conic.y * edge.y);
+    vec2 q = conic.x * e * e + conic.z * vec2(y * y, edge.y * edge.y);
+    return min(q.x, q.y);
+}
+
+// Tiles within `radii` of xy; of few tiles, those where an alpha reaches ALPHA_MIN. `reach` is the largest d' conic d
+// that does; the margin covers the rounding of d' conic d within images of 2^16 pixels a side.
+TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
+    vec2 grid = (uvec2(width, height) + TILE - 1) / TILE;
+    uvec2 first = uvec2(clamp(floor((xy - radii) / TILE), vec2(0), grid));
+    uvec2 end = uvec2(clamp(ceil((xy + radii) / TILE), vec2(0), grid));
+    TileSet tiles = TileSet(first, end - min(first, end), 0);
+    uint area = tiles.size.x * tiles.size.y;
+    if (area == 0 || area > 32) return tiles;
+    for (uint t = 0; t < area; ++t) {
+        vec2 corner = vec2(first + uvec2(t % tiles.size.x, t / tiles.size.x)) * TILE - xy;
+        if (nearest(conic, corner + 0.5, corner + TILE - 0.5) <= reach + 0.1) tiles.mask |= 1u << t;
+    }
+    if (tiles.mask == 0) tiles.size = uvec2(0);
+    return tiles;
+}
+
+mat3 rotation(vec4 wxyz) {
+    float w = wxyz.x, x = wxyz.y, y = wxyz.z, z = wxyz.w;
+    return mat3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
+                2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
+                2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y));
+}
+
+vec3 colour(uint n, vec3 direction) {
+    float basis[16];
+    spherical_harmonics(SH_DEGREE, direction, basis);
+    vec3 sum = vec3(0.5);
+    for (uint k = 0; k < (SH_DEGREE + 1) * (SH_DEGREE + 1); ++k) sum += basis[k] * sh_coeffs[n * SH_STRIDE + k];
+    return max(sum, 0);
+}
+
+// Writes what is needed to draw Gaussian n with a camera and returns its tiles: none where it is not drawn. Comparisons
+// are written so that NaN draws nothing.
+TileSet project(uint n, uint camera, uint pair) {
+    const TileSet none = TileSet(uvec2(0), uvec2(0), 0);
+    mat4x3 view = transpose(mat3x4(cameras[5 * camera], cameras[5 * camera + 1], cameras[5 * camera + 2]));
+    vec2 focal = cameras[5 * camera + 3].xy, principal = cameras[5 * camera + 3].zw;
+    vec3 p = view * vec4(means[n], 1);
+    depths[pair] = CULLED_DEPTH;
+    if (!(p.z >= NEAR && p.z <= FAR)) return none;
+
+    // Rows of J W R S, J taken where the view frustum is left by at most 30 % of half its width.
+    vec2 margin = 0.15 * vec2(width, height) / focal;
+    vec2 slope = clamp(p.xy / p.z, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
+    mat3 axes = mat3(view) * rotation(normalize(quats[n]));
+    mat3 rows = transpose(axes);
+    vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scales[n];
+    vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scales[n];
+
+    // Determinants as sums of squares (Cauchy-Binet), because ac - b^2 cancels for needles.
+    vec3 minors = cross(u, v);
+    float sharp = dot(minors, minors), trace = dot(u, u) + dot(v, v);
+    float det = sharp + BLUR * trace + BLUR * BLUR;
+    float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
+    vec3 conic = vec3(yy / det, xy / yy, 1 / yy);
+
+    float opacity = opacities[n];
+    if (ANTIALIASED) opacity *= sqrt(sharp / det);
+    if (!(opacity >= ALPHA_MIN)) return none;
+    float reach = 2 * log(255 * opacity);
+    vec2 radii = ceil(min(EXTENT_MAX, sqrt(reach)) * sqrt(vec2(xx, yy)));
+    vec2 centre = focal * p.xy / p.z + principal;
+    if (!(all(greaterThan(centre + radii, vec2(0))) && all(lessThan(centre - radii, vec2(width, height))))) return none;
+    TileSet tiles = touched(centre, radii, conic, reach);
+    if (tile_count(tiles) == 0) return none;
+
+    depths[pair] = floatBitsToUint(p.z);
+    xy_opacities[pair] = vec3(centre, opacity);
+    conics[pair] = conic;
+    if (COLOUR) colours[pair] = colour(n, normalize(means[n] - cameras[5 * camera + 4].xyz));
+    return tiles;
+}
+
+void main() {
+    uint pair = global_index();
+    if (pair >= pairs) return;
+    indices[pair] = first_pair + pair;
+    tile_sets[pair] = pack(project(pair / camera_count, pair % camera_count, pair));
+}

@@ -1,0 +1,24 @@
+// What the render kernels agree on: gsplat 1.5.3's thresholds, and the record of the tiles that a Gaussian touches,
+// which render/project writes once and the others only read.
+
+const float ALPHA_MIN = 1.0 / 255.0;      // weaker contributions are skipped
+const float ALPHA_MAX = 0.999;            // stronger ones are clamped
+const float TRANSMITTANCE_MIN = 1e-4;     // a pixel is done before it would get here
+const uint CULLED_DEPTH = 0x7f800000;     // bits of +infinity: what is not drawn sorts behind everything
+
+// All tiles of a rectangle, or, where it has at most 32, those whose bit is set (row-major).
+struct TileSet {
+    uvec2 first;
+    uvec2 size;
+    uint mask;
+};
+
+uint tile_count(TileSet tiles) { return tiles.mask != 0 ? bitCount(tiles.mask) : tiles.size.x * tiles.size.y; }
+
+uvec3 pack(TileSet tiles) {
+    return uvec3(tiles.first.x | tiles.first.y << 16, tiles.size.x | tiles.size.y << 16, tiles.mask);
+}
+
+TileSet unpack(uvec3 words) {
+    return TileSet(uvec2(words.x & 0xffff, words.x >> 16), uvec2(words.y & 0xffff, words.y >> 16), words.z);
+}

@@ -1,0 +1,131 @@
+//! Projection against the goldens' per-Gaussian projection.
+
+use zipsplat::{
+    gpu::{Device, DeviceOptions, Recorder, Run},
+    kernels::render::Project,
+    stages::render::{CameraRows, camera_rows},
+    types::{Camera, Scene},
+};
+use zipsplat_tests::{
+    compare::{Tolerance, assert_close, assert_same, columns},
+    golden::{self, Golden},
+    scenes::{golden_cameras, golden_scene},
+};
+
+/// What the kernel writes, one a pair of a Gaussian and a camera, Gaussian-major.
+struct Projection {
+    xy_opacities: Vec<[f32; 3]>,
+    conics: Vec<[f32; 3]>,
+    colours: Vec<[f32; 3]>,
+    depths: Vec<f32>,
+    tile_sets: Vec<[u32; 3]>,
+}
+
+const TILE: u32 = 16;
+
+fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
+    let mut rec = Recorder::new(device.limits());
+    let pairs = scene.len() * cameras.len();
+    let kernel = Project {
+        means: rec.input::<[f32; 3]>("means", scene.len()),
+        scales: rec.input::<[f32; 3]>("scales", scene.len()),
+        quats: rec.input::<[f32; 4]>("quats", scene.len()),
+        opacities: rec.input::<f32>("opacities", scene.len()),
+        sh_coeffs: rec.input::<[f32; 3]>("sh_coeffs", scene.sh_coeffs.len()),
+        cameras: rec.input::<CameraRows>("cameras", cameras.len()),
+        xy_opacities: rec.tensor::<[f32; 3]>("xy_opacities", pairs),
+        conics: rec.tensor::<[f32; 3]>("conics", pairs),
+        colours: rec.tensor::<[f32; 3]>("colours", pairs),
+        depths: rec.tensor::<f32>("depths", pairs),
+        tile_sets: rec.tensor::<[u32; 3]>("tile_sets", pairs),
+        indices: rec.tensor::<u32>("indices", pairs),
+        pairs: pairs as u32,
+        first_pair: 0,
+        camera_count: cameras.len() as u32,
+        width: cameras[0].intrinsics.width,
+        height: cameras[0].intrinsics.height,
+        colour: true,
+        sh_degree: scene.sh_degree,
+        sh_stride: scene.sh_coeffs_per_gaussian() as u32,
+        antialiased,
+        tile: TILE,
+    };
+    rec.dispatch(kernel, pairs);
+    for output in [kernel.xy_opacities, kernel.conics, kernel.colours, kernel.depths, kernel.tile_sets, kernel.indices] {
+        rec.output(output);
+    }
+    let mut run = Run::new(device, rec.finish().unwrap()).unwrap();
+    run.write(kernel.means, &scene.means).unwrap();
+    run.write(kernel.scales, &scene.scales).unwrap();
+    run.write(kernel.quats, &scene.quats).unwrap();
+    run.write(kernel.opacities, &scene.opacities).unwrap();
+    run.write(kernel.sh_coeffs, &scene.sh_coeffs).unwrap();
+    run.write(kernel.cameras, &cameras.iter().map(camera_rows).collect::<Vec<_>>()).unwrap();
+    run.execute().unwrap();
+    assert_same("indices", &run.read::<u32>(kernel.indices).unwrap(), &(0..pairs as u32).collect::<Vec<_>>());
+    Projection {
+        xy_opacities: run.read(kernel.xy_opacities).unwrap(),
+        conics: run.read(kernel.conics).unwrap(),
+        colours: run.read(kernel.colours).unwrap(),
+        depths: run.read(kernel.depths).unwrap(),
+        tile_sets: run.read(kernel.tile_sets).unwrap(),
+    }
+}
+
+#[test]
+fn equals_the_goldens() {
+    let device = Device::open(&DeviceOptions::default()).unwrap();
+    for file in golden::list("raster.") {
+        let Some(golden) = Golden::open(&file).filter(|g| g.has("proj/classic/ok")) else { continue };
+        let (scene, cameras) = (golden_scene(&golden), golden_cameras(&golden));
+        for mode in ["classic", "antialiased"] {
+            let got = project(&device, &scene, &cameras, mode == "antialiased");
+            compare(&golden, &format!("proj/{mode}"), &got, scene.len(), cameras.len());
+        }
+    }
+}
+
+fn compare(golden: &Golden, key: &str, got: &Projection, gaussians: usize, cameras: usize) {
+    let truth = |field: &str| golden.f64(&format!("{key}/{field}"));
+    let ok = golden.u8(&format!("{key}/ok"));
+    let seen: Vec<(usize, usize)> = (0..ok.len())
+        .filter(|&i| ok[i] != 0)
+        .map(|i| (i, i % gaussians * cameras + i / gaussians))
+        .collect();
+    let name = |field: &str| format!("{} {key}/{field}", golden.file());
+    for (i, drawn) in ok.iter().enumerate() {
+        let pair = i % gaussians * cameras + i / gaussians;
+        let visible = got.depths[pair].is_finite();
+        // A Gaussian between pixel centres touches none of the tiles that its box does.
+        assert!(!visible || *drawn != 0, "{}: {i} is drawn", name("ok"));
+        assert!(visible || *drawn == 0 || got.tile_sets[pair] == [0; 3], "{}: {i} is not drawn", name("ok"));
+    }
+    let drawn: Vec<_> = seen.into_iter().filter(|(_, pair)| got.depths[*pair].is_finite()).collect();
+    let pick = |values: &[f64], width: usize| -> Vec<f64> {
+        drawn.iter().flat_map(|(i, _)| values[i * width..][..width].to_vec()).collect()
+    };
+    let mine = |values: &[[f32; 3]]| -> Vec<f32> { drawn.iter().flat_map(|(_, pair)| values[*pair]).collect() };
+    // Pixels up to thousands from the origin: a few roundings of the largest.
+    let tolerance = Tolerance { max: 4e-6, rms: 1e-6 };
+    let xy_opacities = mine(&got.xy_opacities);
+    assert_close(&name("means2d"), &columns(&xy_opacities, 3, 0, 2), &pick(&truth("means2d"), 2), tolerance);
+    assert_close(&name("opac"), &columns(&xy_opacities, 3, 2, 3), &pick(&truth("opac"), 1), tolerance);
+    assert_close(&name("color"), &mine(&got.colours), &pick(&truth("color"), 3), tolerance);
+    let depths: Vec<f32> = drawn.iter().map(|(_, pair)| got.depths[*pair]).collect();
+    assert_close(&name("depth"), &depths, &pick(&truth("depth"), 1), tolerance);
+    let conics: Vec<f64> = mine(&got.conics)
+        .chunks_exact(3)
+        .flat_map(|c| {
+            let [a, k, p] = [c[0], c[1], c[2]].map(f64::from);
+            [a, -a * k, a * k * k + p]
+        })
+        .collect();
+    assert_close(&name("conic"), &conics, &pick(&truth("conic"), 3), Tolerance { max: 2e-5, rms: 4e-6 });
+
+    let (first, end) = (golden.u32(&format!("{key}/tmin")), golden.u32(&format!("{key}/tmax")));
+    for (i, pair) in drawn {
+        let [corner, size, _] = got.tile_sets[pair].map(|word| [word & 0xffff, word >> 16]);
+        let box_of = |c: usize| (first[2 * i + c], end[2 * i + c] - first[2 * i + c]);
+        assert_eq!([(corner[0], size[0]), (corner[1], size[1])], [box_of(0), box_of(1)], "{} of {i}", name("tiles"));
+    }
+}
