@@ -2,11 +2,12 @@
 
 use super::{Linear, Norm};
 use crate::{
-    Result,
+    Error, Result,
     gpu::{Device, Limits, Resident, ResidentLayout, Tensor},
     weights::Checkpoint,
 };
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// Where every parameter goes, and how it is packed there.
 pub struct ParameterLayout {
@@ -69,11 +70,16 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done.
+    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done and may stop it.
     ///
     /// # Errors
-    /// Where the device has too little memory, or the checkpoint cannot be read.
-    pub fn load(&self, device: &Device, checkpoint: &Checkpoint, mut progress: impl FnMut(f64)) -> Result<Resident> {
+    /// Where the device has too little memory, or the checkpoint cannot be read; [`Error::Cancelled`].
+    pub fn load(
+        &self,
+        device: &Device,
+        checkpoint: &Checkpoint,
+        mut progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Resident> {
         let resident = Resident::new(device, &self.layout)?;
         let (mut source, mut packed) = (Vec::new(), Vec::new());
         let mut done = 0;
@@ -84,7 +90,9 @@ impl ParameterLayout {
             upload.packing.pack(&source, &mut packed);
             resident.write(upload.tensor, &packed)?;
             done += upload.tensor.bytes();
-            progress(done as f64 / self.bytes() as f64);
+            if progress(done as f64 / self.bytes() as f64).is_break() {
+                return Err(Error::Cancelled);
+            }
         }
         Ok(resident)
     }

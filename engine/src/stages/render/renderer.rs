@@ -3,7 +3,7 @@
 use super::{CameraRows, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record};
 use crate::{
     Error, Result,
-    gpu::{Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     types::{Camera, Scene},
 };
 use std::sync::Arc;
@@ -101,7 +101,8 @@ impl Renderer {
         }
         let mut frames: Vec<Option<Frame>> = cameras.iter().map(|_| None).collect();
         for size in sizes {
-            let alike = (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
+            let alike =
+                (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
             let indices: Vec<usize> = alike.collect();
             let rows: Vec<CameraRows> = indices.iter().map(|&i| camera_rows(&cameras[i])).collect();
             for (index, frame) in indices.into_iter().zip(self.render_alike(&rows, size, request)?) {
@@ -111,8 +112,26 @@ impl Renderer {
         Ok(frames.into_iter().flatten().collect())
     }
 
+    /// Device time of drawing the scene that was loaded last with one camera, by kernel.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`].
+    pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
+        // Afterwards there is a plan with room for every intersection.
+        self.render_loaded(std::slice::from_ref(camera), request)?;
+        let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+        let plan = self.plan(shape, request)?;
+        plan.run.write(plan.cameras, &[camera_rows(camera)])?;
+        plan.run.profile()
+    }
+
     /// Draws cameras of one size, as many at once as there is memory for.
-    fn render_alike(&mut self, cameras: &[CameraRows], size: (u32, u32), request: &RenderRequest) -> Result<Vec<Frame>> {
+    fn render_alike(
+        &mut self,
+        cameras: &[CameraRows],
+        size: (u32, u32),
+        request: &RenderRequest,
+    ) -> Result<Vec<Frame>> {
         let mut frames = Vec::with_capacity(cameras.len());
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
