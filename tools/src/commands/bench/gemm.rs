@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
     gpu::{Device, Recorder, Run},
-    ops::{Epilogue, Linear},
+    ops::{Epilogue, Linear, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
@@ -106,13 +106,14 @@ fn on_device(
 ) -> Result<(Vec<Duration>, Vec<f32>)> {
     let mut rec = Recorder::new(device.limits());
     let input = rec.constant::<f32>("input", a.len());
-    let weight = rec.constant::<f32>("weight", b.len());
+    let packed = pack_matrix(b, inner, columns);
+    let weight = rec.constant::<f32>("weight", packed.len());
     let bias = rec.constant::<f32>("bias", columns);
     let out = Linear { weight, bias, inner, columns }.apply(&mut rec, "out", input, rows, Epilogue::default());
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     run.write(input, a)?;
-    run.write(weight, b)?;
+    run.write(weight, &packed)?;
     run.write(bias, &vec![0f32; columns])?;
     let mut times = Vec::new();
     for i in 0..warmup + repeats {
@@ -125,33 +126,18 @@ fn on_device(
     Ok((times, run.read(out)?))
 }
 
-/// `out` = `a` * `b`, all row-major.
+/// `out` [rows, columns] = `a` [rows, inner] * `b` [columns, inner] transposed.
+#[rustfmt::skip]
 fn multiply([rows, inner, columns]: [usize; 3], a: &[f32], b: &[f32], out: &mut [f32], threads: usize) {
     assert_eq!((a.len(), b.len(), out.len()), (rows * inner, inner * columns, rows * columns));
-    let (n, k) = (columns as isize, inner as isize);
+    let (out_stride, stride) = (columns as isize, inner as isize);
+    let (out, a, b) = (out.as_mut_ptr(), a.as_ptr(), b.as_ptr());
     let threads = Parallelism::Rayon(threads);
-    // SAFETY: the strides are those of row-major matrices of the lengths asserted, and `out` overlaps neither.
+    // SAFETY: strides, a column's before a row's, are those of matrices of the lengths asserted; `out` overlaps neither.
     #[allow(unsafe_code)]
     unsafe {
         gemm::gemm(
-            rows,
-            columns,
-            inner,
-            out.as_mut_ptr(),
-            1,
-            n,
-            false,
-            a.as_ptr(),
-            1,
-            k,
-            b.as_ptr(),
-            1,
-            n,
-            0.0,
-            1.0,
-            false,
-            false,
-            false,
+            rows, columns, inner, out, 1, out_stride, false, a, 1, stride, b, stride, 1, 0.0, 1.0, false, false, false,
             threads,
         );
     }
