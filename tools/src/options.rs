@@ -20,8 +20,9 @@ use zipsplat::{
   zipsplat render scene.ply --wiggle -o out/
   zipsplat info
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 3 a file or argument that cannot be used, 4 no device or too little memory,
-130 cancelled."
+Exit codes:
+  0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
+  4 no device or too little memory   130 cancelled"
 )]
 pub struct Cli {
     #[command(flatten)]
@@ -34,13 +35,13 @@ pub struct Cli {
 #[derive(Args)]
 pub struct Global {
     /// Vulkan device: its number in `zipsplat info` or a part of its name [default: the best]
-    #[arg(long, global = true, value_name = "NAME|INDEX")]
+    #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Print the result as JSON
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
     /// Print neither result nor notes nor progress, only errors; --json still prints
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, help_heading = "Options of every command")]
     pub quiet: bool,
 }
 

@@ -19,6 +19,14 @@ pub fn check_file(path: &Path) -> Result<()> {
     }
 }
 
+/// Checks that a folder can be at `path`, before anything is computed for it.
+pub fn check_folder(path: &Path) -> Result<()> {
+    if path.exists() && !path.is_dir() {
+        return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
+    }
+    Ok(())
+}
+
 /// Makes a folder for files, where there is none.
 pub fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).map_err(|error| Error::io(path, error))

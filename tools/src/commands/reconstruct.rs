@@ -25,9 +25,9 @@ use zipsplat::{
   zipsplat reconstruct photos/ --weights zipsplat.safetensors -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat.pt --variant vitg --ratio auto -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --weights zipsplat.safetensors -o scene.ply
-  zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply      (random weights: to try, not to look at)
+  zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
-At most {MAX_VIEWS} photos."))]
+seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
 pub struct Reconstruct {
     /// Photos (PNG, JPEG, WebP), or folders of them, taken in natural order of their names
     #[arg(required = true)]

@@ -85,6 +85,7 @@ fn parse_color(text: &str) -> Result<[f32; 3], String> {
 
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        outputs::check_folder(&self.output)?;
         let (scene, _) = session.stage("read scene", |_| read_ply(&self.scene))?;
         let cameras = self.cameras(session, &scene)?;
         for (i, camera) in cameras.iter().enumerate() {
@@ -100,7 +101,6 @@ impl Render {
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
         session.stage("load scene", |_| renderer.load(&scene))?;
-        outputs::make_folder(&self.output)?;
         let (small, took) = session.stage("render", |stage| self.draw(&mut renderer, &cameras, &request, stage))?;
         let columns = sheet_columns(cameras.len());
         session
@@ -151,6 +151,8 @@ impl Render {
                 stage.reach((small.len() + frames.len()) as f64 / cameras.len() as f64)?;
                 frames.extend(renderer.render_loaded(std::slice::from_ref(camera), request)?);
             }
+            // Not before there is something to put into it.
+            outputs::make_folder(&self.output)?;
             let first = small.len();
             let saved: Vec<Result<Image>> =
                 frames.par_iter().enumerate().map(|(i, frame)| self.save(first + i, frame, cameras.len())).collect();

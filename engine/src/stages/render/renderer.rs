@@ -10,6 +10,8 @@ use std::sync::Arc;
 
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
+/// Longest side of a picture: its pixels then count in 32 bits.
+const MAX_SIDE: u32 = 1 << 15;
 
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
@@ -95,6 +97,10 @@ impl Renderer {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
             let size = (camera.intrinsics.width, camera.intrinsics.height);
+            if size.0.max(size.1) > MAX_SIDE {
+                let found = format!("{} x {}", size.0, size.1);
+                return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
+            }
             if !sizes.contains(&size) {
                 sizes.push(size);
             }

@@ -40,6 +40,8 @@ pub struct Forward {
 struct Row {
     views: usize,
     tokens: usize,
+    /// Share of all tokens that these are.
+    ratio: f64,
     /// Empty for all stages.
     stage: String,
     /// Empty for all kernels.
@@ -102,6 +104,7 @@ impl Forward {
         let row = |stage: &str, kernel: &str, group: Group| Row {
             views: images.len(),
             tokens: shape.tokens,
+            ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             stage: stage.to_owned(),
             kernel: kernel.to_owned(),
             commands: group.count,

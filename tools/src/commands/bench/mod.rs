@@ -34,14 +34,17 @@ enum What {
     Render(render::Render),
 }
 
+/// Most runs of one benchmark.
+const MOST: i64 = 1_000_000;
+
 /// How often.
 #[derive(Args)]
 struct Repeats {
     /// Runs before those that count
-    #[arg(long, value_name = "N", default_value = "5")]
+    #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u32).range(..=MOST))]
     warmup: u32,
     /// Runs that count
-    #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..=MOST))]
     repeats: u32,
 }
 

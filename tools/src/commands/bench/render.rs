@@ -17,12 +17,16 @@ use zipsplat::{
     types::Scene,
 };
 
+/// As many as a host has memory for.
+const MOST_GAUSSIANS: i64 = 50_000_000;
+
 /// Time of a frame, by kernel
 #[derive(Args)]
 pub struct Render {
     /// Numbers of Gaussians
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000")]
-    gaussians: Vec<usize>,
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000",
+        value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
+    gaussians: Vec<u32>,
     /// Sizes of the picture
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "252x252")]
     size: Vec<Size>,
@@ -54,7 +58,7 @@ impl Render {
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
             for &sh_degree in &self.sh {
-                let scene = Noise(0).scene(gaussians, sh_degree);
+                let scene = Noise(0).scene(gaussians as usize, sh_degree);
                 for size in &self.size {
                     let name = format!("{gaussians} at {size}");
                     rows.extend(session.stage(&name, |stage| self.measure(&device, &scene, *size, stage))?.0);
