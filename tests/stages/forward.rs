@@ -14,7 +14,7 @@ use zipsplat_tests::golden::{self, Golden};
 fn model(config: &str) -> Model {
     let key = if config == "tiny_rect" { "tiny" } else { config };
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
-    Model::load(device(), &checkpoint, |_| ()).expect("small models fit")
+    Model::load(device(), &checkpoint, |_| std::ops::ControlFlow::Continue(())).expect("small models fit")
 }
 
 /// `in/images_u8` [views, 3, height, width] as pictures.
