@@ -135,13 +135,17 @@ impl Recorder {
 
     /// Sets every 32-bit word of a tensor.
     pub fn fill(&mut self, target: Tensor, value: u32) {
-        self.command(Operation::Fill { target, value });
+        if target.bytes > 0 {
+            self.command(Operation::Fill { target, value });
+        }
     }
 
     /// Copies `source` over `target`, which is as long.
     pub fn copy(&mut self, source: Tensor, target: Tensor) {
         assert_eq!(source.bytes, target.bytes, "copy between tensors of different length");
-        self.command(Operation::Copy { source, target });
+        if source.bytes > 0 {
+            self.command(Operation::Copy { source, target });
+        }
     }
 
     /// Lays out the arena.
