@@ -10,7 +10,7 @@ use std::ops::Range;
 const ROW_ALIGNMENT: usize = 64;
 
 /// Bytes that scratch of a row-wise step may take: large enough to fill any device, small beside the activations.
-const SCRATCH_BYTES: u64 = 256 << 20;
+pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
 
 /// Cuts `rows` so that `width` f32 a row fit into one binding and stay modest as scratch.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
