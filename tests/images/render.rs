@@ -12,13 +12,8 @@ use zipsplat_tests::{
     scenes::{camera, golden_cameras, golden_scene, random_scene},
 };
 
-const ALL: RenderRequest = RenderRequest {
-    rgb: true,
-    alpha: true,
-    depth: Some(Depth::Accumulated),
-    background: [0.0; 3],
-    antialiased: false,
-};
+const ALL: RenderRequest =
+    RenderRequest { rgb: true, alpha: true, depth: Some(Depth::Accumulated), background: [0.0; 3], antialiased: false };
 
 fn device() -> Device {
     Device::open(&DeviceOptions::default()).unwrap()
@@ -62,7 +57,8 @@ fn equals_the_goldens() {
             }
         }
         let background = <[f32; 3]>::try_from(golden.f32("bg")).unwrap();
-        let frames = renderer.render(&scene, &cameras, &RenderRequest { background, ..RenderRequest::default() }).unwrap();
+        let frames =
+            renderer.render(&scene, &cameras, &RenderRequest { background, ..RenderRequest::default() }).unwrap();
         let [colour, _] = tolerances(&file, false, Depth::Accumulated);
         compare(&golden, "v153/classic", "rgb_bg", &frames, |f| &f.rgb, colour);
     }
@@ -82,7 +78,12 @@ fn compare(
     let channels = values.len() / (frames.len() * width * frames[0].height as usize);
     let name = format!("{} {key}", golden.file());
     let unstable = golden.u8(&format!("{case}/unstable"));
-    let psnr =
-        assert_images_close(&name, Picture { values: &values, width, channels }, &golden.f32(&key), &unstable, tolerance);
+    let psnr = assert_images_close(
+        &name,
+        Picture { values: &values, width, channels },
+        &golden.f32(&key),
+        &unstable,
+        tolerance,
+    );
     println!("{name}: {psnr:.1} dB");
 }

@@ -123,7 +123,8 @@ fn more_than_the_memory_there_is_is_refused_before_it_is_touched() {
     assert_eq!(plan.arena_bytes(), count * half_gib);
     let error = Run::new(device(), plan).map(|_| ()).unwrap_err();
     let Error::Memory { needed, available, .. } = &error else { panic!("{error}") };
-    assert_eq!((*needed, *available), (count * half_gib, limits.memory_bytes));
+    // Other tests may hold some of it.
+    assert!(*needed == count * half_gib && *available <= limits.memory_bytes, "{error}");
 }
 
 #[test]

@@ -1,6 +1,9 @@
 //! The same inputs give the same bits, every run and on every opening of a device.
 
-use zipsplat::gpu::{Device, DeviceOptions};
+use crate::case::random;
+use std::ops::ControlFlow;
+use zipsplat::gpu::{Device, DeviceOptions, Progress, Recorder, Run};
+use zipsplat::kernels::ops::Add;
 use zipsplat::reconstruct::{Model, Ratio, Request};
 use zipsplat::types::{Image, Scene};
 use zipsplat::weights::Checkpoint;
@@ -23,7 +26,7 @@ fn model(device: &Device) -> Model {
 
 fn reconstruct(model: &Model) -> Scene {
     let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
-    model.reconstruct(&images(), &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene
+    model.reconstruct(&images(), &request, |_| ControlFlow::Continue(())).unwrap().scene
 }
 
 fn bits(scene: &Scene) -> Vec<u32> {
@@ -40,6 +43,34 @@ fn every_run_gives_the_same_bits() {
     assert_same("again", &bits(&reconstruct(&model_here)), &first);
     let elsewhere = Device::open(&DeviceOptions::default()).unwrap();
     assert_same("on another opening of the device", &bits(&reconstruct(&model(&elsewhere))), &first);
+}
+
+#[test]
+fn cutting_long_dispatches_changes_no_bit() {
+    // As much arithmetic as is stated here is cut into hundreds of submissions.
+    for stated in [0, 1 << 40] {
+        let device = Device::open(&DeviceOptions::default()).unwrap();
+        // A folded dispatch, and one below the fold.
+        for count in [64 * 100_000 + 1, 64 * 1000] {
+            let values = random(1, count);
+            let mut rec = Recorder::new(device.limits());
+            let (left, out) = (rec.input::<f32>("left", count), rec.tensor::<f32>("out", count));
+            let kernel = Add { left, right: left, out, count: count as u32 };
+            rec.dispatch(kernel, count).flops(stated);
+            rec.output(out);
+            let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+            run.write(left, &values).unwrap();
+            let mut submissions = 0;
+            let count_submissions = |_: Progress<'_>| {
+                submissions += 1;
+                ControlFlow::Continue(())
+            };
+            run.execute_with(count_submissions).unwrap();
+            assert_eq!(submissions > 1, stated > 0, "{submissions} submissions");
+            let doubled: Vec<f32> = values.iter().map(|x| 2.0 * x).collect();
+            assert_same(&format!("{submissions} submissions"), &run.read::<f32>(out).unwrap(), &doubled);
+        }
+    }
 }
 
 #[test]

@@ -21,7 +21,7 @@ fn module(path: &str) -> Vec<&str> {
     inside.split('/').filter(|part| *part != "mod").collect()
 }
 
-/// Paths from the crate's root that a file names.
+/// Paths from the crate's root that a file names, but for its unit tests.
 fn used(source: &Source) -> Vec<Vec<String>> {
     let own = module(&source.path);
     let absolute = |path: Vec<String>| {
@@ -30,7 +30,8 @@ fn used(source: &Source) -> Vec<Vec<String>> {
         let rest = path.iter().skip_while(|part| *part == "super" || *part == "crate");
         base.iter().map(|part| part.to_string()).chain(rest.cloned()).collect()
     };
-    paths(&tokens(&source.text), &["crate", "super"]).into_iter().map(absolute).collect()
+    let (code, _unit_tests) = source.text.split_once("#[cfg(test)]").unwrap_or((&source.text, ""));
+    paths(&tokens(code), &["crate", "super"]).into_iter().map(absolute).collect()
 }
 
 /// What is wrong with a file of `layer` naming `path`, if anything.
@@ -55,7 +56,9 @@ fn problem(own: &[&str], path: &[String], stages: &[String]) -> Option<String> {
 #[test]
 fn layers_use_only_those_before() {
     let sources = engine();
-    let stage = |source: &Source| module(&source.path).get(1).filter(|_| source.path.contains("/stages/")).map(|s| s.to_string());
+    let stage = |source: &Source| {
+        module(&source.path).get(1).filter(|_| source.path.contains("/stages/")).map(|s| s.to_string())
+    };
     let stages: Vec<String> = sources.iter().filter_map(stage).collect();
     assert!(stages.len() >= 5 && sources.len() > 30, "stages are found");
     let mut problems = Vec::new();
@@ -80,7 +83,10 @@ fn wrong_uses_are_found() {
     assert_eq!(problems("engine/src/gpu/run.rs", "use crate::{Error, ops::Linear, kernels::limits::A};"), 1);
     assert_eq!(problems("engine/src/types/scene.rs", "use crate::kernels::ops::Add; use super::Image;"), 1);
     assert_eq!(problems("engine/src/stages/fuse.rs", "use super::{ViewGrid, cluster::record};"), 1);
-    assert_eq!(problems("engine/src/stages/fuse/a.rs", "use super::super::cluster; use super::b; use crate::stages::X;"), 1);
+    assert_eq!(
+        problems("engine/src/stages/fuse/a.rs", "use super::super::cluster; use super::b; use crate::stages::X;"),
+        1
+    );
     assert_eq!(problems("engine/src/stages/mod.rs", "use crate::gpu::Tensor; use self::fuse::Fuse;"), 0);
     assert_eq!(problems("engine/src/ops/norm.rs", "fn f() { crate::stages::cluster::record() }"), 1);
 }
@@ -99,7 +105,9 @@ fn unsafe_code_is_where_it_belongs() {
         let count = tokens(&source.text).iter().filter(|token| *token == "unsafe").count();
         let allowed = match UNSAFE.iter().any(|(path, _)| *path == source.path) {
             true => 1,
-            false if ["engine/src/gpu/", "engine/src/ffi/"].iter().any(|folder| source.path.starts_with(folder)) => count,
+            false if ["engine/src/gpu/", "engine/src/ffi/"].iter().any(|folder| source.path.starts_with(folder)) => {
+                count
+            }
             false => 0,
         };
         assert_eq!(count, allowed, "unsafe in {}", source.path);

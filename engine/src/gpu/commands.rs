@@ -4,6 +4,7 @@ use super::{
     device::{Shared, lock},
     memory::{Memory, Resident},
     plan::{Command, Dispatch, Groups, Home, Operation, Plan, Tensor},
+    schedule::Piece,
 };
 use crate::{Error, Result};
 use ash::vk;
@@ -35,16 +36,6 @@ impl Range {
     fn meets(&self, other: &Range) -> bool {
         self.buffer == other.buffer && self.from < other.to && other.from < self.to
     }
-}
-
-/// Part of a command: all of it, or some of a long dispatch's workgroups.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
-    /// Index of the command in its plan.
-    pub command: usize,
-    /// First workgroup and count along each axis; unused for other operations.
-    pub base: [u32; 3],
-    pub groups: [u32; 3],
 }
 
 /// Where a plan's tensors are while it runs.

@@ -13,7 +13,7 @@ const NARROWEST: usize = SCRATCH_BYTES as usize / (4 * LINEAR_ROWS as usize * 65
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// [inner, columns] f32, columns padded to a multiple of 4.
+    /// [panels, inner, PANEL_COLUMNS] f32, the last panel padded.
     pub weight: Tensor,
     /// [columns] f32.
     pub bias: Tensor,

@@ -1,6 +1,7 @@
 //! Attention against softmax with every score held in f64.
 
 use crate::case::{Case, random};
+use zipsplat::kernels::limits::{ATTENTION_ROWS, GROUP_FOLD};
 use zipsplat::ops::{Attention, Heads, Part};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{ops::attention::attention, widen};
@@ -78,7 +79,7 @@ fn every_head_size_and_number_of_keys() {
 
 #[test]
 fn every_number_of_queries_and_sequences() {
-    for queries in [1, 7, 8, 9, 63, 64, 65, 130] {
+    for queries in [1, 7, 8, 9, 15, 16, 17, 31, 33, 65, 130] {
         for (sequences, heads) in [(1, 1), (2, 3), (5, 2)] {
             Problem::random(sequences, queries, 37, heads, 16).check("random");
         }
@@ -90,7 +91,7 @@ fn every_number_of_queries_and_sequences() {
 #[test]
 fn one_head_over_very_many_queries() {
     // More workgroups along x than a one-dimensional dispatch is folded at.
-    Problem::random(1, 8 * 32_768 + 3, 2, 1, 4).check("many queries");
+    Problem::random(1, ATTENTION_ROWS as usize * GROUP_FOLD as usize + 3, 2, 1, 4).check("many queries");
 }
 
 #[test]

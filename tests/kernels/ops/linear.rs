@@ -3,6 +3,7 @@
 use crate::case::{Case, random};
 use zipsplat::{
     gpu::Limits,
+    kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
     ops::{Activation, Epilogue, Linear},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
@@ -35,10 +36,13 @@ impl Layer {
             Activation::SwiGlu => c % 2 * (self.columns / 2) + c / 2,
             _ => c,
         };
-        let padded = self.columns.next_multiple_of(4);
-        let mut weight = vec![f32::NAN; self.inner * padded];
-        for (i, value) in weight.iter_mut().enumerate().filter(|(i, _)| i % padded < self.columns) {
-            *value = self.weight[row_from_column(i % padded) * self.inner + i / padded];
+        let panel = PANEL_COLUMNS as usize;
+        let mut weight = vec![f32::NAN; self.inner * self.columns.next_multiple_of(panel)];
+        for (i, value) in weight.iter_mut().enumerate() {
+            let (column, k) = (i / panel / self.inner * panel + i % panel, i / panel % self.inner);
+            if column < self.columns {
+                *value = self.weight[row_from_column(column) * self.inner + k];
+            }
         }
         let bias: Vec<f32> = (0..self.columns).map(|c| self.bias[row_from_column(c)]).collect();
         Linear { weight: case.input(&weight), bias: case.input(&bias), inner: self.inner, columns: self.columns }
@@ -148,5 +152,5 @@ fn rows_that_are_bound_in_parts() {
 
 #[test]
 fn rows_beyond_the_most_workgroups() {
-    check_plain(16 * 65_536 + 1, 4, 4);
+    check_plain(LINEAR_ROWS as usize * 65_536 + 1, 4, 4);
 }

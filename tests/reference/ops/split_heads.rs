@@ -27,9 +27,10 @@ pub fn split_heads(projection: &[f64], stride: usize, part: Part) -> Vec<f64> {
         x = layer_norm(&x, weight, bias, eps);
     }
     match part.positions {
-        Some(positions) => {
-            x.chunks((positions.len() * width).max(1)).flat_map(|sequence| rope(sequence, positions, part.head_dim)).collect()
-        }
+        Some(positions) => x
+            .chunks((positions.len() * width).max(1))
+            .flat_map(|sequence| rope(sequence, positions, part.head_dim))
+            .collect(),
         None => x,
     }
 }

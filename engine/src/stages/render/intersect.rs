@@ -60,9 +60,8 @@ pub(super) fn record(
 
     let tile_count = tiling.tiles(shape);
     let tile_bits = usize::BITS - (tile_count - 1).leading_zeros();
-    let (tiles, pair_indices) = rec.scope("by_tile", |rec| {
-        sort_pairs(rec, tiles, pair_indices, status, capacity, tile_bits)
-    });
+    let (tiles, pair_indices) =
+        rec.scope("by_tile", |rec| sort_pairs(rec, tiles, pair_indices, status, capacity, tile_bits));
     let tile_offsets = rec.tensor::<u32>("tile_offsets", tile_count + 1);
     let kernel = TileOffsets { tiles, item_count: status, tile_offsets, tile_count: tile_count as u32 };
     rec.dispatch(kernel, tile_count + 1);
