@@ -384,7 +384,7 @@ fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
     Ok(())
 }
 
-/// RGB8 interleaved -> [views, 3, height, width] f32 in 0..1.
+/// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.
 fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
     for image in images {

@@ -109,15 +109,13 @@ impl<'a> Encoder<'a> {
         match &command.operation {
             Operation::Dispatch(dispatch) => self.dispatch(dispatch, piece)?,
             Operation::Fill { target, value } => {
-                let range = self.bound.range(*target);
+                let (range, bytes) = (self.bound.range(*target), target.bytes.next_multiple_of(4));
                 // SAFETY: recording; the range is inside its buffer.
-                unsafe {
-                    self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, range.to - range.from, *value)
-                };
+                unsafe { self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, bytes, *value) };
             }
             Operation::Copy { source, target } => {
                 let (from, to) = (self.bound.range(*source), self.bound.range(*target));
-                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: from.to - from.from };
+                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: source.bytes };
                 // SAFETY: recording; both ranges are inside their buffers and live tensors never overlap.
                 unsafe { self.raw().cmd_copy_buffer(self.commands, from.buffer, to.buffer, &[region]) };
             }

@@ -168,13 +168,13 @@ impl Run {
         let result = self.submit_all(&mut progress);
         // Whatever is under way ends before anything it uses may change.
         let idle = self.wait(self.signalled);
+        self.forget_inputs();
         if result.is_err() {
             // A recording that was cut short is not replayed.
             self.discard_batches();
         }
         let times = result?;
         idle?;
-        self.forget_inputs();
         self.device.0.check_messages()?;
         Ok(times)
     }

@@ -22,7 +22,7 @@ struct Upload {
     packing: Packing,
 }
 
-/// How a checkpoint's [columns, inner] matrix becomes the [panels, inner, PANEL_COLUMNS] one that kernels read.
+/// How a checkpoint's `[columns, inner]` matrix becomes the `[panels, inner, PANEL_COLUMNS]` one that kernels read.
 #[derive(Clone, Copy)]
 enum Packing {
     /// As it is.
@@ -46,7 +46,7 @@ impl ParameterLayout {
         self.add(name, len, Packing::Vector)
     }
 
-    /// `NAME.weight` [columns, inner] (a convolution's kernel counts as one row an output) and `NAME.bias`.
+    /// `NAME.weight` `[columns, inner]` (a convolution's kernel counts as one row an output) and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, inner, columns, Packing::Matrix { inner, columns }, Packing::Vector)
     }
@@ -132,14 +132,14 @@ impl Packing {
     }
 }
 
-/// The matrix `weight` [columns, inner] as [`Linear::weight`] holds it.
+/// The matrix `weight` `[columns, inner]` as [`Linear::weight`] holds it.
 pub fn pack_matrix(weight: &[f32], inner: usize, columns: usize) -> Vec<f32> {
     let mut packed = Vec::new();
     Packing::Matrix { inner, columns }.pack(weight, &mut packed);
     packed
 }
 
-/// [columns, inner] -> [panels, padded inner, PANEL_COLUMNS]; column c comes from row `row_from_column(c)`.
+/// `[columns, inner]` -> `[panels, padded inner, PANEL_COLUMNS]`; column c comes from row `row_from_column(c)`.
 fn transpose(
     source: &[f32],
     inner: usize,

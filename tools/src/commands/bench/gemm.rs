@@ -95,7 +95,7 @@ impl Gemm {
     }
 }
 
-/// Device times and the product [rows, columns].
+/// Device times and the product `[rows, columns]`.
 fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],
@@ -126,7 +126,7 @@ fn on_device(
     Ok((times, run.read(out)?))
 }
 
-/// `out` [rows, columns] = `a` [rows, inner] * `b` [columns, inner] transposed.
+/// `out` `[rows, columns]` = `a` `[rows, inner]` * `b` `[columns, inner]` transposed.
 #[rustfmt::skip]
 fn multiply([rows, inner, columns]: [usize; 3], a: &[f32], b: &[f32], out: &mut [f32], threads: usize) {
     assert_eq!((a.len(), b.len(), out.len()), (rows * inner, inner * columns, rows * columns));
