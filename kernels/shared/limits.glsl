@@ -4,3 +4,4 @@ const uint LINEAR_ROWS = 16u; // Rows of a linear layer that one workgroup owns.
 const uint ATTENTION_ROWS = 8u; // Queries that one workgroup owns.
 const uint NEAREST_ROWS = 8u; // Points that one workgroup finds the nearest targets of.
 const uint RADIX = 256u; // Values of one digit of the radix sort.
+const uint TILE = 16u; // Pixels a side of the tiles that pictures are cut into.

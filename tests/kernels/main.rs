@@ -5,6 +5,7 @@ mod ops {
     mod sort;
 }
 mod render {
+    mod intersect;
     mod project;
     mod rasterise;
 }

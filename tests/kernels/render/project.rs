@@ -21,8 +21,6 @@ struct Projection {
     tile_sets: Vec<[u32; 3]>,
 }
 
-const TILE: u32 = 16;
-
 fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
     let mut rec = Recorder::new(device.limits());
     let pairs = scene.len() * cameras.len();
@@ -48,10 +46,10 @@ fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool
         sh_degree: scene.sh_degree,
         sh_stride: scene.sh_coeffs_per_gaussian() as u32,
         antialiased,
-        tile: TILE,
     };
     rec.dispatch(kernel, pairs);
-    for output in [kernel.xy_opacities, kernel.conics, kernel.colours, kernel.depths, kernel.tile_sets, kernel.indices] {
+    for output in [kernel.xy_opacities, kernel.conics, kernel.colours, kernel.depths, kernel.tile_sets, kernel.indices]
+    {
         rec.output(output);
     }
     let mut run = Run::new(device, rec.finish().unwrap()).unwrap();
@@ -88,10 +86,8 @@ fn equals_the_goldens() {
 fn compare(golden: &Golden, key: &str, got: &Projection, gaussians: usize, cameras: usize) {
     let truth = |field: &str| golden.f64(&format!("{key}/{field}"));
     let ok = golden.u8(&format!("{key}/ok"));
-    let seen: Vec<(usize, usize)> = (0..ok.len())
-        .filter(|&i| ok[i] != 0)
-        .map(|i| (i, i % gaussians * cameras + i / gaussians))
-        .collect();
+    let seen: Vec<(usize, usize)> =
+        (0..ok.len()).filter(|&i| ok[i] != 0).map(|i| (i, i % gaussians * cameras + i / gaussians)).collect();
     let name = |field: &str| format!("{} {key}/{field}", golden.file());
     for (i, drawn) in ok.iter().enumerate() {
         let pair = i % gaussians * cameras + i / gaussians;

@@ -101,7 +101,8 @@ impl Renderer {
         }
         let mut frames: Vec<Option<Frame>> = cameras.iter().map(|_| None).collect();
         for size in sizes {
-            let alike = (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
+            let alike =
+                (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
             let indices: Vec<usize> = alike.collect();
             let rows: Vec<CameraRows> = indices.iter().map(|&i| camera_rows(&cameras[i])).collect();
             for (index, frame) in indices.into_iter().zip(self.render_alike(&rows, size, request)?) {
@@ -112,7 +113,12 @@ impl Renderer {
     }
 
     /// Draws cameras of one size, as many at once as there is memory for.
-    fn render_alike(&mut self, cameras: &[CameraRows], size: (u32, u32), request: &RenderRequest) -> Result<Vec<Frame>> {
+    fn render_alike(
+        &mut self,
+        cameras: &[CameraRows],
+        size: (u32, u32),
+        request: &RenderRequest,
+    ) -> Result<Vec<Frame>> {
         let mut frames = Vec::with_capacity(cameras.len());
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
