@@ -220,7 +220,11 @@ impl Model {
         let tokens = match &request.selection {
             Selection::Given(indices) => {
                 if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
-                    return Err(Error::argument("given tokens", format!("{} indices", indices.len()), format!("at least one, all below {all}")));
+                    return Err(Error::argument(
+                        "given tokens",
+                        format!("{} indices", indices.len()),
+                        format!("at least one, all below {all}"),
+                    ));
                 }
                 indices.len()
             }
@@ -264,7 +268,8 @@ impl Model {
     ) -> Result<()> {
         let (a, grid) = (self.architecture(), shape.grid);
         run.write(tensors.inputs.images, &planar(images))?;
-        let positions = interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
+        let positions =
+            interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
         run.write(tensors.inputs.positions, &positions)?;
         for (tensor, table) in tensors.inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
             run.write(*tensor, &table)?;
@@ -297,7 +302,11 @@ impl Model {
         for (i, image) in images.iter().enumerate() {
             let size = format!("{} x {}", image.width, image.height);
             if (image.width, image.height) != (first.width, first.height) {
-                return Err(Error::argument(format!("size of view {i}"), size, format!("{width} x {height}, as view 0")));
+                return Err(Error::argument(
+                    format!("size of view {i}"),
+                    size,
+                    format!("{width} x {height}, as view 0"),
+                ));
             }
             image.validate()?;
         }

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use zipsplat::{
     Error,
-    gpu::{Device, DeviceOptions, Limits, Recorder, Run},
+    gpu::{Limits, Recorder, Run},
     stages::render::{
         CameraRows, Depth, Frame, FrameShape, RenderRequest, Renderer, SceneTensors, camera_rows, record,
     },
@@ -11,6 +11,7 @@ use zipsplat::{
 };
 use zipsplat_tests::{
     compare::{ImageTolerance, Picture, assert_images_close},
+    device::device,
     golden::{self, Golden},
     reference::render::{self as reference, project::Gaussians, rasterise::Rendering},
     scenes::{camera, golden_cameras, golden_scene, random_scene},
@@ -19,12 +20,8 @@ use zipsplat_tests::{
 const ALL: RenderRequest =
     RenderRequest { rgb: true, alpha: true, depth: Some(Depth::Accumulated), background: [0.0; 3], antialiased: false };
 
-fn device() -> Device {
-    Device::open(&DeviceOptions::default()).unwrap()
-}
-
 fn render(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Vec<Frame> {
-    Renderer::new(&device()).render(scene, cameras, request).unwrap()
+    Renderer::new(device()).render(scene, cameras, request).unwrap()
 }
 
 fn bits(frames: &[Frame]) -> Vec<Vec<u32>> {
@@ -45,7 +42,7 @@ fn tolerances(file: &str, depth: Depth) -> [ImageTolerance; 2] {
 
 #[test]
 fn equals_the_goldens() {
-    let mut renderer = Renderer::new(&device());
+    let mut renderer = Renderer::new(device());
     for file in golden::list("raster.") {
         let Some(golden) = Golden::open(&file).filter(|g| g.has("v153/classic/rgb")) else { continue };
         let (scene, cameras) = (golden_scene(&golden), golden_cameras(&golden));
@@ -102,7 +99,7 @@ fn brute_force(scene: &Scene, camera: &Camera, request: &RenderRequest) -> Rende
 
 #[test]
 fn equals_brute_force_at_every_degree_and_shape() {
-    let mut renderer = Renderer::new(&device());
+    let mut renderer = Renderer::new(device());
     // Splats from a fraction of a pixel to beyond the picture, which has pixels outside whole tiles on both sides.
     for (sh_degree, size, antialiased) in [(0, 0.01, true), (1, 0.1, false), (2, 0.5, true), (3, 3.0, false)] {
         let scene = random_scene(300, sh_degree, size);
@@ -167,7 +164,7 @@ fn equal_depths_are_drawn_in_the_order_of_gaussians() {
 fn an_overflow_is_drawn_again() {
     let (scene, cameras) = (random_scene(5_000, 1, 0.2), [camera(150, 90)]);
     let enough = bits(&render(&scene, &cameras, &ALL));
-    let mut tiny = Renderer::with_capacity(&device(), 1);
+    let mut tiny = Renderer::with_capacity(device(), 1);
     assert_eq!(bits(&tiny.render(&scene, &cameras, &ALL).unwrap()), enough);
     assert_eq!(bits(&tiny.render_loaded(&cameras, &ALL).unwrap()), enough, "the second time");
 }
@@ -175,7 +172,7 @@ fn an_overflow_is_drawn_again() {
 #[test]
 fn runs_give_the_same_bits() {
     let (scene, cameras) = (random_scene(20_000, 2, 0.1), [camera(200, 130), camera(130, 200)]);
-    let mut renderer = Renderer::new(&device());
+    let mut renderer = Renderer::new(device());
     let first = bits(&renderer.render(&scene, &cameras, &ALL).unwrap());
     for _ in 0..3 {
         assert_eq!(bits(&renderer.render_loaded(&cameras, &ALL).unwrap()), first);
@@ -226,8 +223,7 @@ fn an_empty_scene_is_background() {
 
 /// Draws through [`record`] as a device with small bindings would.
 fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u32> {
-    let device = device();
-    let mut rec = Recorder::new(&Limits { max_binding_bytes, ..device.limits().clone() });
+    let mut rec = Recorder::new(&Limits { max_binding_bytes, ..device().limits().clone() });
     let tensors = SceneTensors {
         means: rec.input::<[f32; 3]>("means", scene.len()),
         scales: rec.input::<[f32; 3]>("scales", scene.len()),
@@ -241,7 +237,7 @@ fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u3
     let cameras = rec.input::<CameraRows>("cameras", 1);
     let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
     let outputs = record(&mut rec, &tensors, cameras, shape, &ALL, 1 << 14);
-    let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
     run.write(tensors.means, &scene.means).unwrap();
     run.write(tensors.scales, &scene.scales).unwrap();
     run.write(tensors.quats, &scene.quats).unwrap();
@@ -263,7 +259,7 @@ fn small_bindings_cut_scenes_and_pictures() {
 
 #[test]
 fn what_cannot_be_drawn_is_refused() {
-    let mut renderer = Renderer::new(&device());
+    let mut renderer = Renderer::new(device());
     let scene = random_scene(10, 0, 0.1);
     let nothing = RenderRequest { rgb: false, ..RenderRequest::default() };
     let refused = [

@@ -67,7 +67,15 @@ impl Attention {
     }
 
     /// Takes a part of `projection` [rows, stride], whose first row is row `first_row` of all, into `out`.
-    pub fn split(&self, rec: &mut Recorder, projection: (Tensor, usize), first_row: usize, rows: usize, part: Part, out: Tensor) {
+    pub fn split(
+        &self,
+        rec: &mut Recorder,
+        projection: (Tensor, usize),
+        first_row: usize,
+        rows: usize,
+        part: Part,
+        out: Tensor,
+    ) {
         let sequence = if part.keys || part.scale == 0.0 { self.keys } else { self.queries };
         let (norm_weight, norm_bias, eps) =
             part.norm.map_or((projection.0, projection.0, 0.0), |n| (n.weight, n.bias, n.eps));

@@ -118,7 +118,8 @@ impl Mlp {
             };
             let activation = Epilogue { activation: self.activation, ..Epilogue::default() };
             let hidden = self.fc1.apply(rec, "hidden", normed, part.len(), activation);
-            let epilogue = Epilogue { gamma: Some(self.gamma), residual: Some(rows_of(residual)), ..Epilogue::default() };
+            let epilogue =
+                Epilogue { gamma: Some(self.gamma), residual: Some(rows_of(residual)), ..Epilogue::default() };
             self.fc2.record(rec, hidden, part.len(), rows_of(out), epilogue);
         }
     }

@@ -9,7 +9,7 @@ use crate::{
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// [inner, columns] f32, columns padded to a multiple of 4.
+    /// [panels, inner, PANEL_COLUMNS] f32, the last panel padded.
     pub weight: Tensor,
     /// [columns] f32.
     pub bias: Tensor,

@@ -4,6 +4,7 @@ use super::{Linear, Norm};
 use crate::{
     Result,
     gpu::{Device, Limits, Resident, ResidentLayout, Tensor},
+    kernels::limits::PANEL_COLUMNS,
     weights::Checkpoint,
 };
 use rayon::prelude::*;
@@ -20,12 +21,12 @@ struct Upload {
     packing: Packing,
 }
 
-/// How a checkpoint's [columns, inner] matrix becomes the [inner, columns] one that kernels read.
+/// How a checkpoint's [columns, inner] matrix becomes the [panels, inner, PANEL_COLUMNS] one that kernels read.
 #[derive(Clone, Copy)]
 enum Packing {
     /// As it is.
     Vector,
-    /// Transposed, both sides padded with zeros to multiples of 4.
+    /// Transposed panel by panel; `inner` padded with zeros to a multiple of 4, columns to whole panels.
     Matrix { inner: usize, columns: usize },
     /// As `Matrix`, its first and second half of columns alternating: gate, value, gate, value.
     GatedMatrix { inner: usize, columns: usize },
@@ -90,7 +91,7 @@ impl ParameterLayout {
     }
 
     fn matrix(&mut self, name: &str, inner: usize, columns: usize, matrix: Packing, vector: Packing) -> Linear {
-        let padded = inner.next_multiple_of(4) * columns.next_multiple_of(4);
+        let padded = inner.next_multiple_of(4) * columns.next_multiple_of(PANEL_COLUMNS as usize);
         Linear {
             weight: self.add(format!("{name}.weight"), padded, matrix),
             bias: self.add(format!("{name}.bias"), columns, vector),
@@ -123,7 +124,7 @@ impl Packing {
     }
 }
 
-/// [columns, inner] -> [padded inner, padded columns]; column c comes from row `row_from_column(c)`.
+/// [columns, inner] -> [panels, padded inner, PANEL_COLUMNS]; column c comes from row `row_from_column(c)`.
 fn transpose(
     source: &[f32],
     inner: usize,
@@ -131,11 +132,15 @@ fn transpose(
     packed: &mut Vec<f32>,
     row_from_column: impl Fn(usize) -> usize + Sync,
 ) {
-    let padded = columns.next_multiple_of(4);
-    packed.resize(inner.next_multiple_of(4) * padded, 0.0);
-    packed.par_chunks_mut(padded).take(inner).enumerate().for_each(|(k, row)| {
-        for (column, value) in row.iter_mut().take(columns).enumerate() {
-            *value = source[row_from_column(column) * inner + k];
+    const PANEL: usize = PANEL_COLUMNS as usize;
+    let padded = inner.next_multiple_of(4);
+    packed.resize(padded * columns.next_multiple_of(PANEL), 0.0);
+    packed.par_chunks_mut(padded * PANEL).enumerate().for_each(|(p, panel)| {
+        for column in p * PANEL..columns.min((p + 1) * PANEL) {
+            let row = &source[row_from_column(column) * inner..][..inner];
+            for (k, value) in row.iter().enumerate() {
+                panel[k * PANEL + column % PANEL] = *value;
+            }
         }
     });
 }

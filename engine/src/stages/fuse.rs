@@ -30,7 +30,13 @@ impl Fuse {
 
     /// Records the fusion of `layers` ([tokens, width] each, deepest first) for the `count` tokens `chosen`, or for all
     /// of them. Returns the scene tokens [count, width].
-    pub fn record(&self, rec: &mut Recorder, layers: &[Tensor], tokens: usize, chosen: Option<(Tensor, usize)>) -> Tensor {
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        layers: &[Tensor],
+        tokens: usize,
+        chosen: Option<(Tensor, usize)>,
+    ) -> Tensor {
         let count = chosen.map_or(tokens, |c| c.1);
         let pick = |rec: &mut Recorder, layer: Tensor| match chosen {
             Some((indices, count)) => gather_rows(rec, layer, tokens, indices, count, self.width),

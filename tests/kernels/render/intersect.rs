@@ -1,10 +1,10 @@
 //! Counting and listing of tiles against lists made on the host.
 
 use zipsplat::{
-    gpu::{Device, DeviceOptions, Recorder, Run},
+    gpu::{Recorder, Run},
     kernels::render::{Intersect, TileCounts, TileOffsets},
 };
-use zipsplat_tests::compare::assert_same;
+use zipsplat_tests::{compare::assert_same, device::device};
 
 const GRID: [u32; 2] = [11, 7];
 const CAMERAS: u32 = 2;
@@ -34,8 +34,7 @@ fn tiles([corner, size, mask]: [u32; 3], camera: u32) -> Vec<u32> {
 
 /// Runs the kernel alone, with these prefix sums; gives tiles, pairs and status.
 fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) -> [Vec<u32>; 3] {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
-    let mut rec = Recorder::new(device.limits());
+    let mut rec = Recorder::new(device().limits());
     let kernel = Intersect {
         tile_sets: rec.input::<[u32; 3]>("tile_sets", sets.len()),
         indices: rec.input::<u32>("indices", sets.len()),
@@ -52,7 +51,7 @@ fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) ->
     rec.dispatch(kernel, sums.len());
     let outputs = [kernel.tiles, kernel.pair_indices, kernel.status];
     outputs.into_iter().for_each(|output| rec.output(output));
-    let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
     run.write(kernel.tile_sets, sets).unwrap();
     run.write(kernel.indices, indices).unwrap();
     run.write(kernel.offsets, sums).unwrap();
@@ -85,10 +84,9 @@ fn lists_every_tile_in_depth_order() {
 
 #[test]
 fn counts_every_tile_in_depth_order() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     let sets = tile_sets(300);
     let indices: Vec<u32> = (0..300).rev().collect();
-    let mut rec = Recorder::new(device.limits());
+    let mut rec = Recorder::new(device().limits());
     let kernel = TileCounts {
         tile_sets: rec.input::<[u32; 3]>("tile_sets", sets.len()),
         indices: rec.input::<u32>("indices", sets.len()),
@@ -97,7 +95,7 @@ fn counts_every_tile_in_depth_order() {
     };
     rec.dispatch(kernel, sets.len() + 1);
     rec.output(kernel.tile_counts);
-    let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
     run.write(kernel.tile_sets, &sets).unwrap();
     run.write(kernel.indices, &indices).unwrap();
     run.execute().unwrap();
@@ -113,14 +111,13 @@ fn a_sum_that_wraps_is_noticed() {
 
 #[test]
 fn finds_where_each_tile_starts() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     for (count, tile_count) in [(0, 3), (1, 1), (1000, 1), (1000, 100), (5000, 70_000)] {
         // The items beyond `count` are not in use and hold anything.
         let mut tiles: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(2_654_435_761) % tile_count).collect();
         tiles.sort_unstable();
         let expected: Vec<u32> = (0..=tile_count).map(|t| tiles.partition_point(|&tile| tile < t) as u32).collect();
         tiles.resize(count as usize + 5, 0);
-        let mut rec = Recorder::new(device.limits());
+        let mut rec = Recorder::new(device().limits());
         let kernel = TileOffsets {
             tiles: rec.input::<u32>("tiles", tiles.len()),
             item_count: rec.input::<u32>("item_count", 1),
@@ -129,7 +126,7 @@ fn finds_where_each_tile_starts() {
         };
         rec.dispatch(kernel, expected.len());
         rec.output(kernel.tile_offsets);
-        let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
         run.write(kernel.tiles, &tiles).unwrap();
         run.write(kernel.item_count, &[count]).unwrap();
         run.execute().unwrap();

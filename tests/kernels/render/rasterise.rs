@@ -1,11 +1,12 @@
 //! Blending against brute force, from splats that the reference projected.
 
 use zipsplat::{
-    gpu::{Device, DeviceOptions, Recorder, Run},
+    gpu::{Recorder, Run},
     kernels::{limits::TILE, render::Rasterise},
 };
 use zipsplat_tests::{
     compare::{ImageTolerance, Picture, assert_images_close},
+    device::device,
     reference::render::{project::Splat, rasterise},
 };
 
@@ -34,14 +35,13 @@ fn splats() -> Vec<Splat> {
 
 #[test]
 fn equals_brute_force_for_any_number_of_runs() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     let splats = splats();
     let grid = SIZE.map(|pixels| pixels.div_ceil(TILE as usize));
     let tiles = grid[0] * grid[1];
     let truth = rasterise::rasterise(&splats.iter().copied().map(Some).collect::<Vec<_>>(), SIZE, [0.1, 0.2, 0.3]);
-    let all_runs = TILE * TILE / device.limits().subgroup_size;
+    let all_runs = TILE * TILE / device().limits().subgroup_size;
     for runs in [1, 2, all_runs] {
-        let mut rec = Recorder::new(device.limits());
+        let mut rec = Recorder::new(device().limits());
         let kernel = Rasterise {
             pair_indices: rec.input::<u32>("pair_indices", splats.len() * tiles),
             tile_offsets: rec.input::<u32>("tile_offsets", tiles + 1),
@@ -63,7 +63,7 @@ fn equals_brute_force_for_any_number_of_runs() {
         };
         rec.dispatch_groups(kernel, [grid[0] as u32 * all_runs / runs, grid[1] as u32, 1]);
         rec.output(kernel.frames);
-        let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
         let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
         run.write(kernel.pair_indices, &every).unwrap();
         run.write(kernel.tile_offsets, &(0..=tiles).map(|t| (t * splats.len()) as u32).collect::<Vec<_>>()).unwrap();
