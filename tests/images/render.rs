@@ -266,6 +266,7 @@ fn what_cannot_be_drawn_is_refused() {
         renderer.render_loaded(&[camera(4, 4)], &ALL),
         renderer.render(&scene, &[camera(4, 4)], &nothing),
         renderer.render(&scene, &[camera(4, 0)], &ALL),
+        renderer.render(&scene, &[camera(4, 1 << 17)], &ALL),
         renderer.render(&Scene { opacities: vec![2.0; 10], ..scene }, &[camera(4, 4)], &ALL),
     ];
     for result in refused {

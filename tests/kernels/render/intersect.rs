@@ -15,7 +15,7 @@ fn tile_sets(pairs: u32) -> Vec<[u32; 3]> {
         let (x, y) = (pair * 7 % GRID[0], pair * 5 % GRID[1]);
         let (width, height) = (1 + pair * 3 % (GRID[0] - x), 1 + pair % (GRID[1] - y));
         let mask = match width * height {
-            area @ 1..=32 if pair % 3 == 0 => pair.wrapping_mul(0x9e37_79b9) & u32::MAX >> (32 - area),
+            area @ 1..=32 if pair.is_multiple_of(3) => pair.wrapping_mul(0x9e37_79b9) & u32::MAX >> (32 - area),
             _ => 0,
         };
         if pair % 5 == 4 { [0; 3] } else { [x | y << 16, width | height << 16, mask] }

@@ -42,7 +42,7 @@ pub struct RenderOutputs {
 impl RenderOutputs {
     /// How many intersections there are, from the status that was read: draw again with at least that capacity where
     /// it is larger than the one recorded. `None` where they are too many to count.
-    pub fn needed(status: [u32; 3]) -> Option<usize> {
+    pub fn needed(status: &[u32]) -> Option<usize> {
         (status[2] == 0).then_some(status[1] as usize)
     }
 }

@@ -8,10 +8,9 @@ use crate::{
 
 /// Rows after which a picture may be cut: then every part starts at a multiple of 256 bytes.
 const BAND: usize = 64;
-/// Pixels of an invocation on a GPU: few, because a small picture has few tiles to fill it with.
-const GPU_RUNS: u32 = 2;
-/// Subgroups up to this size are a CPU's, where reading a Gaussian once for the whole tile counts more.
-const CPU_SUBGROUP: u32 = 16;
+/// Pixels of a workgroup on a GPU: few, because a small picture has few tiles to fill it with. A CPU's workgroup takes
+/// the whole tile and reads each Gaussian once.
+const GPU_PIXELS: u32 = 64;
 /// Operations of one Gaussian on one pixel.
 const BLEND_FLOPS: u64 = 24;
 
@@ -28,8 +27,9 @@ pub(super) fn record(
     // A frame larger than a binding is drawn in bands; several frames that are together are for the caller to split.
     let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
     let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
-    let all_runs = TILE * TILE / rec.limits().subgroup_size;
-    let runs = if rec.limits().subgroup_size <= CPU_SUBGROUP { all_runs } else { GPU_RUNS };
+    let lanes = rec.limits().subgroup_size;
+    let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
+    let groups_a_tile = TILE * TILE / (lanes * runs);
     let blends = lists.pair_indices.bytes() / 4 * u64::from(TILE * TILE);
     for first in (0..height).step_by(bands) {
         let rows = bands.min(height - first);
@@ -52,7 +52,7 @@ pub(super) fn record(
             expected_depth: request.depth == Some(Depth::Expected),
             runs,
         };
-        let groups = [shape.grid()[0] * all_runs / runs, (rows as u32).div_ceil(TILE), shape.cameras as u32];
+        let groups = [shape.grid()[0] * groups_a_tile, (rows as u32).div_ceil(TILE), shape.cameras as u32];
         rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);
     }
     frames
