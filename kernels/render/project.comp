@@ -20,7 +20,6 @@ layout(constant_id = 1) const bool COLOUR = true;
 layout(constant_id = 2) const uint SH_DEGREE = 0; // evaluated
 layout(constant_id = 3) const uint SH_STRIDE = 1; // coefficients that a Gaussian has
 layout(constant_id = 4) const bool ANTIALIASED = false;
-layout(constant_id = 5) const uint TILE = 16; // pixels a side
 
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
 layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };

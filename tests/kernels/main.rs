@@ -29,6 +29,7 @@ mod ops {
     mod split_heads;
 }
 mod render {
+    mod intersect;
     mod project;
     mod rasterise;
 }
