@@ -5,20 +5,21 @@ use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, with the name that they share.
-const STEPS: [(&str, &str); 7] = [
+const STEPS: [(&str, &str); 6] = [
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
-    // The lists of intersections are right where the pictures drawn from them are.
-    ("render/intersect", "render/rasterise"),
-    ("render/tile_counts", "render/rasterise"),
-    ("render/tile_offsets", "render/rasterise"),
+    ("render/tile_counts", "render/intersect"),
+    ("render/tile_offsets", "render/intersect"),
 ];
 
 /// Names without a reference of ours, and what takes its place.
-const WITHOUT_REFERENCE: [(&str, &str); 2] =
-    [("ops/scan", "a running sum on the host"), ("ops/sort", "the stable sort of the standard library")];
+const WITHOUT_REFERENCE: [(&str, &str); 3] = [
+    ("ops/scan", "a running sum on the host"),
+    ("ops/sort", "the stable sort of the standard library"),
+    ("render/intersect", "lists made on the host, and the pictures drawn from them"),
+];
 
 /// Relative names of the files of one kind below a folder: `ops/add`.
 fn names(folder: &str, ext: &str) -> BTreeSet<String> {
