@@ -4,6 +4,7 @@ use super::{
     device::{Shared, lock},
     memory::{Memory, Resident},
     plan::{Command, Dispatch, Groups, Home, Operation, Plan, Tensor},
+    schedule::Piece,
 };
 use crate::{Error, Result};
 use ash::vk;
@@ -35,16 +36,6 @@ impl Range {
     fn meets(&self, other: &Range) -> bool {
         self.buffer == other.buffer && self.from < other.to && other.from < self.to
     }
-}
-
-/// Part of a command: all of it, or some of a long dispatch's workgroups.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
-    /// Index of the command in its plan.
-    pub command: usize,
-    /// First workgroup and count along each axis; unused for other operations.
-    pub base: [u32; 3],
-    pub groups: [u32; 3],
 }
 
 /// Where a plan's tensors are while it runs.
@@ -118,15 +109,13 @@ impl<'a> Encoder<'a> {
         match &command.operation {
             Operation::Dispatch(dispatch) => self.dispatch(dispatch, piece)?,
             Operation::Fill { target, value } => {
-                let range = self.bound.range(*target);
+                let (range, bytes) = (self.bound.range(*target), target.bytes.next_multiple_of(4));
                 // SAFETY: recording; the range is inside its buffer.
-                unsafe {
-                    self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, range.to - range.from, *value)
-                };
+                unsafe { self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, bytes, *value) };
             }
             Operation::Copy { source, target } => {
                 let (from, to) = (self.bound.range(*source), self.bound.range(*target));
-                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: from.to - from.from };
+                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: source.bytes };
                 // SAFETY: recording; both ranges are inside their buffers and live tensors never overlap.
                 unsafe { self.raw().cmd_copy_buffer(self.commands, from.buffer, to.buffer, &[region]) };
             }

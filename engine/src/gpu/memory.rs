@@ -13,7 +13,7 @@ use gpu_allocator::{
     MemoryLocation,
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, atomic::Ordering};
 
 /// Bytes that go through host-visible memory at a time where the device's own is not.
 const STAGING_BYTES: u64 = 16 << 20;
@@ -38,8 +38,9 @@ impl Memory {
     pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
         let shared = device.0.clone();
         let needed: u64 = sizes.iter().sum();
-        if needed > shared.limits.memory_bytes {
-            return Err(Error::Memory { what: what.into(), needed, available: shared.limits.memory_bytes });
+        let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
+        if needed > available {
+            return Err(Error::Memory { what: what.into(), needed, available });
         }
         let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
         for &bytes in sizes {
@@ -128,6 +129,7 @@ impl Block {
             || Error::Memory { what: what.into(), needed: bytes, available: shared.limits.memory_bytes.min(bytes - 1) };
         // SAFETY: a plain buffer; freed in `free`.
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| too_little())?;
+        shared.allocated.fetch_add(bytes, Ordering::Relaxed);
         let mut block = Self { buffer, allocation: None, bytes, mapped: false };
         // SAFETY: the buffer was just made on this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
@@ -163,6 +165,7 @@ impl Block {
     }
 
     fn free(self, shared: &Shared) {
+        shared.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
         // SAFETY: users wait for their submissions before they drop their memory.
         unsafe { shared.raw.destroy_buffer(self.buffer, None) };
         if let Some(allocation) = self.allocation {

@@ -26,7 +26,7 @@ pub(super) struct Mlp {
     activation: Activation,
 }
 
-/// How the tokens of a residual stream [sequences * tokens, width] attend to each other.
+/// How the tokens of a residual stream `[sequences * tokens, width]` attend to each other.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
     /// Sequences that do not see each other.
@@ -56,7 +56,7 @@ impl Block {
         }
     }
 
-    /// Runs the block on `x` [count * tokens, width] in place.
+    /// Runs the block on `x` `[count * tokens, width]` in place.
     pub fn record(&self, rec: &mut Recorder, x: Tensor, sequences: Sequences) {
         let width = self.heads.width();
         let rows = sequences.count * sequences.tokens;
@@ -107,7 +107,7 @@ impl Mlp {
         Self { norm, fc1, fc2, gamma, activation }
     }
 
-    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all [rows, width].
+    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all `[rows, width]`.
     pub fn record(&self, rec: &mut Recorder, residual: Tensor, addend: Option<Tensor>, out: Tensor, rows: usize) {
         let width = self.norm.width;
         for part in row_chunks(rec, rows, self.fc1.columns) {

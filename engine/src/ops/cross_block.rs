@@ -42,7 +42,7 @@ impl CrossBlock {
         }
     }
 
-    /// The two residuals d1 + d2 of `queries` [count, width] looking at `keys` [key_count, width]: d1 = gamma1 *
+    /// The two residuals d1 + d2 of `queries` `[count, width]` looking at `keys` `[key_count, width]`: d1 = gamma1 *
     /// attention, d2 = gamma2 * mlp(norm(queries + d1)).
     pub fn record(&self, rec: &mut Recorder, queries: (Tensor, usize), keys: (Tensor, usize)) -> Tensor {
         let width = self.heads.width();

@@ -10,7 +10,7 @@ use std::ops::Range;
 const ROW_ALIGNMENT: usize = 64;
 
 /// Bytes that scratch of a row-wise step may take: large enough to fill any device, small beside the activations.
-const SCRATCH_BYTES: u64 = 256 << 20;
+pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
 
 /// Cuts `rows` so that `width` f32 a row fit into one binding and stay modest as scratch.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
@@ -19,7 +19,7 @@ pub(crate) fn row_chunks(rec: &Recorder, rows: usize, width: usize) -> impl Iter
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))
 }
 
-/// `target` [len] += `other` [len].
+/// `target` `[len]` += `other` `[len]`.
 pub fn add(rec: &mut Recorder, target: Tensor, other: Tensor, len: usize) {
     for part in row_chunks(rec, len, 1) {
         let left = target.slice::<f32>(part.start, part.len());
@@ -53,7 +53,7 @@ pub fn gather_rows(
     out
 }
 
-/// [rows, a] and [rows, b] side by side as [rows, a + b].
+/// `[rows, a]` and `[rows, b]` side by side as `[rows, a + b]`.
 pub fn join_columns(rec: &mut Recorder, rows: usize, parts: [(Tensor, usize); 2]) -> Tensor {
     let out_width = parts[0].1 + parts[1].1;
     let out = rec.tensor::<f32>("joined", rows * out_width);

@@ -25,15 +25,15 @@ pub struct Gaussians {
 pub struct GaussianTensors {
     /// N.
     pub count: usize,
-    /// [N, 3] f32.
+    /// `[N, 3]` f32.
     pub means: Tensor,
-    /// [N, 3] f32, standard deviations.
+    /// `[N, 3]` f32, standard deviations.
     pub scales: Tensor,
-    /// [N, 4] f32, wxyz.
+    /// `[N, 4]` f32, wxyz.
     pub quats: Tensor,
     /// [N] f32, 0..1.
     pub opacities: Tensor,
-    /// [N, (degree + 1)^2, 3] f32.
+    /// `[N, (degree + 1)^2, 3]` f32.
     pub sh_coeffs: Tensor,
 }
 
@@ -55,7 +55,7 @@ impl Gaussians {
         }
     }
 
-    /// Records the head for scene tokens [count, width] that stand for the tokens `chosen` (all, where `None`) of
+    /// Records the head for scene tokens `[count, width]` that stand for the tokens `chosen` (all, where `None`) of
     /// `images`.
     pub fn record(
         &self,
@@ -101,7 +101,7 @@ impl Gaussians {
     }
 }
 
-/// Activates `raw` [count, 11 + 3 (sh_degree + 1)^2].
+/// Activates `raw` `[count, 11 + 3 (sh_degree + 1)^2]`.
 pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize) -> GaussianTensors {
     let bases = (sh_degree + 1) * (sh_degree + 1);
     let tensors = GaussianTensors {

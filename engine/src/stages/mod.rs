@@ -38,7 +38,7 @@ impl ViewGrid {
     }
 }
 
-/// Every patch embedded by a convolution whose stride is its size: [tokens, width].
+/// Every patch embedded by a convolution whose stride is its size: `[tokens, width]`.
 fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &crate::ops::Linear) -> Tensor {
     let values = 3 * grid.patch * grid.patch;
     let out = rec.tensor::<f32>("embedded", grid.tokens() * linear.columns);

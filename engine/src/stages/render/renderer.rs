@@ -3,15 +3,15 @@
 use super::{CameraRows, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record};
 use crate::{
     Error, Result,
-    gpu::{Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     types::{Camera, Scene},
 };
 use std::sync::Arc;
 
-/// Largest picture: the margins for rounding in the kernels hold for it.
-const MAX_SIDE: u32 = 1 << 16;
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
+/// Longest side of a picture: its pixels then count in 32 bits.
+const MAX_SIDE: u32 = 1 << 15;
 
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
@@ -98,8 +98,8 @@ impl Renderer {
             camera.validate(&format!("camera {i}"))?;
             let size = (camera.intrinsics.width, camera.intrinsics.height);
             if size.0.max(size.1) > MAX_SIDE {
-                let expected = format!("at most {MAX_SIDE} pixels a side");
-                return Err(Error::argument(format!("camera {i}, size"), format!("{}x{}", size.0, size.1), expected));
+                let found = format!("{} x {}", size.0, size.1);
+                return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
             }
             if !sizes.contains(&size) {
                 sizes.push(size);
@@ -116,6 +116,19 @@ impl Renderer {
             }
         }
         Ok(frames.into_iter().flatten().collect())
+    }
+
+    /// Device time of drawing the scene that was loaded last with one camera, by kernel.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`].
+    pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
+        // Afterwards there is a plan with room for every intersection.
+        self.render_loaded(std::slice::from_ref(camera), request)?;
+        let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+        let plan = self.plan(shape, request)?;
+        plan.run.write(plan.cameras, &[camera_rows(camera)])?;
+        plan.run.profile()
     }
 
     /// Draws cameras of one size, as many at once as there is memory for.

@@ -1,0 +1,90 @@
+//! The same inputs give the same bits, every run and on every opening of a device.
+
+use crate::case::random;
+use std::ops::ControlFlow;
+use zipsplat::gpu::{Device, DeviceOptions, Progress, Recorder, Run};
+use zipsplat::kernels::ops::Add;
+use zipsplat::reconstruct::{Model, Ratio, Request};
+use zipsplat::types::{Image, Scene};
+use zipsplat::weights::Checkpoint;
+use zipsplat_tests::{architectures, compare::assert_same, device::device};
+
+/// Two views of 4 x 5 patches of noise.
+fn images() -> Vec<Image> {
+    let (width, height) = (5 * 14, 4 * 14);
+    let view = |seed: u32| {
+        let rgb = (0..3 * width * height).map(|i| ((i + seed).wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        Image::new(width, height, rgb).unwrap()
+    };
+    vec![view(1), view(1 << 20)]
+}
+
+fn model(device: &Device) -> Model {
+    let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
+    Model::load(device, &checkpoint, |_| ()).unwrap()
+}
+
+fn reconstruct(model: &Model) -> Scene {
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    model.reconstruct(&images(), &request, |_| ControlFlow::Continue(())).unwrap().scene
+}
+
+fn bits(scene: &Scene) -> Vec<u32> {
+    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
+    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
+    fields.flatten().map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn every_run_gives_the_same_bits() {
+    let model_here = model(device());
+    let first = bits(&reconstruct(&model_here));
+    assert!(!first.is_empty());
+    assert_same("again", &bits(&reconstruct(&model_here)), &first);
+    let elsewhere = Device::open(&DeviceOptions::default()).unwrap();
+    assert_same("on another opening of the device", &bits(&reconstruct(&model(&elsewhere))), &first);
+}
+
+#[test]
+fn cutting_long_dispatches_changes_no_bit() {
+    // As much arithmetic as is stated here is cut into hundreds of submissions.
+    for stated in [0, 1 << 40] {
+        let device = Device::open(&DeviceOptions::default()).unwrap();
+        // A folded dispatch, and one below the fold.
+        for count in [64 * 100_000 + 1, 64 * 1000] {
+            let values = random(1, count);
+            let mut rec = Recorder::new(device.limits());
+            let (left, out) = (rec.input::<f32>("left", count), rec.tensor::<f32>("out", count));
+            let kernel = Add { left, right: left, out, count: count as u32 };
+            rec.dispatch(kernel, count).flops(stated);
+            rec.output(out);
+            let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+            run.write(left, &values).unwrap();
+            let mut submissions = 0;
+            let count_submissions = |_: Progress<'_>| {
+                submissions += 1;
+                ControlFlow::Continue(())
+            };
+            run.execute_with(count_submissions).unwrap();
+            assert_eq!(submissions > 1, stated > 0, "{submissions} submissions");
+            let doubled: Vec<f32> = values.iter().map(|x| 2.0 * x).collect();
+            assert_same(&format!("{submissions} submissions"), &run.read::<f32>(out).unwrap(), &doubled);
+        }
+    }
+}
+
+#[test]
+fn observing_changes_no_bit() {
+    let model = model(device());
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let shape = model.shape(&images(), &request).unwrap();
+    let run = |observe: bool| {
+        let (plan, tensors) = model.record(shape, observe).unwrap();
+        let mut run = model.run(plan).unwrap();
+        model.write_inputs(&mut run, &tensors, shape, &images(), &request).unwrap();
+        run.execute().unwrap();
+        assert_eq!(run.observed().is_empty(), !observe);
+        tensors.read(&run, model.architecture().sh_degree as u32).unwrap()
+    };
+    assert_same("observed", &bits(&run(true)), &bits(&run(false)));
+}
