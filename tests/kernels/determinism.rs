@@ -21,7 +21,7 @@ fn images() -> Vec<Image> {
 
 fn model(device: &Device) -> Model {
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
-    Model::load(device, &checkpoint, |_| ()).unwrap()
+    Model::load(device, &checkpoint, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn reconstruct(model: &Model) -> Scene {

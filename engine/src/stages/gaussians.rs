@@ -31,7 +31,7 @@ pub struct GaussianTensors {
     pub scales: Tensor,
     /// `[N, 4]` f32, wxyz.
     pub quats: Tensor,
-    /// [N] f32, 0..1.
+    /// `[N]` f32, 0..1.
     pub opacities: Tensor,
     /// `[N, (degree + 1)^2, 3]` f32.
     pub sh_coeffs: Tensor,
