@@ -52,7 +52,7 @@ float nearest(vec3 conic, vec2 from, vec2 to) {
 }
 
 // Tiles within `radii` of xy; of few tiles, those where an alpha reaches ALPHA_MIN. `reach` is the largest d' conic d
-// that does; the margin covers the rounding of d' conic d within images of 2^16 pixels a side.
+// that does; the margin covers the rounding of d' conic d within images of 2^15 pixels a side.
 TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
     vec2 grid = (uvec2(width, height) + TILE - 1) / TILE;
     uvec2 first = uvec2(clamp(floor((xy - radii) / TILE), vec2(0), grid));

@@ -18,7 +18,7 @@ const STEPS: [(&str, &str); 6] = [
 const WITHOUT_REFERENCE: [(&str, &str); 3] = [
     ("ops/scan", "a running sum on the host"),
     ("ops/sort", "the stable sort of the standard library"),
-    ("render/intersect", "lists made on the host, and the pictures drawn from them"),
+    ("render/intersect", "lists made on the host"),
 ];
 
 /// Relative names of the files of one kind below a folder: `ops/add`.
