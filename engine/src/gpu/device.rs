@@ -20,12 +20,15 @@ pub struct DeviceOptions {
     pub selector: Option<String>,
     /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run.
     pub validation: bool,
+    /// Binds at most so many bytes at once, as a device with a smaller limit would have it.
+    pub max_binding_bytes: Option<u64>,
 }
 
 impl Default for DeviceOptions {
     /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1.
     fn default() -> Self {
-        Self { selector: None, validation: std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1") }
+        let validation = std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1");
+        Self { selector: None, validation, max_binding_bytes: None }
     }
 }
 
@@ -95,7 +98,7 @@ impl Device {
             return Err(Error::NoDevice(why.join("; ")));
         };
         let physical = *physical;
-        Shared::new(instance, physical).map(|s| Self(Arc::new(s)))
+        Shared::new(instance, physical, options.max_binding_bytes).map(|s| Self(Arc::new(s)))
     }
 
     /// What the device is and can do.
@@ -105,8 +108,9 @@ impl Device {
 }
 
 impl Shared {
-    fn new(instance: Instance, physical: vk::PhysicalDevice) -> Result<Self> {
-        let (limits, found) = probe(&instance.raw, physical);
+    fn new(instance: Instance, physical: vk::PhysicalDevice, max_binding_bytes: Option<u64>) -> Result<Self> {
+        let (mut limits, found) = probe(&instance.raw, physical);
+        limits.max_binding_bytes = limits.max_binding_bytes.min(max_binding_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let extensions = [khr::push_descriptor::NAME.as_ptr()];

@@ -65,7 +65,7 @@ impl Linear {
         assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");
         let out_columns = self.out_columns(epilogue.activation);
         let lanes = rec.limits().subgroup_size as usize;
-        for part in row_chunks(rec, rows, self.inner.max(out_columns).max(NARROWEST)) {
+        for part in row_chunks(rec, rows, &[self.inner, out_columns, NARROWEST]) {
             let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
             let out = rows_of(out, out_columns);
             let kernel = ops::Linear {

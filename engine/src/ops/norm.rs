@@ -61,7 +61,7 @@ impl Norm {
         // Cut at whole views where a view has a row more in the input than in the output.
         let view = rows.patches.max(1);
         let extra = rows.patches.min(1);
-        for part in row_chunks(rec, count / view, view.max(1) * stride + extra * width) {
+        for part in row_chunks(rec, count / view, &[(view + extra) * width, view * width, view * stride]) {
             let (first, last) = (part.start * view, part.end * view);
             let (first_in, last_in) = (part.start * (view + extra), part.end * (view + extra));
             let kernel = ops::LayerNorm {

@@ -44,7 +44,7 @@ fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &cr
     let out = rec.tensor::<f32>("embedded", grid.tokens() * linear.columns);
     // Padded columns of the weight are zero, but an unwritten 0 * NaN would not be.
     assert_eq!(values, linear.inner, "patches of whole vec4");
-    for part in crate::ops::row_chunks(rec, grid.views, grid.patches() * values.max(linear.columns)) {
+    for part in crate::ops::row_chunks(rec, grid.views, &[grid.patches() * values, grid.patches() * linear.columns]) {
         let view = values * grid.patches();
         let tokens = part.len() * grid.patches();
         let patches = rec.tensor::<f32>("patches", tokens * values);
