@@ -46,6 +46,13 @@ fn every_run_gives_the_same_bits() {
 }
 
 #[test]
+fn staging_changes_no_bit() {
+    let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
+    let mapped = bits(&reconstruct(&model(device()), 2, 0.5));
+    assert_same("through staging memory", &bits(&reconstruct(&model(&staged), 2, 0.5)), &mapped);
+}
+
+#[test]
 fn binding_parts_of_tensors_changes_no_bit() {
     // Just above the largest weight, far below the pictures, the hidden layers and the head's output.
     let narrow = DeviceOptions { max_binding_bytes: Some(200 << 10), ..DeviceOptions::default() };

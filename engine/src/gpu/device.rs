@@ -22,13 +22,15 @@ pub struct DeviceOptions {
     pub validation: bool,
     /// Binds at most so many bytes at once, as a device with a smaller limit would have it.
     pub max_binding_bytes: Option<u64>,
+    /// Moves bytes through staging memory also where the host sees the device's own, as a discrete GPU has it.
+    pub staged: bool,
 }
 
 impl Default for DeviceOptions {
     /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1.
     fn default() -> Self {
         let validation = std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1");
-        Self { selector: None, validation, max_binding_bytes: None }
+        Self { selector: None, validation, max_binding_bytes: None, staged: false }
     }
 }
 
@@ -48,6 +50,8 @@ pub(super) struct Shared {
     pub allocated: AtomicU64,
     /// Arithmetic per millisecond seen so far, for splitting long plans.
     pub flops_per_ms: AtomicU64,
+    /// See [`DeviceOptions::staged`].
+    pub staged: bool,
     subgroup_control: bool,
     pipelines: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
     layouts: Mutex<HashMap<&'static str, Layout>>,
@@ -98,7 +102,7 @@ impl Device {
             return Err(Error::NoDevice(why.join("; ")));
         };
         let physical = *physical;
-        Shared::new(instance, physical, options.max_binding_bytes).map(|s| Self(Arc::new(s)))
+        Shared::new(instance, physical, options).map(|s| Self(Arc::new(s)))
     }
 
     /// What the device is and can do.
@@ -108,9 +112,9 @@ impl Device {
 }
 
 impl Shared {
-    fn new(instance: Instance, physical: vk::PhysicalDevice, max_binding_bytes: Option<u64>) -> Result<Self> {
+    fn new(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
         let (mut limits, found) = probe(&instance.raw, physical);
-        limits.max_binding_bytes = limits.max_binding_bytes.min(max_binding_bytes.unwrap_or(u64::MAX));
+        limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let extensions = [khr::push_descriptor::NAME.as_ptr()];
@@ -145,6 +149,7 @@ impl Shared {
             family,
             allocated: AtomicU64::new(0),
             flops_per_ms: AtomicU64::new(if limits.cpu { 10_000_000 } else { 1_000_000_000 }),
+            staged: options.staged,
             subgroup_control: found.subgroup_control,
             pipelines: Mutex::default(),
             layouts: Mutex::default(),
