@@ -1,0 +1,152 @@
+//! Heights on a square grid, joined by triangles.
+
+use glam::{Vec2, Vec3A, Vec3Swizzles};
+
+use super::shape::slab;
+
+/// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its high one.
+pub struct HeightField {
+    half_side: f32,
+    cells: usize,
+    /// `[cells + 1][cells + 1]`, y before x, metres.
+    heights: Vec<f32>,
+    normals: Vec<Vec3A>,
+    /// Lowest and highest corner of each cell.
+    ranges: Vec<[f32; 2]>,
+    max_height: f32,
+}
+
+impl HeightField {
+    /// Samples `height` on a grid of `cells` x `cells`.
+    pub(super) fn new(half_side: f32, cells: usize, height: impl Fn(Vec2) -> f32) -> Self {
+        let step = 2.0 * half_side / cells as f32;
+        let at = |i: usize, j: usize| Vec2::new(i as f32, j as f32) * step - half_side;
+        let grid = || (0..=cells).flat_map(|j| (0..=cells).map(move |i| (i, j)));
+        let heights: Vec<f32> = grid().map(|(i, j)| height(at(i, j))).collect();
+        let corner = |i: usize, j: usize| heights[j * (cells + 1) + i];
+        let normals = grid()
+            .map(|(i, j)| {
+                let slope = |low: f32, high: f32, from: usize, to: usize| (high - low) / ((to - from) as f32 * step);
+                let ([i0, i1], [j0, j1]) =
+                    ([i.saturating_sub(1), cells.min(i + 1)], [j.saturating_sub(1), cells.min(j + 1)]);
+                let dx = slope(corner(i0, j), corner(i1, j), i0, i1);
+                let dy = slope(corner(i, j0), corner(i, j1), j0, j1);
+                Vec3A::new(-dx, -dy, 1.0).normalize()
+            })
+            .collect();
+        let ranges = (0..cells * cells)
+            .map(|cell| {
+                let (i, j) = (cell % cells, cell / cells);
+                let corners = [corner(i, j), corner(i + 1, j), corner(i, j + 1), corner(i + 1, j + 1)];
+                [corners.into_iter().fold(f32::MAX, f32::min), corners.into_iter().fold(f32::MIN, f32::max)]
+            })
+            .collect();
+        let max_height = heights.iter().fold(1e-3, |most: f32, height| most.max(height.abs()));
+        Self { half_side, cells, heights, normals, ranges, max_height }
+    }
+
+    /// Side of a cell in metres.
+    pub fn step(&self) -> f32 {
+        2.0 * self.half_side / self.cells as f32
+    }
+
+    /// Cells along a side.
+    pub fn cells(&self) -> usize {
+        self.cells
+    }
+
+    /// The grid point in column `i` and row `j`.
+    pub fn corner(&self, i: usize, j: usize) -> Vec3A {
+        let xy = Vec2::new(i as f32, j as f32) * self.step() - self.half_side;
+        xy.extend(self.heights[j * (self.cells + 1) + i]).into()
+    }
+
+    pub(super) fn extent(&self) -> Vec3A {
+        Vec3A::new(self.half_side, self.half_side, self.max_height)
+    }
+
+    /// The cell that holds `p`, and where in it, 0..1.
+    fn cell(&self, p: Vec2) -> ([usize; 2], Vec2) {
+        let scaled = (p + self.half_side) / self.step();
+        let clamped = scaled.clamp(Vec2::ZERO, Vec2::splat(self.cells as f32 - 1e-3));
+        let floor = clamped.floor();
+        ([floor.x as usize, floor.y as usize], clamped - floor)
+    }
+
+    /// Height at `p`, none beside the field.
+    pub(super) fn height(&self, p: Vec2) -> Option<f32> {
+        let ([i, j], f) = self.cell(p);
+        let [low, dx, dy] = self.plane(i, j, f.x >= f.y);
+        p.abs().cmple(Vec2::splat(self.half_side)).all().then_some(low + dx * f.x + dy * f.y)
+    }
+
+    /// Height at the cell's corner and slopes per cell of one of its triangles.
+    fn plane(&self, i: usize, j: usize, lower: bool) -> [f32; 3] {
+        let row = self.cells + 1;
+        let at = j * row + i;
+        let [h00, h10, h01, h11] = [at, at + 1, at + row, at + row + 1].map(|k| self.heights[k]);
+        if lower { [h00, h10 - h00, h11 - h10] } else { [h00, h11 - h01, h01 - h00] }
+    }
+
+    /// Interpolated between the corners, so that triangles do not show.
+    pub(super) fn normal(&self, p: Vec2) -> Vec3A {
+        let ([i, j], f) = self.cell(p);
+        let row = self.cells + 1;
+        let at = j * row + i;
+        let low = self.normals[at].lerp(self.normals[at + 1], f.x);
+        let high = self.normals[at + row].lerp(self.normals[at + row + 1], f.x);
+        low.lerp(high, f.y).normalize()
+    }
+
+    /// Walks the cells under the ray (Amanatides and Woo 1987).
+    pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
+        let [enter, leave] = slab(origin, direction, self.extent() + 1e-3)?;
+        let (mut t, end) = (enter.max(0.0), leave.min(limit));
+        let step = self.step();
+        let ([mut i, mut j], _) = self.cell((origin + direction * t).xy());
+        // t at which the ray leaves cell k along an axis.
+        let exit = |k: usize, o: f32, d: f32| match d {
+            _ if d > 0.0 => ((k + 1) as f32 * step - self.half_side - o) / d,
+            _ if d < 0.0 => (k as f32 * step - self.half_side - o) / d,
+            _ => f32::INFINITY,
+        };
+        while t <= end {
+            let (tx, ty) = (exit(i, origin.x, direction.x), exit(j, origin.y, direction.y));
+            let next = tx.min(ty).max(t);
+            if let Some(hit) = self.intersect_cell(i, j, origin, direction, [t, next]) {
+                return Some(hit);
+            }
+            let (index, forward) = if tx < ty { (&mut i, direction.x > 0.0) } else { (&mut j, direction.y > 0.0) };
+            *index = if forward { *index + 1 } else { index.wrapping_sub(1) };
+            if *index >= self.cells {
+                return None;
+            }
+            t = next;
+        }
+        None
+    }
+
+    fn intersect_cell(&self, i: usize, j: usize, o: Vec3A, d: Vec3A, [from, to]: [f32; 2]) -> Option<f32> {
+        let [lowest, highest] = self.ranges[j * self.cells + i];
+        let (z0, z1) = (o.z + d.z * from, o.z + d.z * to);
+        if z0.min(z1) > highest || z0.max(z1) < lowest {
+            return None;
+        }
+        let step = self.step();
+        let corner = Vec2::new(i as f32, j as f32) * step - self.half_side;
+        let (f, df) = ((o.xy() - corner) / step, d.xy() / step);
+        // Neighbouring cells and triangles must not leave a gap between them.
+        let slack = 1e-4 * (1.0 + to);
+        let hit = |lower: bool| {
+            let [low, dx, dy] = self.plane(i, j, lower);
+            let t = (low + dx * f.x + dy * f.y - o.z) / (d.z - dx * df.x - dy * df.y);
+            let across = (f.x + t * df.x) - (f.y + t * df.y);
+            let inside = if lower { across >= -1e-4 } else { across <= 1e-4 };
+            (inside && t >= from - slack && t <= to + slack).then_some(t)
+        };
+        match (hit(true), hit(false)) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        }
+    }
+}
