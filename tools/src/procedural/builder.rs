@@ -21,7 +21,7 @@ impl Builder<'_> {
     }
 
     pub fn put(&mut self, shape: Shape, centre: Vec3A, rotation: Mat3A, material: Material) {
-        self.primitives.push(Primitive { shape, rotation, centre, material });
+        self.primitives.push(Primitive { shape, rotation, centre, to_local: rotation.transpose(), material });
     }
 
     /// An upright box by its half sides.

@@ -21,6 +21,11 @@ const BRIGHTNESS: [f32; 2] = [0.15, 0.85];
 /// Field of view of the longer side, degrees.
 const FIELD_OF_VIEW: [f32; 2] = [35.0, 80.0];
 
+/// Four rays of a pixel: edges along rows and columns get four steps.
+const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
+/// Two rays that with the one through the centre give such edges three steps.
+const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
+
 /// What is asked of every scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -205,16 +210,14 @@ impl Setup {
             let (above, below) = (y.saturating_sub(1), (y + 1).min(height - 1));
             [region(left, y), region(right, y), region(x, above), region(x, below)].iter().any(|other| *other != here)
         };
-        // A rotated grid: edges along rows and columns get four steps.
-        let offsets = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
-        let smooth = |x: usize, y: usize| {
-            let (cx, cy) = (x as f32 + 0.5, y as f32 + 0.5);
-            let light = |(dx, dy)| look(cx + dx, cy + dy, 0.5).0.light;
-            0.25 * offsets.into_iter().map(light).sum::<Vec3A>()
+        let around = |x: usize, y: usize, offsets: &[(f32, f32)]| {
+            let light = |(dx, dy): &(f32, f32)| look(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy, 0.5).0.light;
+            offsets.iter().map(light).sum::<Vec3A>()
         };
-        let pixel = |x: usize, y: usize| match self.supersample || is_edge(x, y) {
-            true => smooth(x, y),
-            false => rows[y][x].0.light,
+        let pixel = |x: usize, y: usize| match rows[y][x].0.light {
+            _ if self.supersample => around(x, y, &ROTATED_GRID) / 4.0,
+            centre if is_edge(x, y) => (centre + around(x, y, &BESIDE_CENTRE)) / 3.0,
+            centre => centre,
         };
         let light =
             (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| pixel(x, y));

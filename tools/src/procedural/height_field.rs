@@ -4,6 +4,9 @@ use glam::{Vec2, Vec3A, Vec3Swizzles};
 
 use super::shape::slab;
 
+/// Cells along a side of a block.
+const BLOCK: usize = 8;
+
 /// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its high one.
 pub struct HeightField {
     half_side: f32,
@@ -13,6 +16,8 @@ pub struct HeightField {
     normals: Vec<Vec3A>,
     /// Lowest and highest corner of each cell.
     ranges: Vec<[f32; 2]>,
+    /// The same of each block of cells.
+    blocks: Vec<[f32; 2]>,
     max_height: f32,
 }
 
@@ -40,9 +45,14 @@ impl HeightField {
                 let corners = [corner(i, j), corner(i + 1, j), corner(i, j + 1), corner(i + 1, j + 1)];
                 [corners.into_iter().fold(f32::MAX, f32::min), corners.into_iter().fold(f32::MIN, f32::max)]
             })
-            .collect();
+            .collect::<Vec<[f32; 2]>>();
+        let mut blocks = vec![[f32::MAX, f32::MIN]; cells.div_ceil(BLOCK).pow(2)];
+        for (cell, [low, high]) in ranges.iter().enumerate() {
+            let block = &mut blocks[cell / cells / BLOCK * cells.div_ceil(BLOCK) + cell % cells / BLOCK];
+            *block = [block[0].min(*low), block[1].max(*high)];
+        }
         let max_height = heights.iter().fold(1e-3, |most: f32, height| most.max(height.abs()));
-        Self { half_side, cells, heights, normals, ranges, max_height }
+        Self { half_side, cells, heights, normals, ranges, blocks, max_height }
     }
 
     /// Side of a cell in metres.
@@ -98,30 +108,38 @@ impl HeightField {
         low.lerp(high, f.y).normalize()
     }
 
-    /// Walks the cells under the ray (Amanatides and Woo 1987).
+    /// Walks the cells under the ray (Amanatides and Woo 1987) and steps over blocks that it passes above or below.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
         let [enter, leave] = slab(origin, direction, self.extent() + 1e-3)?;
         let (mut t, end) = (enter.max(0.0), leave.min(limit));
-        let step = self.step();
-        let ([mut i, mut j], _) = self.cell((origin + direction * t).xy());
-        // t at which the ray leaves cell k along an axis.
-        let exit = |k: usize, o: f32, d: f32| match d {
-            _ if d > 0.0 => ((k + 1) as f32 * step - self.half_side - o) / d,
-            _ if d < 0.0 => (k as f32 * step - self.half_side - o) / d,
-            _ => f32::INFINITY,
-        };
+        let (start, _) = self.cell((origin + direction * t).xy());
+        let mut at = start.map(|k| k as isize);
+        let walk =
+            Walk { origin: origin.xy(), inverse: direction.xy().recip(), step: self.step(), low: -self.half_side };
         while t <= end {
-            let (tx, ty) = (exit(i, origin.x, direction.x), exit(j, origin.y, direction.y));
-            let next = tx.min(ty).max(t);
-            if let Some(hit) = self.intersect_cell(i, j, origin, direction, [t, next]) {
-                return Some(hit);
+            let block = at.map(|k| k / BLOCK as isize * BLOCK as isize);
+            let (next, axis) = walk.leave(block, BLOCK as isize);
+            let [lowest, highest] =
+                self.blocks[block[1] as usize / BLOCK * self.cells.div_ceil(BLOCK) + block[0] as usize / BLOCK];
+            let heights = [t, next.min(end)].map(|t| origin.z + direction.z * t);
+            if heights[0].min(heights[1]) > highest || heights[0].max(heights[1]) < lowest {
+                t = next.max(t);
+                let across = walk.cell(1 - axis, direction.xy(), t);
+                at[1 - axis] = across.clamp(block[1 - axis], block[1 - axis] + BLOCK as isize - 1);
+                at[axis] = if direction[axis] > 0.0 { block[axis] + BLOCK as isize } else { block[axis] - 1 };
+            } else {
+                let (next, axis) = walk.leave(at, 1);
+                let next = next.max(t);
+                let hit = self.intersect_cell(at[0] as usize, at[1] as usize, origin, direction, [t, next]);
+                if hit.is_some() {
+                    return hit;
+                }
+                t = next;
+                at[axis] += if direction[axis] > 0.0 { 1 } else { -1 };
             }
-            let (index, forward) = if tx < ty { (&mut i, direction.x > 0.0) } else { (&mut j, direction.y > 0.0) };
-            *index = if forward { *index + 1 } else { index.wrapping_sub(1) };
-            if *index >= self.cells {
+            if at.iter().any(|k| !(0..self.cells as isize).contains(k)) {
                 return None;
             }
-            t = next;
         }
         None
     }
@@ -148,5 +166,34 @@ impl HeightField {
             (Some(a), Some(b)) => Some(a.min(b)),
             (a, b) => a.or(b),
         }
+    }
+}
+
+/// A ray over a grid.
+struct Walk {
+    origin: Vec2,
+    inverse: Vec2,
+    /// Side of a cell.
+    step: f32,
+    /// Where the grid begins in both axes.
+    low: f32,
+}
+
+impl Walk {
+    /// Where along the ray it leaves `size` cells from `first` on, and through which axis.
+    fn leave(&self, first: [isize; 2], size: isize) -> (f32, usize) {
+        let exit = |axis: usize| {
+            let inverse = self.inverse[axis];
+            let border = if inverse > 0.0 { first[axis] + size } else { first[axis] };
+            let t = (border as f32 * self.step + self.low - self.origin[axis]) * inverse;
+            if inverse.is_finite() { t } else { f32::INFINITY }
+        };
+        let (x, y) = (exit(0), exit(1));
+        if x < y { (x, 0) } else { (y, 1) }
+    }
+
+    /// Index of the cell along an axis at `t`; may be outside.
+    fn cell(&self, axis: usize, direction: Vec2, t: f32) -> isize {
+        ((self.origin[axis] + direction[axis] * t - self.low) / self.step).floor() as isize
     }
 }

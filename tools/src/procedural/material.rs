@@ -72,7 +72,7 @@ impl Palette<'_> {
         let colours = colours(rng, role);
         let (pattern, period) = self.pattern(rng, role);
         let period = period * self.detail * rng.scale(0.6, 1.6);
-        let stain = (rng.range(0.1, 0.6), period.max(0.3 * self.detail) * rng.scale(0.5, 4.0));
+        let stain = (rng.range(0.1, 0.6), period * rng.scale(0.15, 3.0));
         Texture { pattern, period, offset: offset(rng), colours, stain }
     }
 
@@ -87,10 +87,12 @@ impl Palette<'_> {
         if crops == 0 || !rng.chance(share) {
             return None;
         }
-        let period = self.detail * rng.scale(1.0, 5.0);
+        let wide = matches!(role, Role::Ground | Role::Floor | Role::Wall | Role::Facade);
+        let period = self.detail * if wide { rng.scale(1.5, 6.0) } else { rng.scale(0.8, 4.0) };
+        let stain = (rng.range(0.05, 0.4), period * rng.scale(0.03, 0.5));
         let tint = Vec3A::ONE + 0.15 * Vec3A::new(rng.signed(), rng.signed(), rng.signed());
         let pattern = Pattern::Photo(rng.count(0, crops - 1));
-        Some(Texture { pattern, period, offset: offset(rng), colours: [tint; 3], stain: (0.05, 2.0 * period) })
+        Some(Texture { pattern, period, offset: offset(rng), colours: [tint; 3], stain })
     }
 
     /// A pattern and its period in units of `detail`.
@@ -112,7 +114,7 @@ impl Palette<'_> {
                 1 => tiles(rng),
                 2 => bricks(rng),
                 3 => clouds,
-                _ => (noise(5, [1.0; 3]), 0.6),
+                _ => (noise(5, [1.0; 3]), 0.35),
             },
             Role::Floor => match rng.count(0, 4) {
                 0 => (Pattern::Checker, 0.8),
@@ -136,10 +138,10 @@ impl Palette<'_> {
                 if rng.chance(0.5) {
                     planks(rng)
                 } else {
-                    (Pattern::Rings, 0.5)
+                    (Pattern::Rings, 0.3)
                 }
             }
-            Role::Foliage => (noise(4, [1.0; 3]), 0.3),
+            Role::Foliage => (noise(5, [1.0; 3]), 0.18),
             Role::Fabric => match rng.count(0, 4) {
                 0 => (Pattern::Stripes(rng.range(0.2, 0.8)), 0.3),
                 1 => (Pattern::Spots(rng.range(0.2, 0.4)), 0.3),
@@ -160,7 +162,7 @@ impl Palette<'_> {
                 1 => (Pattern::Stripes(rng.range(0.2, 0.8)), 0.3),
                 2 => bricks(rng),
                 3 => (Pattern::Marble, 0.7),
-                4 => (Pattern::Rings, 0.5),
+                4 => (Pattern::Rings, 0.3),
                 5 => (Pattern::Spots(rng.range(0.15, 0.45)), 0.35),
                 6 => (Pattern::Gradient, 1.0),
                 7 => cobbles,
@@ -197,7 +199,7 @@ fn colours(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
         Role::Floor | Role::Wood => ([0.04, 0.11], [0.25, 0.7], [0.3, 0.8]),
         Role::Wall => ([0.0, 1.0], [0.0, 0.3], [0.55, 0.95]),
         Role::Facade => ([0.0, 0.14], [0.1, 0.6], [0.4, 0.9]),
-        Role::Foliage => ([0.16, 0.38], [0.3, 0.8], [0.2, 0.6]),
+        Role::Foliage => ([0.16, 0.36], [0.3, 0.75], [0.25, 0.8]),
         Role::Stone => ([0.0, 1.0], [0.0, 0.2], [0.35, 0.85]),
         Role::Metal => ([0.0, 1.0], [0.0, 0.3], [0.3, 0.7]),
         Role::Glass => ([0.5, 0.65], [0.1, 0.4], [0.1, 0.35]),

@@ -1,6 +1,6 @@
 //! Noise on integer lattices, faded where a pixel covers more than it can show.
 
-use glam::{Vec2, Vec3A};
+use glam::{Vec2, Vec3A, Vec4, Vec4Swizzles};
 
 /// Mixes lattice coordinates into 32 bits.
 pub(super) fn hash(x: i32, y: i32, z: i32) -> u32 {
@@ -27,22 +27,41 @@ pub(super) fn fade(width: f32) -> f32 {
     1.0 - smoothstep(0.3, 1.1, width)
 }
 
+/// Side of the table of lattice values; a power of two. Patterns repeat after this many periods, which octaves of
+/// unrelated periods hide.
+const SIDE: usize = 32;
+/// 32 KiB: it stays in the first cache, and a look-up costs less than a hash.
+static LATTICE: [u8; SIDE * SIDE * SIDE] = lattice();
+
+const fn lattice() -> [u8; SIDE * SIDE * SIDE] {
+    let mut values = [0; SIDE * SIDE * SIDE];
+    let (mut i, mut state) = (0, 0x2545_f491u32);
+    while i < values.len() {
+        // Xorshift (Marsaglia 2003).
+        state ^= state << 13;
+        state ^= state >> 17;
+        state ^= state << 5;
+        values[i] = (state >> 24) as u8;
+        i += 1;
+    }
+    values
+}
+
 /// Value noise: random values at lattice points, 0..1, cubic steps between them.
 pub(super) fn value_noise(p: Vec3A) -> f32 {
     let floor = p.floor();
     let f = p - floor;
     let s = f * f * (3.0 - 2.0 * f);
-    let (x, y, z) = (floor.x as i32, floor.y as i32, floor.z as i32);
-    let edge = |y: i32, z: i32| {
-        let low = hash_unit(x, y, z);
-        low + (hash_unit(x + 1, y, z) - low) * s.x
+    let wrap = |floor: f32| {
+        let low = floor as i32 as usize % SIDE;
+        [low, (low + 1) % SIDE]
     };
-    let face = |z: i32| {
-        let low = edge(y, z);
-        low + (edge(y + 1, z) - low) * s.y
-    };
-    let low = face(z);
-    low + (face(z + 1) - low) * s.z
+    let ([x0, x1], [y0, y1], [z0, z1]) = (wrap(floor.x), wrap(floor.y), wrap(floor.z));
+    let rows = [(y0, z0), (y1, z0), (y0, z1), (y1, z1)].map(|(y, z)| (z * SIDE + y) * SIDE);
+    let at = |x: usize| Vec4::from_array(rows.map(|row| f32::from(LATTICE[row + x])));
+    let edges = at(x0).lerp(at(x1), s.x);
+    let faces = edges.xz().lerp(edges.yw(), s.y);
+    (faces.x + (faces.y - faces.x) * s.z) / 255.0
 }
 
 /// Fractal sum of value noise around 0.5, mostly in 0..1. Octaves finer than a pixel's `width` are left out.

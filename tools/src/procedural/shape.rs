@@ -55,14 +55,14 @@ pub struct Primitive {
     pub rotation: Mat3A,
     /// The local origin in the world.
     pub centre: Vec3A,
+    pub(super) to_local: Mat3A,
     pub(super) material: Material,
 }
 
 impl Primitive {
     /// Distance along a ray with a unit direction to the first hit in (0, `limit`).
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
-        let world_to_local = self.rotation.transpose();
-        let t = self.shape.intersect(world_to_local * (origin - self.centre), world_to_local * direction, limit)?;
+        let t = self.shape.intersect(self.to_local * (origin - self.centre), self.to_local * direction, limit)?;
         (t > 0.0 && t < limit).then_some(t)
     }
 

@@ -115,7 +115,7 @@ impl Texture {
             }
         };
         let (amount, size) = self.stain;
-        let stain = fbm((place.position + self.offset) / size, 4, place.footprint / size);
+        let stain = fbm((place.position + self.offset) / size, 3, place.footprint / size);
         colour * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
     }
 

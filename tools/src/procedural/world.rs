@@ -84,7 +84,7 @@ impl World {
 
     /// Whether a point is inside something solid.
     pub fn contains(&self, point: Vec3A) -> bool {
-        self.primitives.iter().any(|p| p.shape.contains(p.rotation.transpose() * (point - p.centre)))
+        self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
     }
 
     /// Whether a surface lies between two points, except within `slack` metres of the second.
@@ -100,8 +100,7 @@ impl World {
         };
         let primitive = &self.primitives[index];
         let point = origin + direction * t;
-        let to_local = primitive.rotation.transpose();
-        let local = to_local * (point - primitive.centre);
+        let local = primitive.to_local * (point - primitive.centre);
         let local_normal = primitive.shape.normal(local);
         let outward = primitive.rotation * local_normal;
         let facing = -outward.dot(direction);
@@ -142,7 +141,10 @@ impl World {
         let mut light = albedo * (ambient + material.glow);
         if lit {
             let half = (to_light - direction).normalize_or(normal);
-            let highlight = material.specular * normal.dot(half).max(0.0).powf(material.shininess);
+            let highlight = match material.specular {
+                0.0 => 0.0,
+                strength => strength * normal.dot(half).max(0.0).powf(material.shininess),
+            };
             light += self.light.colour * falloff * cosine * (albedo + highlight);
         }
         (light, lit)

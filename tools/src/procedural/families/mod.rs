@@ -74,7 +74,7 @@ fn daylight(rng: &mut Rng) -> (Light, Sky) {
         horizon,
         clouds: rng.unit(),
         offset: 10.0 * Vec3A::splat(rng.unit()),
-        haze: rng.scale(60.0, 1500.0),
+        haze: rng.scale(150.0, 3000.0),
     };
     (Light { key: Key::Sun(sun), colour, ambient }, sky)
 }
