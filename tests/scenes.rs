@@ -28,8 +28,7 @@ pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
             rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
             translation: DVec3::new(view[3], view[7], view[11]),
         };
-        let intrinsics =
-            Intrinsics { width: size[0], height: size[1], fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
+        let intrinsics = Intrinsics { width: size[0], height: size[1], fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
         Camera { intrinsics, pose: world_to_camera.inverse() }
     };
     viewmats.chunks_exact(16).zip(matrices.chunks_exact(9)).map(camera).collect()

@@ -19,6 +19,9 @@ use std::{ops::ControlFlow, sync::Arc};
 /// Most views of one reconstruction.
 pub const MAX_VIEWS: usize = 192;
 
+/// Most patches of all views: what kernels count of each fits 32 bits.
+pub const MAX_PATCHES: usize = 1 << 20;
+
 /// Share of the tokens that are kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ratio {
@@ -103,6 +106,34 @@ pub struct Tensors {
     scene: GaussianTensors,
 }
 
+impl Shape {
+    /// The shape of a reconstruction from `views` pictures of `[width, height]` pixels; needs no device.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for whatever cannot be used.
+    pub fn new(
+        architecture: &Architecture,
+        views: usize,
+        [width, height]: [u32; 2],
+        chosen: (Ratio, &Selection),
+        cameras: bool,
+    ) -> Result<Self> {
+        let grid = grid(architecture.patch, views, width as usize, height as usize)?;
+        let all = grid.tokens();
+        let tokens = match chosen {
+            (_, Selection::Given(indices)) => {
+                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
+                    let found = format!("{} indices", indices.len());
+                    return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
+                }
+                indices.len()
+            }
+            (wanted, _) => cluster_count(all, ratio(wanted, views)?),
+        };
+        Ok(Self { grid, tokens, kmeans: *chosen.1 == Selection::Kmeans, cameras })
+    }
+}
+
 impl Network {
     /// Lays out a network; needs no device.
     pub fn new(architecture: &Architecture, limits: &Limits) -> Self {
@@ -167,17 +198,26 @@ pub struct Model {
 }
 
 impl Model {
-    /// Loads a checkpoint onto a device. `progress` gets the share that is done.
+    /// Loads a checkpoint onto a device. `progress` gets the share that is done and may stop the loading.
     ///
     /// # Errors
-    /// Where the device has too little memory or the checkpoint cannot be read.
-    pub fn load(device: &Device, checkpoint: &Checkpoint, progress: impl FnMut(f64)) -> Result<Self> {
+    /// Where the device has too little memory or the checkpoint cannot be read; [`Error::Cancelled`].
+    pub fn load(
+        device: &Device,
+        checkpoint: &Checkpoint,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
         let network = Network::new(checkpoint.architecture(), device.limits());
         let resident = Arc::new(network.parameters.load(device, checkpoint, progress)?);
         let name = "backbone.backbone.pos_embed";
         let mut learned_positions = vec![0.0; checkpoint.shape(name)?.iter().product()];
         checkpoint.read_f32(name, &mut learned_positions)?;
         Ok(Self { device: device.clone(), network, resident, learned_positions })
+    }
+
+    /// Bytes of the weights on the device.
+    pub fn weight_bytes(&self) -> u64 {
+        self.network.weight_bytes()
     }
 
     /// The network's architecture.
@@ -215,21 +255,20 @@ impl Model {
     /// # Errors
     /// [`Error::Argument`] for whatever cannot be used.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
-        let grid = self.grid(images)?;
-        let all = grid.tokens();
-        let tokens = match &request.selection {
-            Selection::Given(indices) => {
-                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
-                    return Err(Error::argument("given tokens", format!("{} indices", indices.len()), format!("at least one, all below {all}")));
-                }
-                indices.len()
+        let size = images.first().map_or([0; 2], |first| [first.width, first.height]);
+        for (i, image) in images.iter().enumerate() {
+            if [image.width, image.height] != size {
+                let found = format!("{} x {}", image.width, image.height);
+                let expected = format!("{} x {}, as view 0", size[0], size[1]);
+                return Err(Error::argument(format!("size of view {i}"), found, expected));
             }
-            _ => cluster_count(all, ratio(request.ratio, grid.views)?),
-        };
+            image.validate()?;
+        }
         if let Some(cameras) = &request.cameras {
             check_cameras(cameras, images)?;
         }
-        Ok(Shape { grid, tokens, kmeans: request.selection == Selection::Kmeans, cameras: request.cameras.is_some() })
+        let chosen = (request.ratio, &request.selection);
+        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())
     }
 
     /// Records a plan for a shape, observing its intermediate tensors where asked.
@@ -264,7 +303,8 @@ impl Model {
     ) -> Result<()> {
         let (a, grid) = (self.architecture(), shape.grid);
         run.write(tensors.inputs.images, &planar(images))?;
-        let positions = interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
+        let positions =
+            interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
         run.write(tensors.inputs.positions, &positions)?;
         for (tensor, table) in tensors.inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
             run.write(*tensor, &table)?;
@@ -286,27 +326,6 @@ impl Model {
         }
         Ok(())
     }
-
-    fn grid(&self, images: &[Image]) -> Result<ViewGrid> {
-        let patch = self.architecture().patch;
-        let first = images.first().ok_or_else(|| Error::argument("photos", 0, format!("1 to {MAX_VIEWS}")))?;
-        if images.len() > MAX_VIEWS {
-            return Err(Error::argument("photos", images.len(), format!("1 to {MAX_VIEWS}")));
-        }
-        let (width, height) = (first.width as usize, first.height as usize);
-        for (i, image) in images.iter().enumerate() {
-            let size = format!("{} x {}", image.width, image.height);
-            if (image.width, image.height) != (first.width, first.height) {
-                return Err(Error::argument(format!("size of view {i}"), size, format!("{width} x {height}, as view 0")));
-            }
-            image.validate()?;
-        }
-        if width == 0 || height == 0 || !width.is_multiple_of(patch) || !height.is_multiple_of(patch) {
-            let size = format!("{width} x {height}");
-            return Err(Error::argument("size of the views", size, format!("multiples of {patch}")));
-        }
-        Ok(ViewGrid { views: images.len(), rows: height / patch, columns: width / patch, patch })
-    }
 }
 
 impl Tensors {
@@ -324,6 +343,21 @@ impl Tensors {
             sh_degree,
         })
     }
+}
+
+fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
+    if !(1..=MAX_VIEWS).contains(&views) {
+        return Err(Error::argument("views", views, format!("1 to {MAX_VIEWS}")));
+    }
+    let fail = |expected| Err(Error::argument("size of the views", format!("{width} x {height}"), expected));
+    if width == 0 || height == 0 || !width.is_multiple_of(patch) || !height.is_multiple_of(patch) {
+        return fail(format!("multiples of {patch}"));
+    }
+    let grid = ViewGrid { views, rows: height / patch, columns: width / patch, patch };
+    if grid.tokens() > MAX_PATCHES {
+        return fail(format!("at most {MAX_PATCHES} patches of {patch} x {patch} in {views} views"));
+    }
+    Ok(grid)
 }
 
 /// A ratio as a number.
@@ -350,7 +384,7 @@ fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
     Ok(())
 }
 
-/// RGB8 interleaved -> [views, 3, height, width] f32 in 0..1.
+/// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.
 fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
     for image in images {

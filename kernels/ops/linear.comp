@@ -1,7 +1,7 @@
 // Linear layer with its epilogue: out = residual + gamma * activation(a * weight + bias).
 //
 // A         [rows, inner] f32, inner a multiple of 4
-// Weight    [inner, columns] f32, columns padded to a multiple of 4 (SwiGLU: gate and value columns alternate)
+// Weight    [panels, inner, PANEL_COLUMNS] f32, panels of columns, the last padded (SwiGLU: gate and value columns alternate)
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
@@ -55,7 +55,10 @@ void main() {
     uint first_row = gl_WorkGroupID.x * ROWS;
     uint quads = (columns + 3) / 4;
     uint quads_inner = inner / 4;
-    uint load_quad = min(quad, quads - 1);
+    const uint panel_quads = PANEL_COLUMNS / 4;
+    // Lanes past the last panel repeat one, to keep the loop uniform.
+    uint panel = min(quad, quads - 1) / panel_quads;
+    uint weight_at = panel * inner * panel_quads + quad % panel_quads;
 
     vec4 sum[ROWS];
     uint row_at[ROWS];
@@ -64,11 +67,11 @@ void main() {
         row_at[r] = min(first_row + r, rows - 1) * quads_inner;
     }
     for (uint k = 0; k < quads_inner; k++) {
-        uint at = 4 * k * quads + load_quad;
+        uint at = weight_at + 4 * k * panel_quads;
         vec4 b0 = weight[at];
-        vec4 b1 = weight[at + quads];
-        vec4 b2 = weight[at + 2 * quads];
-        vec4 b3 = weight[at + 3 * quads];
+        vec4 b1 = weight[at + panel_quads];
+        vec4 b2 = weight[at + 2 * panel_quads];
+        vec4 b3 = weight[at + 3 * panel_quads];
         [[unroll]] for (uint r = 0; r < ROWS; r++) {
             vec4 x = a[row_at[r] + k];
             sum[r] += x.x * b0;

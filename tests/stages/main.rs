@@ -1,9 +1,9 @@
 //! Stages against goldens, and the references themselves.
 
 mod cameras;
+mod forward;
 mod images;
 mod poses;
-mod forward;
 mod references;
 mod scene_files;
 mod weights;

@@ -34,7 +34,7 @@ pub struct Part {
     pub column: usize,
     /// Norm over a head's channels.
     pub norm: Option<Norm>,
-    /// Rotary table [tokens, dim / 2, 2] f32 and its tokens.
+    /// Rotary table `[tokens, dim / 2, 2]` f32 and its tokens.
     pub rotary: Option<(Tensor, usize)>,
     /// Whether these are keys, which are laid out with tokens running fastest.
     pub keys: bool,
@@ -66,8 +66,16 @@ impl Attention {
         ]
     }
 
-    /// Takes a part of `projection` [rows, stride], whose first row is row `first_row` of all, into `out`.
-    pub fn split(&self, rec: &mut Recorder, projection: (Tensor, usize), first_row: usize, rows: usize, part: Part, out: Tensor) {
+    /// Takes a part of `projection` `[rows, stride]`, whose first row is row `first_row` of all, into `out`.
+    pub fn split(
+        &self,
+        rec: &mut Recorder,
+        projection: (Tensor, usize),
+        first_row: usize,
+        rows: usize,
+        part: Part,
+        out: Tensor,
+    ) {
         let sequence = if part.keys || part.scale == 0.0 { self.keys } else { self.queries };
         let (norm_weight, norm_bias, eps) =
             part.norm.map_or((projection.0, projection.0, 0.0), |n| (n.weight, n.bias, n.eps));
@@ -101,7 +109,7 @@ impl Attention {
         1.0 / (self.heads.dim as f32).sqrt()
     }
 
-    /// softmax(q k) v of every head, [sequences * queries, width] f32.
+    /// softmax(q k) v of every head, `[sequences * queries, width]` f32.
     pub fn record(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3]) -> Tensor {
         let Heads { count, dim } = self.heads;
         let out = rec.tensor::<f32>("attended", self.sequences * self.queries * self.heads.width());

@@ -2,11 +2,13 @@
 
 use super::{Linear, Norm};
 use crate::{
-    Result,
+    Error, Result,
     gpu::{Device, Limits, Resident, ResidentLayout, Tensor},
+    kernels::limits::PANEL_COLUMNS,
     weights::Checkpoint,
 };
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// Where every parameter goes, and how it is packed there.
 pub struct ParameterLayout {
@@ -20,12 +22,12 @@ struct Upload {
     packing: Packing,
 }
 
-/// How a checkpoint's [columns, inner] matrix becomes the [inner, columns] one that kernels read.
+/// How a checkpoint's `[columns, inner]` matrix becomes the `[panels, inner, PANEL_COLUMNS]` one that kernels read.
 #[derive(Clone, Copy)]
 enum Packing {
     /// As it is.
     Vector,
-    /// Transposed, both sides padded with zeros to multiples of 4.
+    /// Transposed panel by panel; `inner` padded with zeros to a multiple of 4, columns to whole panels.
     Matrix { inner: usize, columns: usize },
     /// As `Matrix`, its first and second half of columns alternating: gate, value, gate, value.
     GatedMatrix { inner: usize, columns: usize },
@@ -44,7 +46,7 @@ impl ParameterLayout {
         self.add(name, len, Packing::Vector)
     }
 
-    /// `NAME.weight` [columns, inner] (a convolution's kernel counts as one row an output) and `NAME.bias`.
+    /// `NAME.weight` `[columns, inner]` (a convolution's kernel counts as one row an output) and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, inner, columns, Packing::Matrix { inner, columns }, Packing::Vector)
     }
@@ -69,11 +71,16 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done.
+    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done and may stop it.
     ///
     /// # Errors
-    /// Where the device has too little memory, or the checkpoint cannot be read.
-    pub fn load(&self, device: &Device, checkpoint: &Checkpoint, mut progress: impl FnMut(f64)) -> Result<Resident> {
+    /// Where the device has too little memory, or the checkpoint cannot be read; [`Error::Cancelled`].
+    pub fn load(
+        &self,
+        device: &Device,
+        checkpoint: &Checkpoint,
+        mut progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Resident> {
         let resident = Resident::new(device, &self.layout)?;
         let (mut source, mut packed) = (Vec::new(), Vec::new());
         let mut done = 0;
@@ -84,13 +91,15 @@ impl ParameterLayout {
             upload.packing.pack(&source, &mut packed);
             resident.write(upload.tensor, &packed)?;
             done += upload.tensor.bytes();
-            progress(done as f64 / self.bytes() as f64);
+            if progress(done as f64 / self.bytes() as f64).is_break() {
+                return Err(Error::Cancelled);
+            }
         }
         Ok(resident)
     }
 
     fn matrix(&mut self, name: &str, inner: usize, columns: usize, matrix: Packing, vector: Packing) -> Linear {
-        let padded = inner.next_multiple_of(4) * columns.next_multiple_of(4);
+        let padded = inner.next_multiple_of(4) * columns.next_multiple_of(PANEL_COLUMNS as usize);
         Linear {
             weight: self.add(format!("{name}.weight"), padded, matrix),
             bias: self.add(format!("{name}.bias"), columns, vector),
@@ -123,7 +132,14 @@ impl Packing {
     }
 }
 
-/// [columns, inner] -> [padded inner, padded columns]; column c comes from row `row_from_column(c)`.
+/// The matrix `weight` `[columns, inner]` as [`Linear::weight`] holds it.
+pub fn pack_matrix(weight: &[f32], inner: usize, columns: usize) -> Vec<f32> {
+    let mut packed = Vec::new();
+    Packing::Matrix { inner, columns }.pack(weight, &mut packed);
+    packed
+}
+
+/// `[columns, inner]` -> `[panels, padded inner, PANEL_COLUMNS]`; column c comes from row `row_from_column(c)`.
 fn transpose(
     source: &[f32],
     inner: usize,
@@ -131,11 +147,15 @@ fn transpose(
     packed: &mut Vec<f32>,
     row_from_column: impl Fn(usize) -> usize + Sync,
 ) {
-    let padded = columns.next_multiple_of(4);
-    packed.resize(inner.next_multiple_of(4) * padded, 0.0);
-    packed.par_chunks_mut(padded).take(inner).enumerate().for_each(|(k, row)| {
-        for (column, value) in row.iter_mut().take(columns).enumerate() {
-            *value = source[row_from_column(column) * inner + k];
+    const PANEL: usize = PANEL_COLUMNS as usize;
+    let padded = inner.next_multiple_of(4);
+    packed.resize(padded * columns.next_multiple_of(PANEL), 0.0);
+    packed.par_chunks_mut(padded * PANEL).enumerate().for_each(|(p, panel)| {
+        for column in p * PANEL..columns.min((p + 1) * PANEL) {
+            let row = &source[row_from_column(column) * inner..][..inner];
+            for (k, value) in row.iter().enumerate() {
+                panel[k * PANEL + column % PANEL] = *value;
+            }
         }
     });
 }

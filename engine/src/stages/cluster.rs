@@ -58,9 +58,16 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     chosen
 }
 
-/// Records k-means on `tokens` [count, width]. `initial` [clusters] holds the first centroids' tokens
-/// ([`even_indices`]). Returns the nearest token of each centroid, [clusters] u32.
-pub fn record(rec: &mut Recorder, tokens: Tensor, initial: Tensor, count: usize, clusters: usize, width: usize) -> Tensor {
+/// Records k-means on `tokens` `[count, width]`. `initial` `[clusters]` holds the first centroids' tokens
+/// ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
+pub fn record(
+    rec: &mut Recorder,
+    tokens: Tensor,
+    initial: Tensor,
+    count: usize,
+    clusters: usize,
+    width: usize,
+) -> Tensor {
     let centroids = gather_rows(rec, tokens, count, initial, clusters, width);
     for round in 0..ROUNDS {
         let cluster_of_point = nearest(rec, (tokens, count), (centroids, clusters), width);

@@ -28,9 +28,15 @@ impl Fuse {
         Self { width: a.width, layers: (0..a.out_layers.len()).map(layer).collect() }
     }
 
-    /// Records the fusion of `layers` ([tokens, width] each, deepest first) for the `count` tokens `chosen`, or for all
-    /// of them. Returns the scene tokens [count, width].
-    pub fn record(&self, rec: &mut Recorder, layers: &[Tensor], tokens: usize, chosen: Option<(Tensor, usize)>) -> Tensor {
+    /// Records the fusion of `layers` (`[tokens, width]` each, deepest first) for the `count` tokens `chosen`, or for all
+    /// of them. Returns the scene tokens `[count, width]`.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        layers: &[Tensor],
+        tokens: usize,
+        chosen: Option<(Tensor, usize)>,
+    ) -> Tensor {
         let count = chosen.map_or(tokens, |c| c.1);
         let pick = |rec: &mut Recorder, layer: Tensor| match chosen {
             Some((indices, count)) => gather_rows(rec, layer, tokens, indices, count, self.width),

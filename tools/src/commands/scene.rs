@@ -1,94 +1,133 @@
 //! `zipsplat scene`: procedural scenes for demos, tests and training.
 
-use std::fs::File;
-use std::io::{BufWriter, ErrorKind, Write};
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use crate::{
+    options::Size,
+    outputs,
+    procedural::{Options, Photos, Setup, shards, write_folder},
+    session::Session,
+};
+use clap::Args;
+use serde_json::json;
+use std::{
+    io::{BufWriter, ErrorKind, Write},
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    sync::atomic::Ordering,
+    time::Instant,
+};
+use zipsplat::{Error, Result, types::write_atomic};
 
-use zipsplat::{Error, Result};
+/// Bytes that are handed to the operating system at once: a scene of 10 views at 126x126 has 0.8 MB.
+const BUFFER: usize = 1 << 20;
 
-use crate::procedural::{Options, Photos, Setup, shards, write_folder};
-
-/// Make procedural scenes: photos with exact depth and poses, endless and seeded.
-#[derive(Clone, Debug, clap::Args)]
-pub struct Scene {
-    /// The scene's seed; with --shards that of the first scene.
-    #[arg(long, visible_alias = "first-seed", default_value_t = 0)]
-    pub seed: u64,
-    /// Photos a scene.
-    #[arg(long, default_value_t = 24)]
-    pub views: usize,
-    /// Size of the photos in pixels.
-    #[arg(long, default_value = "252x252", value_parser = parse_size, value_name = "WIDTHxHEIGHT")]
-    pub size: (u32, u32),
-    /// Folder of square photo crops with a manifest.json; those with a permissive licence are used as surfaces.
-    #[arg(long, value_name = "DIR")]
-    pub textures: Option<PathBuf>,
-    /// Four rays for every pixel instead of four at edges and one elsewhere.
-    #[arg(long)]
-    pub supersample: bool,
-    /// Write images/, depth/ and transforms.json here.
-    #[arg(short, long, value_name = "DIR", required_unless_present = "shards", conflicts_with = "shards")]
-    pub output: Option<PathBuf>,
-    /// Stream scenes as flat binary for training to a file, or to standard output with -.
-    #[arg(long, value_name = "FILE|-")]
-    pub shards: Option<PathBuf>,
-    /// Scenes to stream; without it until the reader goes away.
-    #[arg(long, requires = "shards")]
-    pub scenes: Option<u64>,
-}
-
-fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let sides = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
-    sides.ok_or_else(|| format!("found {text:?}, expected WIDTHxHEIGHT"))
-}
-
-/// Makes the scene or the stream.
+/// Procedural scenes: photos with exact depth and poses, endless and seeded
 ///
-/// # Errors
-/// [`Error::Argument`] when sizes or counts are out of range, [`Error::Io`] and [`Error::Format`] for the files.
-pub fn run(args: &Scene) -> Result<()> {
-    let photos = args.textures.as_deref().map_or_else(|| Ok(Photos::default()), Photos::open)?;
-    let options = Options {
-        views: args.views,
-        width: args.size.0,
-        height: args.size.1,
-        supersample: args.supersample,
-        random_first: args.shards.is_some(),
-    };
-    options.validate()?;
-    let started = Instant::now();
-    match (&args.shards, &args.output) {
-        (Some(path), _) => stream(path, args, &options, &photos),
-        (None, Some(folder)) => {
-            let capture = Setup::new(args.seed, &options, &photos)?.shoot(&photos);
-            let made = started.elapsed().as_secs_f64();
-            write_folder(folder, &capture, photos.crops())?;
-            let (family, path) = (capture.family, capture.path);
-            eprintln!("{}: {} views, {family:?}, {path:?}, made in {made:.2} s", folder.display(), args.views);
-            Ok(())
-        }
-        (None, None) => Err(Error::argument("output", "none", "a folder or --shards")),
-    }
+/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json and scene.json. World: the first
+/// photo's camera, x right, y down, z forward; the median distance of what is seen from it is 1.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat scene --seed 7 --views 24 -o scene/
+  zipsplat scene --shards - --views 10 --size 126x126 --textures crops/ | python train.py
+  zipsplat scene --shards unseen.bin --first-seed 1000000 --scenes 100")]
+pub struct Scene {
+    /// Which scene; with --shards the first of them
+    #[arg(long, visible_alias = "first-seed", value_name = "N", default_value = "0")]
+    seed: u64,
+    /// Photos of a scene
+    #[arg(long, value_name = "N", default_value = "24")]
+    views: usize,
+    /// Size of the photos
+    #[arg(long, value_name = "WxH", default_value = "252x252")]
+    size: Size,
+    /// Square photo crops with a manifest.json; those of a permissive licence become surfaces
+    #[arg(long, value_name = "FOLDER")]
+    textures: Option<PathBuf>,
+    /// Four rays for every pixel; otherwise three at edges and one elsewhere
+    #[arg(long)]
+    supersample: bool,
+    /// Folder to write to, made where it is missing
+    #[arg(long, short, value_name = "FOLDER", required_unless_present = "shards", conflicts_with = "shards")]
+    output: Option<PathBuf>,
+    /// Stream scenes as flat binary for training, to a file or with - to standard output
+    #[arg(long, value_name = "FILE|-")]
+    shards: Option<PathBuf>,
+    /// Scenes of the stream [default: until its reader has enough]
+    #[arg(long, value_name = "N", requires = "shards")]
+    scenes: Option<u64>,
 }
 
-fn stream(path: &Path, args: &Scene, options: &Options, photos: &Photos) -> Result<()> {
-    let to: Box<dyn Write + Send> = if path == Path::new("-") {
-        Box::new(std::io::stdout())
-    } else {
-        let file = File::options().write(true).create(true).truncate(true).open(path);
-        Box::new(file.map_err(|source| Error::io(path, source))?)
-    };
-    let end = args.scenes.map_or(u64::MAX, |scenes| args.seed.saturating_add(scenes));
-    let started = Instant::now();
-    let report = |scenes: u64| {
-        eprint!("\r{scenes} scenes, {:.1} a second ", scenes as f64 / started.elapsed().as_secs_f64());
-    };
-    let written = shards::write(BufWriter::with_capacity(1 << 20, to), args.seed..end, options, photos, report);
-    eprintln!();
-    match written {
-        // A reader that has enough closes its end.
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-        written => written.map_err(|source| Error::io(path, source)),
+impl Scene {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let options = Options {
+            views: self.views,
+            width: self.size.0,
+            height: self.size.1,
+            supersample: self.supersample,
+            random_first: self.shards.is_some(),
+        };
+        options.validate()?;
+        let photos = self.textures.as_deref().map_or_else(|| Ok(Photos::default()), Photos::open)?;
+        match (&self.shards, &self.output) {
+            (Some(path), _) => self.stream(path, &options, &photos, session),
+            (None, Some(folder)) => self.write(folder, &options, &photos, session),
+            (None, None) => Err(Error::argument("output", "nothing", "a folder or --shards")),
+        }
+    }
+
+    fn write(&self, folder: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
+        outputs::check_folder(folder)?;
+        let (capture, took) =
+            session.stage("take photos", |_| Ok(Setup::new(self.seed, options, photos)?.shoot(photos)))?;
+        session.stage("write", |_| write_folder(folder, &capture, photos.crops()))?;
+        let seconds = took.as_secs_f64();
+        let json = json!({
+            "output": folder, "seed": self.seed, "family": capture.family, "path": capture.path,
+            "views": self.views, "seconds": seconds,
+        });
+        let text = format!(
+            "{}: {} photos of a {} on {}, {seconds:.2} s without writing",
+            folder.display(),
+            self.views,
+            capture.family,
+            capture.path
+        );
+        session.report(&json, text)
+    }
+
+    fn stream(&self, path: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
+        let to_stdout = path == Path::new("-");
+        // A pipe ends when its reader does; a file would fill the disk.
+        let is_pipe = to_stdout || path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
+        if self.scenes.is_none() && !is_pipe {
+            return Err(Error::argument("--scenes", "nothing", "a number, as the stream goes to a file"));
+        }
+        let end = self.scenes.map_or(u64::MAX, |scenes| self.seed.saturating_add(scenes));
+        let (started, cancelled, mut count) = (Instant::now(), session.cancelled(), 0);
+        let mut write = |out: &mut dyn Write| {
+            let written = |done| {
+                count = done;
+                if cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            };
+            shards::write(BufWriter::with_capacity(BUFFER, out), self.seed..end, options, photos, written)
+        };
+        let result = if to_stdout {
+            write(session.out()).map_err(|source| Error::io("standard output", source))
+        } else {
+            outputs::check_file(path)?;
+            write_atomic(path, write)
+        };
+        match result {
+            // A reader that closes its end has seen enough.
+            Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => {}
+            Err(Error::Io { source, .. }) if source.kind() == ErrorKind::Interrupted => return Err(Error::Cancelled),
+            other => other?,
+        }
+        let rate = count as f64 / started.elapsed().as_secs_f64();
+        let text = format!("{}: {count} scenes, {rate:.1} a second", path.display());
+        if to_stdout {
+            session.note(text);
+            return Ok(());
+        }
+        session.report(&json!({"output": path, "scenes": count, "scenes_per_second": rate}), text)
     }
 }

@@ -1,10 +1,9 @@
 //! A capture as a folder: photos, depth and cameras as nerfstudio lays them out.
 
-use std::io::Write;
 use std::path::Path;
 
 use serde_json::json;
-use zipsplat::types::poses::write_transforms;
+use zipsplat::types::{poses::write_transforms, write_atomic};
 use zipsplat::{Error, Result};
 
 use super::{Capture, Crop, VERSION};
@@ -23,8 +22,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     for (i, (image, depth)) in capture.images.iter().zip(&capture.depths).enumerate() {
         image.save_png(folder.join(&names[i]))?;
         let path = folder.join(format!("depth/{i:03}.npy"));
-        let bytes = npy([image.height, image.width], depth);
-        std::fs::write(&path, bytes).map_err(|source| Error::io(&path, source))?;
+        write_atomic(&path, |out| out.write_all(&npy([image.height, image.width], depth)))?;
     }
     write_transforms(folder.join("transforms.json"), &capture.cameras, &names)?;
     let scene = json!({
@@ -36,13 +34,10 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         "overlap": capture.overlap.chunks(capture.images.len()).collect::<Vec<_>>(),
         "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "licence": crop.licence})).collect::<Vec<_>>(),
     });
-    let path = folder.join("scene.json");
-    let write = || {
-        let mut file = std::fs::File::create(&path)?;
-        serde_json::to_writer_pretty(&mut file, &scene)?;
-        writeln!(file)
-    };
-    write().map_err(|source| Error::io(&path, source))
+    write_atomic(&folder.join("scene.json"), |out| {
+        serde_json::to_writer_pretty(&mut *out, &scene)?;
+        writeln!(out)
+    })
 }
 
 /// NumPy's format 1.0: a header padded to 128 bytes, then little-endian values.

@@ -1,6 +1,7 @@
 //! Camera paths as people take photos.
 
 use std::f32::consts::{PI, TAU};
+use std::fmt;
 
 use glam::{Mat3A, Vec3A};
 
@@ -20,6 +21,18 @@ pub enum PathKind {
     Sweep,
     /// On the spot, with the arms' reach.
     Handheld,
+}
+
+impl fmt::Display for PathKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Orbit => "an orbit",
+            Self::Arc => "an arc",
+            Self::Walk => "a walk",
+            Self::Sweep => "a sweep",
+            Self::Handheld => "the spot",
+        })
+    }
 }
 
 impl PathKind {

@@ -24,7 +24,7 @@
 //! is 1.
 
 use std::io::{ErrorKind, Read, Result, Write};
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 use std::sync::mpsc::sync_channel;
 
 use half::f16;
@@ -140,47 +140,51 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Makes the scenes of `seeds` on all threads of the current pool and writes them in order; the next batch is made
-/// while one is written. A range that ends at `u64::MAX` is announced as endless. `written` is called with the number
-/// of scenes after each batch.
+/// Makes the scenes of `seeds` on all threads and writes them in order; the next batch is made while one is written. A
+/// range that ends at `u64::MAX` is announced as endless. `written` is called with the number of scenes after each
+/// batch and may stop the stream.
 ///
 /// # Errors
-/// [`zipsplat::Error::Argument`] when the options are unusable; the writer's errors, `BrokenPipe` when the reader went away.
+/// [`zipsplat::Error::Argument`] as the source of an error when the options are unusable; the writer's errors, `BrokenPipe`
+/// when the reader went away; `Interrupted` when `written` stopped it.
 pub fn write(
-    mut to: impl Write + Send,
+    mut to: impl Write,
     seeds: Range<u64>,
     options: &Options,
     photos: &Photos,
-    mut written: impl FnMut(u64) + Send,
+    mut written: impl FnMut(u64) -> ControlFlow<()>,
 ) -> Result<()> {
     options.validate().map_err(std::io::Error::other)?;
     let scenes = if seeds.end == u64::MAX { 0 } else { seeds.end - seeds.start };
     let header = Header { scenes, views: options.views as u32, height: options.height, width: options.width };
     to.write_all(&header.bytes())?;
-    let (sender, receiver) = sync_channel::<Vec<Vec<u8>>>(1);
+    let make = |seed| Setup::new(seed, options, photos).map(|setup| encode(&setup.shoot(photos)));
+    let (sender, receiver) = sync_channel::<zipsplat::Result<Vec<Vec<u8>>>>(1);
     std::thread::scope(|scope| {
-        let writer = scope.spawn(move || {
-            let mut done = 0;
-            for batch in receiver {
-                batch.iter().try_for_each(|scene| to.write_all(scene))?;
-                done += batch.len() as u64;
-                written(done);
+        scope.spawn(move || {
+            let mut next = seeds.start;
+            while next < seeds.end {
+                let end = seeds.end.min(next.saturating_add(BATCH));
+                let batch = (next..end).into_par_iter().map(make).collect();
+                // Nobody receives when writing failed or was stopped.
+                if sender.send(batch).is_err() {
+                    break;
+                }
+                next = end;
             }
-            to.flush()
         });
-        let mut next = seeds.start;
-        while next < seeds.end {
-            let end = seeds.end.min(next.saturating_add(BATCH));
-            let make = |seed| Setup::new(seed, options, photos).map(|setup| encode(&setup.shoot(photos)));
-            let batch = (next..end).into_par_iter().map(make).collect::<zipsplat::Result<_>>();
-            // The writer ends early only with an error, which is returned below.
-            if sender.send(batch.map_err(std::io::Error::other)?).is_err() {
-                break;
+        let mut done = 0;
+        // Owned here, so that returning early tells the other thread to stop.
+        for batch in receiver {
+            for scene in batch.map_err(std::io::Error::other)? {
+                to.write_all(&scene)?;
+                done += 1;
             }
-            next = end;
+            if written(done).is_break() {
+                return Err(ErrorKind::Interrupted.into());
+            }
         }
-        drop(sender);
-        writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        to.flush()
     })
 }
 

@@ -7,6 +7,7 @@ mod table;
 mod terrain;
 
 use std::f32::consts::PI;
+use std::fmt;
 
 use glam::{Vec2, Vec3A};
 
@@ -31,6 +32,18 @@ pub enum Family {
     Terrain,
     /// Primitives of all kinds in a heap, outdoors or between walls.
     Clutter,
+}
+
+impl fmt::Display for Family {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Room => "room",
+            Self::Table => "table",
+            Self::Facade => "facade",
+            Self::Terrain => "terrain",
+            Self::Clutter => "heap",
+        })
+    }
 }
 
 impl Family {
