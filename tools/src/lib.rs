@@ -8,6 +8,7 @@ mod noise;
 mod options;
 mod outputs;
 mod photos;
+pub mod procedural;
 mod session;
 mod table;
 

@@ -5,6 +5,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::{
     fmt::Display,
+    io::Write,
     ops::ControlFlow,
     sync::{
         atomic::{AtomicBool, Ordering},
@@ -92,6 +93,16 @@ impl<'a> Session<'a> {
             (false, true) => Ok(()),
         };
         printed.and_then(|()| self.terminal.out.flush()).map_err(|error| Error::io("standard output", error))
+    }
+
+    /// Where results go, for those that are no text.
+    pub fn out(&mut self) -> &mut dyn Write {
+        self.terminal.out
+    }
+
+    /// Set when the command should stop.
+    pub fn cancelled(&self) -> &'a AtomicBool {
+        self.terminal.cancelled
     }
 
     /// Says something worth knowing that is no result.

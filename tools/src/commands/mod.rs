@@ -5,6 +5,7 @@ mod convert;
 mod info;
 mod reconstruct;
 mod render;
+mod scene;
 
 use crate::session::Session;
 use clap::Subcommand;
@@ -18,6 +19,7 @@ pub enum Command {
     Info(info::Info),
     Convert(convert::Convert),
     Bench(bench::Bench),
+    Scene(scene::Scene),
 }
 
 impl Command {
@@ -28,6 +30,7 @@ impl Command {
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
             Command::Bench(command) => command.run(session),
+            Command::Scene(command) => command.run(session),
         }
     }
 }
