@@ -157,13 +157,12 @@ impl Bvh {
                 }
                 continue;
             }
+            let below = depth;
             push(&mut stack, &mut depth, index + 1, limit);
             push(&mut stack, &mut depth, node.first, limit);
             // The nearer child on top.
-            if depth >= 2 && stack[depth - 1].0 == node.first && stack[depth - 2].0 == index + 1 {
-                if stack[depth - 1].1 > stack[depth - 2].1 {
-                    stack.swap(depth - 1, depth - 2);
-                }
+            if depth == below + 2 && stack[below].1 < stack[below + 1].1 {
+                stack.swap(below, below + 1);
             }
         }
     }

@@ -1,5 +1,7 @@
 //! From a seed to pictures.
 
+use std::ops::RangeInclusive;
+
 use glam::{DMat3, DVec3, Vec3A};
 use rayon::prelude::*;
 use zipsplat::types::{Camera, Image, Intrinsics, Pose};
@@ -17,7 +19,8 @@ use super::world::{Seen, World};
 const PATHS: usize = 12;
 /// Views with less contrast (standard deviation of brightness, 0..1) are not worth taking.
 const LEAST_CONTRAST: f32 = 0.05;
-const BRIGHTNESS: [f32; 2] = [0.15, 0.85];
+/// Mean brightness of a view.
+const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
 /// Field of view of the longer side, degrees.
 const FIELD_OF_VIEW: [f32; 2] = [35.0, 80.0];
 
@@ -255,7 +258,7 @@ fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut 
         let count = brightness.len() as f32;
         let mean = brightness.iter().sum::<f32>() / count;
         let variance = brightness.iter().map(|b| (b - mean).powi(2)).sum::<f32>() / count;
-        variance.sqrt() >= LEAST_CONTRAST && mean >= BRIGHTNESS[0] && mean <= BRIGHTNESS[1]
+        variance.sqrt() >= LEAST_CONTRAST && BRIGHTNESS.contains(&mean)
     };
     lights.iter().all(worth).then_some(development)
 }

@@ -155,7 +155,7 @@ impl Stage {
         let converge = rng.range(0.0, 1.0);
         let place = |t: &f32| {
             let run = rows * (0.5 + 0.5 * t).min(0.999);
-            let across = if run as usize % 2 == 0 { run.fract() } else { 1.0 - run.fract() };
+            let across = if (run as usize).is_multiple_of(2) { run.fract() } else { 1.0 - run.fract() };
             let lift = if rows > 1.0 { run.floor() / (rows - 1.0) } else { 0.5 };
             let move_by = side * (2.0 * across - 1.0) + rise * (2.0 * lift - 1.0);
             (centre + move_by, self.target + (1.0 - converge) * move_by)

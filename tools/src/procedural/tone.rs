@@ -62,12 +62,12 @@ pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     let half = root(light.max(Vec3A::ZERO));
     let quarter = root(half);
     let eighth = root(quarter);
-    0.662_002_7 * half + 0.684_122_06 * quarter - 0.323_583_6 * eighth - 0.022_541_147 * light
+    0.6620 * half + 0.6841 * quarter - 0.3236 * eighth - 0.0225 * light
 }
 
 /// Within 0.003 of the sRGB curve, by a cubic.
 pub(super) fn srgb_to_linear(srgb: Vec3A) -> Vec3A {
-    srgb * (srgb * (srgb * 0.305_306_01 + 0.682_171_1) + 0.012_522_878)
+    srgb * (srgb * (srgb * 0.3053 + 0.6822) + 0.0125)
 }
 
 #[derive(Clone, Copy, PartialEq)]
