@@ -1,5 +1,6 @@
 //! Files that are written whole or not at all.
 
+use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -57,6 +58,15 @@ impl Unfinished {
         Ok(Self { file, path: path.to_owned() })
     }
 
+    /// Writes to it, from where the last writer stopped.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn writer(&self) -> Result<BufWriter<File>> {
+        let file = self.file.as_file().try_clone();
+        file.map(BufWriter::new).map_err(|source| Error::io(&self.path, source))
+    }
+
     /// Where it is until it is finished.
     pub fn temporary_path(&self) -> &Path {
         self.file.path()
@@ -69,15 +79,5 @@ impl Unfinished {
     pub fn finish(self) -> Result<()> {
         let Self { file, path } = self;
         file.persist(&path).map(drop).map_err(|error| Error::io(path, error.error))
-    }
-}
-
-impl Write for Unfinished {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.file.write(bytes)
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        self.file.flush()
     }
 }
