@@ -32,8 +32,7 @@ const SIZE: Size = Size(252, 252);
 /// Cameras to draw with.
 #[derive(Args)]
 #[command(
-    group(ArgGroup::new("path").required(true).args(["cameras", "spline", "ellipse", "dolly", "orbit", "wiggle"])),
-    group(ArgGroup::new("file").args(["cameras", "spline", "ellipse"]))
+    group(ArgGroup::new("path").required(true).args(["cameras", "spline", "ellipse", "dolly", "orbit", "wiggle"]))
 )]
 pub struct CameraArgs {
     /// The cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json, or JSON with a list
@@ -57,16 +56,18 @@ pub struct CameraArgs {
     #[arg(long)]
     wiggle: bool,
     /// Lead --spline back to its first camera
-    #[arg(long = "loop", requires = "spline")]
+    // Conflicts: an option that requires one of several paths is let through with another.
+    #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
     closed: bool,
     /// Share of the way to the scene's centre that --dolly goes; below 0: away from it
-    #[arg(long, value_name = "SHARE", default_value = "0.5", requires = "dolly", allow_negative_numbers = true)]
+    #[arg(long, value_name = "SHARE", default_value = "0.5", allow_negative_numbers = true,
+        conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     travel: f64,
     /// Let the lens of --dolly keep the size of what is at the scene's centre
-    #[arg(long, requires = "dolly")]
+    #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
     /// Photo whose camera is the scene's world: the first that was given to reconstruct [default: the file's own world]
-    #[arg(long, value_name = "PHOTO", requires = "file")]
+    #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Pictures of a path
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),

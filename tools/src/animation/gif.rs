@@ -14,8 +14,8 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// Of NeuQuant's sampling, from 1 (all pixels) to 30.
-const SPEED: i32 = 10;
+/// Pixels that NeuQuant learns a picture's colours from, where it has more.
+const SAMPLES: u64 = 1 << 16;
 
 pub struct Gif {
     path: PathBuf,
@@ -43,7 +43,7 @@ impl Encoder for Gif {
         let due = |i: u64| (100 * i + fps / 2) / fps;
         let encode = |(i, image): (usize, &Image)| {
             let (width, height) = (side(image.width, "GIF")?, side(image.height, "GIF")?);
-            let mut frame = Frame::from_rgb_speed(width, height, &image.rgb, SPEED);
+            let mut frame = Frame::from_rgb_speed(width, height, &image.rgb, speed(image));
             let i = pushed + i as u64;
             frame.delay = (due(i + 1) - due(i)) as u16;
             frame.make_lzw_pre_encoded();
@@ -62,4 +62,10 @@ impl Encoder for Gif {
         out.into_inner().map_err(|error| Error::io(&path, error.into_error()))?;
         file.finish()
     }
+}
+
+/// NeuQuant's step over the pixels, from 1 to 30.
+fn speed(image: &Image) -> i32 {
+    let pixels = u64::from(image.width) * u64::from(image.height);
+    (pixels / SAMPLES).clamp(1, 30) as i32
 }
