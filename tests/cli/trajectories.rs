@@ -2,7 +2,11 @@
 
 use crate::{Folder, names, raw_command};
 use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
-use std::{fs::File, io::BufReader, sync::atomic::AtomicBool};
+use std::{
+    fs::File,
+    io::BufReader,
+    sync::atomic::{AtomicBool, Ordering},
+};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
@@ -157,6 +161,8 @@ fn mp4_is_piped_to_ffmpeg() {
     let args = std::fs::read_to_string(folder.path("copies.args")).expect("arguments");
     assert!(args.contains("-f rawvideo -pix_fmt rgb24 -s 37x23 -framerate 24 -i -"), "{args}");
 
+    script("sleeps", "cat >/dev/null\nexec sleep 60");
+    cancelled_under_way(&folder, &line("sleeps"));
     let before = folder.names();
     folder.run(&line("fails")).fails(1, &["fails", "Unknown encoder"]);
     folder.run(&line("stops")).fails(1, &["stops", "No space"]);
@@ -207,4 +213,32 @@ fn unusable_requests_leave_no_file() {
         assert_eq!((code, out.len()), (130, 0), "{line}");
     }
     assert_eq!(folder.names(), before);
+}
+
+/// Runs a line that is cancelled as soon as a temporary file is there, and holds that it leaves none.
+#[track_caller]
+fn cancelled_under_way(folder: &Folder, line: &str) {
+    let before = folder.names();
+    let (cancelled, ended) = (AtomicBool::new(false), AtomicBool::new(false));
+    let code = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !ended.load(Ordering::Relaxed) && !folder.names().iter().any(|name| name.starts_with(".zipsplat-")) {
+                std::thread::yield_now();
+            }
+            cancelled.store(true, Ordering::Relaxed);
+        });
+        let (code, ..) = raw_command(&folder.line(line), &cancelled);
+        ended.store(true, Ordering::Relaxed);
+        code
+    });
+    assert_eq!(code, 130, "{line}");
+    assert_eq!(folder.names(), before, "{line}");
+}
+
+#[test]
+fn cancelling_under_way_leaves_no_file() {
+    let folder = folder();
+    for file in ["out.gif", "out.apng"] {
+        cancelled_under_way(&folder, &format!("{RENDER} --orbit --frames 2000 --size 37x23 --video @/{file}"));
+    }
 }
