@@ -64,7 +64,7 @@ pub struct Render {
     #[arg(long, short, value_name = "FOLDER|-")]
     output: Option<PathBuf>,
     /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed. No
-    /// animated WebP: the decoder's crate writes single pictures only
+    /// animated WebP: the encoder at hand writes single pictures only
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// Pictures a second of --video
