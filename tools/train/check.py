@@ -67,7 +67,7 @@ def compare(model, golden):
     for prefix in sorted({name.split("/")[0] for name in golden if name.startswith("r")}):
         forced = golden[f"{prefix}/nearest_idx"][None]
         fused = {}
-        fused["gauss"] = model.decode(layers, color, indices=forced, taps=fused)
+        fused["gauss"], _ = model.decode(layers, color, indices=forced, taps=fused)
         taps |= {f"{prefix}/{name}": value for name, value in fused.items()}
     errors = {}
     for name, truth in golden.items():
@@ -113,7 +113,7 @@ def dump(weights, out):
         for ratio in (1.0, 0.5):
             taps = {}
             indices = None if ratio == 1 else nearest_tokens(layers[0], int(layers[0].shape[1] * ratio))
-            gauss = model.decode(layers, color, indices=indices, taps=taps)
+            gauss, _ = model.decode(layers, color, indices=indices, taps=taps)
             golden[f"{case}/r{ratio:g}/gauss"] = gauss[0].float()
             if indices is not None:
                 golden[f"{case}/r{ratio:g}/nearest_idx"] = indices[0]

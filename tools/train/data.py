@@ -15,8 +15,11 @@ HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("s
 # Of B scenes with V context and C target views, in the frame of the first context view with unit median distance:
 # images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy;
 # colours [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics of the targets;
-# points [B, M, 3] on surfaces that the context sees.
-Batch = namedtuple("Batch", "images poses intrinsics colours depth viewmats target_intrinsics points")
+# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, 3] what the centres of the context's patches see.
+Batch = namedtuple("Batch", "images poses intrinsics colours depth viewmats target_intrinsics points anchors")
+
+# Where anchors put the sky, and what is farther than it, in median distances.
+SKY = 12.0
 
 
 class Shards:
@@ -121,14 +124,14 @@ class Pool:
                 raise RuntimeError(f"found {self.taken} scenes in the stream or a minute without one, expected {count}")
             self.waited += time.perf_counter() - started
 
-    def sample(self, scenes, views, targets, points=2048):
+    def sample(self, scenes, views, targets, points, patch):
         self.fill(self.block)
         while self.taken < self.capacity or self.drawn >= self.reuse * (self.taken - self.capacity):
             if self.take_in() == 0:
                 break
         self.drawn += scenes
         chosen = torch.randint(self.filled(), (scenes,), device=self.device)
-        return batch(*self.split(chosen, views, targets), points)
+        return batch(*self.split(chosen, views, targets), points, patch)
 
     def split(self, chosen, views, targets):
         """Rows, and for each of them its context views [B, V] and targets [B, C], at random.
@@ -173,38 +176,42 @@ def inverse(poses):
     return result
 
 
-def batch(rows, context, targets, points):
+def batch(rows, context, targets, points, patch):
     """Moves scenes into the frame of their first context view and to a median distance of 1 of what the context sees."""
     poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
     poses[:, :, :3] = rows["poses"]
     relative = inverse(pick(poses, context[:, :1])) @ poses
-    depth = pick(rows["depths"], context)
-    cloud = surface_points(depth, pick(rows["intrinsics"], context), pick(relative, context), points)
-    scale = cloud.norm(dim=-1).nanmedian(1).values.nan_to_num(1.0).clamp_min(1e-3)
-    relative[..., :3, 3] /= scale[:, None, None]
-    cloud = cloud / scale[:, None, None]
+    depth, intrinsics = pick(rows["depths"], context).float(), pick(rows["intrinsics"], context)
+    index = torch.randint(depth[0].numel(), (len(depth), points), device=depth.device)
+    cloud = unproject(depth, intrinsics, pick(relative, context), index)
+    scale = cloud.norm(dim=-1).nanmedian(1).values.nan_to_num(1.0).clamp_min(1e-3)[:, None, None]
+    relative[..., :3, 3] /= scale
+    cloud = cloud / scale
     # Sky gives no point: a surface's stands in, so that shapes stay fixed.
-    some = cloud.isfinite().all(-1).float().argmax(1)
-    cloud = torch.where(cloud.isfinite(), cloud, pick(cloud, some[:, None]).nan_to_num(1.0))
-    images = pick(rows["colours"], context).movedim(-1, 2).float() / 255
+    seen = cloud.isfinite().all(-1)
+    cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
+
+    patches = torch.arange(depth[0].numel(), device=depth.device).view(depth.shape[1:])
+    centres = patches[:, patch // 2 :: patch, patch // 2 :: patch].flatten().expand(len(depth), -1)
+    bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
     return Batch(
-        images,
+        pick(rows["colours"], context).movedim(-1, 2).float() / 255,
         pick(relative, context),
-        pick(rows["intrinsics"], context),
+        intrinsics,
         pick(rows["colours"], targets).float() / 255,
-        pick(rows["depths"], targets).float() / scale[:, None, None, None],
+        pick(rows["depths"], targets).float() / scale[..., None],
         inverse(pick(relative, targets)),
         pick(rows["intrinsics"], targets),
         cloud,
+        unproject(bounded, intrinsics, pick(relative, context), centres),
     )
 
 
-def surface_points(depth, intrinsics, poses, count):
-    """[B, count, 3] points of random pixels of depth [B, V, H, W] in the world; NaN in the sky."""
-    b, v, h, w = depth.shape
-    index = torch.randint(v * h * w, (b, count), device=depth.device)
+def unproject(depth, intrinsics, poses, index):
+    """World points [B, M, 3] of pixels `index` [B, M] of depth [B, V, H, W], counted over all views; NaN in the sky."""
+    h, w = depth.shape[2:]
     view, pixel = index // (h * w), index % (h * w)
-    z = depth.flatten(1).gather(1, index).float()
+    z = depth.flatten(1).gather(1, index)
     fx, fy, cx, cy = pick(intrinsics, view).unbind(-1)
     x, y = (pixel % w + 0.5 - cx) / fx, (pixel // w + 0.5 - cy) / fy
     pose = pick(poses, view)

@@ -9,7 +9,7 @@ def ssim(a, b):
     """Mean structural similarity of [N, 3, H, W] in 0..1, windows of 7 x 7 of equal weight."""
 
     def mean(x):
-        return F.avg_pool2d(x, 7, 1)
+        return F.avg_pool2d(F.avg_pool2d(x, (7, 1), 1), (1, 7), 1)
 
     mean_a, mean_b = mean(a), mean(b)
     unbias = 49 / 48
@@ -64,7 +64,7 @@ class VggDistance(nn.Module):
         return distance
 
 
-def chamfer(means, points, free, sample=1024):
+def chamfer(means, points, free, sample):
     """Mean distance from Gaussians to their nearest point, smooth near 0; only `free` [B, N] Gaussians are pulled.
 
     A random `sample` of the Gaussians stands for all. The paper's square is replaced by the distance beyond 1, so that
@@ -83,8 +83,25 @@ def chamfer(means, points, free, sample=1024):
     return (F.smooth_l1_loss(distance, torch.zeros_like(distance), reduction="none") * free).mean()
 
 
-def total(gaussians, pictures, batch, weights, perceptual=None):
-    """The weighted sum, and its parts by name. `weights` are those of the configuration."""
+def signed_log(x):
+    """The inverse of what the head applies to means: near and far errors count alike."""
+    return x.sign() * torch.log1p(x.abs())
+
+
+def anchor(means, anchors, tokens):
+    """Distance of the middle of each token's Gaussians to what the centre of its patch sees, on the head's scale.
+
+    Not in the paper, whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place
+    tend to merge into one opaque cloud. Its weight fades out, so that placement is free in the end.
+    """
+    if tokens is not None:
+        anchors = anchors.gather(1, tokens[..., None].expand(-1, -1, 3))
+    middles = signed_log(means).unflatten(1, (anchors.shape[1], -1)).mean(2)
+    return F.smooth_l1_loss(middles, signed_log(anchors), beta=0.1)
+
+
+def total(gaussians, tokens, pictures, batch, weights, sample=1024, perceptual=None):
+    """The weighted sum, and its parts by name. `tokens` are the model's; `sample` is that of `chamfer`."""
     rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colours))
     means, scales, opacity = gaussians[..., :3], gaussians[..., 3:6], gaussians[..., 10]
     surface = batch.depth > 0
@@ -92,7 +109,8 @@ def total(gaussians, pictures, batch, weights, perceptual=None):
     depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)
     parts = {
         "l1": (rgb - truth).abs().mean(),
-        "chamfer": chamfer(means, batch.points, ~pictures.reached),
+        "anchor": anchor(means, batch.anchors, tokens),
+        "chamfer": chamfer(means, batch.points, ~pictures.reached, sample),
         "depth": (depth_error * surface).mean(),
         "scale": F.relu(scales - 0.1).square().mean(),
         "opacity": F.relu(opacity - 0.01).square().mean(),

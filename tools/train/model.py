@@ -355,7 +355,10 @@ class ZipSplat(nn.Module):
         return layers, color
 
     def decode(self, layers, color, ratio=1.0, indices=None, taps=None):
-        """Packed Gaussians [B, K * G, 11 + 3K'] from what `prepare` gives; `indices` [B, K] replace the clustering."""
+        """Packed Gaussians [B, K * G, 11 + 3K'] from what `prepare` gives, and the tokens [B, K] that they come from.
+
+        `indices` [B, K] replace the clustering; None stands for all tokens.
+        """
         taps = {} if taps is None else taps
         count = max(1, int(layers[0].shape[1] * ratio))
         if indices is None and count < layers[0].shape[1]:
@@ -373,10 +376,11 @@ class ZipSplat(nn.Module):
         color = taps["color_feats"] = queries + self.color_cross_attention(queries, color)
         with torch.autocast(scene.device.type, enabled=False):
             raw = taps["raw"] = self.gaussian_head(torch.cat((scene, color), -1).to(self.color_embed.proj.weight.dtype))
-            return activate(raw.unflatten(-1, (-1, self.architecture.gaussian_width)).flatten(1, 2), self.architecture.sh_degree)
+            packed = raw.unflatten(-1, (-1, self.architecture.gaussian_width)).flatten(1, 2)
+            return activate(packed, self.architecture.sh_degree), indices
 
     def forward(self, images, ratio=1.0, priors=None, given=None):
-        """[B, V, 3, H, W] in 0..1 -> packed Gaussians [B, K * G, 11 + 3K'] in the frame of view 0."""
+        """[B, V, 3, H, W] in 0..1 -> packed Gaussians [B, K * G, 11 + 3K'] in the frame of view 0, and their tokens."""
         return self.decode(*self.prepare(images, priors, given), ratio)
 
 

@@ -8,6 +8,9 @@ import torch
 
 from rasterise import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
 
+# OpenMP's threads spin between calls, which costs many times the work where other processes use the cores.
+numba.config.THREADING_LAYER = "workqueue"
+
 F = np.float32
 MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE = F(MAX_ALPHA), F(MIN_ALPHA), F(MIN_TRANSMITTANCE)
 

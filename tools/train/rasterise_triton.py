@@ -1,4 +1,4 @@
-"""Blending on GPUs without a compiler for CUDA: a program a tile of 16 x 16 pixels, chunks of Gaussians front to back."""
+"""Blending on GPUs without a compiler for CUDA: a warp a tile of 8 x 8 pixels, chunks of Gaussians front to back."""
 
 import torch
 import triton
@@ -6,7 +6,7 @@ import triton.language as tl
 
 from rasterise import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
 
-TILE = tl.constexpr(16)
+TILE = tl.constexpr(8)
 # Gaussians that a program blends at a time, and those that it looks through at a time for its list.
 CHUNK = 8
 SCAN = 256
@@ -35,7 +35,7 @@ class Blend(torch.autograd.Function):
         planes = splats.new_empty(pictures, 5, height, width)
         reached = torch.zeros(pictures, n, dtype=torch.int8, device=splats.device)
         list_kernel[grid](bounds.contiguous(), order, lists, counts, n, width, SCAN)
-        forward_kernel[grid](splats, lists, counts, planes, reached, n, height, width, CHUNK)
+        forward_kernel[grid](splats, lists, counts, planes, reached, n, height, width, CHUNK, num_warps=1)
         ctx.save_for_backward(splats, lists, counts, planes)
         reached = reached.bool()
         ctx.mark_non_differentiable(reached)
@@ -48,7 +48,7 @@ class Blend(torch.autograd.Function):
         grad_splats = torch.zeros_like(splats)
         grid = (counts.shape[1], counts.shape[0])
         backward_kernel[grid](
-            splats, lists, counts, planes, grad.contiguous(), grad_splats, splats.shape[1], height, width, CHUNK
+            splats, lists, counts, planes, grad.contiguous(), grad_splats, splats.shape[1], height, width, CHUNK, num_warps=1
         )
         return grad_splats, None, None
 

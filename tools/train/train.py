@@ -7,6 +7,10 @@ samples/. `--resume DIR` goes on where a run stopped, within the same time box; 
 schedule from weights.
 """
 
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before PyTorch: on CPUs the generator needs the cores, too
+
 import argparse
 import copy
 import csv
@@ -66,6 +70,11 @@ class Schedule:
         least = 1 - (1 - least) * 0.5 * (1 - math.cos(math.pi * grown))
         return views, max(round(rng.uniform(least, 1) * 20) / 20, 0.05)
 
+    def weights(self, elapsed):
+        """Of the losses: the anchors' fades out."""
+        fade = max(1 - elapsed / self.seconds / self.config["anchor_until"], 0)
+        return {**self.config["losses"], "anchor": self.config["losses"]["anchor"] * fade}
+
 
 class Trainer:
     def __init__(self, args, config):
@@ -82,8 +91,8 @@ class Trainer:
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
         model = initialise(ZipSplat(self.architecture), **config["initial"])
         state = self.resume(model)
-        self.model = model.to(self.device).to(memory_format=torch.channels_last if self.device.type == "cpu" else torch.preserve_format)
-        self.average = copy.deepcopy(self.model).eval()
+        self.model = model.to(self.device)
+        self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         self.optimiser = self.make_optimiser()
         if state:
             self.average.load_state_dict(state["average"])
@@ -97,13 +106,15 @@ class Trainer:
         def command(seed, scenes=None):
             return generator_command(args.zipsplat, config["size"], config["record_views"], seed, args.textures, scenes)
 
-        unseen = Shards(command(UNSEEN_SEED, UNSEEN_SCENES))
-        self.shards = Shards(command(self.first_seed))
-        capacity = int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
+        self.shards = Shards(command(self.first_seed, config["scenes"]))
+        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
-        self.unseen = Pool(unseen, UNSEEN_SCENES, self.device)
-        self.unseen.fill(UNSEEN_SCENES)
-        unseen.close()
+        self.evaluated = self.pool
+        if not config["scenes"]:
+            unseen = Shards(command(UNSEEN_SEED, UNSEEN_SCENES))
+            self.evaluated = Pool(unseen, UNSEEN_SCENES, self.device)
+            self.evaluated.fill(UNSEEN_SCENES)
+            unseen.close()
 
     def resume(self, model):
         """Takes weights over from --resume; gives the rest of the state of a run that goes on."""
@@ -144,20 +155,22 @@ class Trainer:
     def forward(self, model, given_batch, ratio, given):
         priors = (given_batch.poses, given_batch.intrinsics)
         with torch.autocast(self.device.type, self.autocast, enabled=self.autocast is not None):
-            gaussians = model(given_batch.images, ratio, priors, given)
+            gaussians, tokens = model(given_batch.images, ratio, priors, given)
         size = given_batch.colours.shape[2:4]
         pictures = rasterise(
             gaussians, given_batch.viewmats, given_batch.target_intrinsics, size, self.architecture.sh_degree
         )
-        return gaussians, pictures
+        return gaussians, tokens, pictures
 
     def train_step(self):
         views, ratio = self.schedule.draw(self.elapsed, self.rng)
         scenes = max(self.config["batch_views"] // views, 1)
-        data = self.pool.sample(scenes, views, self.config["targets"])
+        data = self.pool.sample(scenes, views, self.config["targets"], self.config["chamfer_points"], self.architecture.patch)
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
-        gaussians, pictures = self.forward(self.model, data, ratio, given)
-        loss, parts = losses.total(gaussians, pictures, data, self.config["losses"], self.perceptual)
+        gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
+        weights = self.schedule.weights(self.elapsed)
+        sample = self.config["chamfer_gaussians"]
+        loss, parts = losses.total(gaussians, tokens, pictures, data, weights, sample, self.perceptual)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config["clip"])
         # The fused optimiser skips a step whose gradients are not finite, without asking the device.
@@ -169,7 +182,8 @@ class Trainer:
         self.step += 1
         self.samples += scenes
         decay = min(self.config["ema"], self.step / (10 + self.step))
-        torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
         with torch.no_grad():
             error = (pictures.rgb.clamp(0, 1) - data.colours).square().mean((1, 2, 3, 4))
             return {
@@ -213,27 +227,28 @@ class Trainer:
         row = {"step": self.step, "seconds": round(self.elapsed, 1), "samples": self.samples, "samples_per_second": rate,
                "scenes": self.pool.taken, "waited": waited, "rate": self.schedule.rate(self.elapsed), **row}  # fmt: skip
         self.log.append(row)
-        shown = ("loss", "psnr", "l1", "chamfer", "depth", "reached", "median_scale", "norm")
+        shown = ("loss", "psnr", "l1", "anchor", "chamfer", "depth", "reached", "median_scale", "norm")
         print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
     @torch.no_grad()
     def evaluate(self):
-        """PSNR of the averaged weights on the unseen scenes, and a picture of some of them."""
+        """PSNR of the averaged weights on the unseen scenes (or on the fixed ones to learn by heart), and a picture."""
         views, targets = self.config["evaluate"]
-        size = UNSEEN_SCENES // 2
+        count = min(UNSEEN_SCENES, self.evaluated.filled())
+        size = 8
         scores, grid = {}, []
         with torch.random.fork_rng(devices=[self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(0)
-            rows = {name: value[:UNSEEN_SCENES] for name, value in self.unseen.rows.items()}
-            data = batch(*fixed_split(rows, views, targets), 2048)
+            rows = {name: value[:count] for name, value in self.evaluated.rows.items()}
+            data = batch(*fixed_split(rows, views, targets), 2048, self.architecture.patch)
         for given in (True, False):
             for ratio in (1.0, 0.5):
                 psnr = []
-                for start in range(0, UNSEEN_SCENES, size):
+                for start in range(0, count, size):
                     part = type(data)(*(value[start : start + size] for value in data))
-                    given_scenes = torch.full((size,), given, device=self.device)
-                    _, pictures = self.forward(self.average, part, ratio, given_scenes)
+                    given_scenes = torch.full((len(part.images),), given, device=self.device)
+                    _, _, pictures = self.forward(self.average, part, ratio, given_scenes)
                     rgb = pictures.rgb.clamp(0, 1)
                     psnr.append(-10 * (rgb - part.colours).square().mean((2, 3, 4)).log10().flatten())
                     if ratio == 1 and start == 0:
@@ -257,7 +272,7 @@ class Trainer:
 
     def save(self):
         scores = self.evaluate()
-        print("unseen PSNR: " + "  ".join(f"{name} {value:.2f}" for name, value in scores.items()), flush=True)
+        print(("learned" if self.config["scenes"] else "unseen") + " PSNR: " + "  ".join(f"{name} {value:.2f}" for name, value in scores.items()), flush=True)
         if self.log:
             self.log[-1].update(scores)
         counters = {name: getattr(self, name) for name in ("step", "samples", "elapsed", "steps_before", "seconds_before")}
