@@ -15,7 +15,8 @@ HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("s
 # Of B scenes with V context and C target views, in the frame of the first context view with unit median distance:
 # images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy;
 # colours [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics of the targets;
-# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, 3] what the centres of the context's patches see.
+# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, cells, 3] what the
+# centres of the cells of the context's patches see.
 Batch = namedtuple("Batch", "images poses intrinsics colours depth viewmats target_intrinsics points anchors")
 
 # Where anchors put the sky, and what is farther than it, in median distances.
@@ -124,14 +125,14 @@ class Pool:
                 raise RuntimeError(f"found {self.taken} scenes in the stream or a minute without one, expected {count}")
             self.waited += time.perf_counter() - started
 
-    def sample(self, scenes, views, targets, points, patch):
+    def sample(self, scenes, views, targets, points, cells, patch):
         self.fill(self.block)
         while self.taken < self.capacity or self.drawn >= self.reuse * (self.taken - self.capacity):
             if self.take_in() == 0:
                 break
         self.drawn += scenes
         chosen = torch.randint(self.filled(), (scenes,), device=self.device)
-        return batch(*self.split(chosen, views, targets), points, patch)
+        return batch(*self.split(chosen, views, targets), points, cells, patch)
 
     def split(self, chosen, views, targets):
         """Rows, and for each of them its context views [B, V] and targets [B, C], at random.
@@ -176,7 +177,7 @@ def inverse(poses):
     return result
 
 
-def batch(rows, context, targets, points, patch):
+def batch(rows, context, targets, points, cells, patch):
     """Moves scenes into the frame of their first context view and to a median distance of 1 of what the context sees."""
     poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
     poses[:, :, :3] = rows["poses"]
@@ -191,8 +192,7 @@ def batch(rows, context, targets, points, patch):
     seen = cloud.isfinite().all(-1)
     cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
 
-    patches = torch.arange(depth[0].numel(), device=depth.device).view(depth.shape[1:])
-    centres = patches[:, patch // 2 :: patch, patch // 2 :: patch].flatten().expand(len(depth), -1)
+    centres = cell_centres(depth.shape[1:], cells, patch).to(depth.device)
     bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
     return Batch(
         pick(rows["colours"], context).movedim(-1, 2).float() / 255,
@@ -203,8 +203,18 @@ def batch(rows, context, targets, points, patch):
         inverse(pick(relative, targets)),
         pick(rows["intrinsics"], targets),
         cloud,
-        unproject(bounded, intrinsics, pick(relative, context), centres),
+        unproject(bounded, intrinsics, pick(relative, context), centres.expand(len(depth), -1)).unflatten(
+            1, (-1, cells[0] * cells[1])
+        ),
     )
+
+
+def cell_centres(shape, cells, patch):
+    """Pixel indices [V * T * cells] of the centres of a grid of cells in every patch of V pictures, patch by patch."""
+    views, height, width = shape
+    pixels = torch.arange(views * height * width).view(views, height // patch, patch, width // patch, patch)
+    y, x = (((torch.arange(count) + 0.5) * patch / count).long() for count in cells)
+    return pixels[:, :, y][..., x].permute(0, 1, 3, 2, 4).flatten()
 
 
 def unproject(depth, intrinsics, poses, index):

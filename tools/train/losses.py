@@ -89,14 +89,15 @@ def signed_log(x):
 
 
 def anchor(means, anchors, tokens):
-    """Distance of the middle of each token's Gaussians to what the centre of its patch sees, on the head's scale.
+    """Distance of each token's Gaussians to what the cells of its patch see, on the head's scale.
 
-    Not in the paper, whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place
-    tend to merge into one opaque cloud. Its weight fades out, so that placement is free in the end.
+    `anchors` [B, V * T, cells, 3]; the middle of G / cells consecutive Gaussians belongs to a cell. Not in the paper,
+    whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place tend to merge into
+    one opaque cloud. Its weight fades out, so that placement is free in the end.
     """
     if tokens is not None:
-        anchors = anchors.gather(1, tokens[..., None].expand(-1, -1, 3))
-    middles = signed_log(means).unflatten(1, (anchors.shape[1], -1)).mean(2)
+        anchors = anchors.gather(1, tokens[..., None, None].expand(-1, -1, *anchors.shape[2:]))
+    middles = signed_log(means).unflatten(1, (*anchors.shape[1:3], -1)).mean(3)
     return F.smooth_l1_loss(middles, signed_log(anchors), beta=0.1)
 
 

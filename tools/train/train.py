@@ -162,10 +162,13 @@ class Trainer:
         )
         return gaussians, tokens, pictures
 
+    def geometry(self):
+        return self.config["chamfer_points"], self.config["anchor_cells"], self.architecture.patch
+
     def train_step(self):
         views, ratio = self.schedule.draw(self.elapsed, self.rng)
         scenes = max(self.config["batch_views"] // views, 1)
-        data = self.pool.sample(scenes, views, self.config["targets"], self.config["chamfer_points"], self.architecture.patch)
+        data = self.pool.sample(scenes, views, self.config["targets"], *self.geometry())
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
         gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
         weights = self.schedule.weights(self.elapsed)
@@ -241,7 +244,7 @@ class Trainer:
         with torch.random.fork_rng(devices=[self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(0)
             rows = {name: value[:count] for name, value in self.evaluated.rows.items()}
-            data = batch(*fixed_split(rows, views, targets), 2048, self.architecture.patch)
+            data = batch(*fixed_split(rows, views, targets), *self.geometry())
         for given in (True, False):
             for ratio in (1.0, 0.5):
                 psnr = []
