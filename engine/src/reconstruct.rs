@@ -1,63 +1,23 @@
-//! Photos to a scene: one line a stage.
+//! Photos to a scene: a model on a device, and what a reconstruction is asked for and gives.
+
+mod network;
+mod request;
+
+pub use network::{Network, Tensors};
+pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
 use crate::{
     Error, Result,
-    gpu::{Device, Limits, Plan, Progress, Recorder, Resident, Run, StageTimes, Tensor},
-    ops::ParameterLayout,
+    gpu::{Device, Plan, Progress, Recorder, Resident, Run, StageTimes},
     stages::{
-        ViewGrid,
-        backbone::{Backbone, BackboneInputs, POSE_VALUES, interpolate_positions, rotary_tables},
-        cluster::{self, auto_ratio, cluster_count, even_indices, random_indices},
-        fuse::Fuse,
-        gaussians::{GaussianTensors, Gaussians},
+        backbone::{POSE_VALUES, interpolate_positions, rotary_tables},
+        cluster::{even_indices, random_indices},
     },
-    types::{Camera, Image, Scene, prior_encoding},
+    types::{Image, Scene, prior_encoding},
     weights::{Architecture, Checkpoint},
 };
+use request::check_cameras;
 use std::{ops::ControlFlow, sync::Arc};
-
-/// Most views of one reconstruction.
-pub const MAX_VIEWS: usize = 192;
-
-/// Share of the tokens that are kept.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Ratio {
-    /// A number in (0, 1]; at 1 every token is kept and nothing is clustered.
-    Fixed(f64),
-    /// 0.5 sqrt(2 / views), the paper's.
-    Auto,
-}
-
-/// How the kept tokens are chosen.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Selection {
-    /// The nearest token of each centroid of k-means.
-    Kmeans,
-    /// Evenly spread.
-    Stride,
-    /// Random ones, the same for the same seed.
-    Random(u64),
-    /// These.
-    Given(Vec<u32>),
-}
-
-/// What to reconstruct.
-#[derive(Clone, Debug)]
-pub struct Request {
-    /// Share of tokens kept.
-    pub ratio: Ratio,
-    /// How they are chosen.
-    pub selection: Selection,
-    /// Known cameras of all views, of the images' own size, or none.
-    pub cameras: Option<Vec<Camera>>,
-}
-
-impl Default for Request {
-    /// Every token, no cameras.
-    fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::Kmeans, cameras: None }
-    }
-}
 
 /// A scene and how it came about.
 #[derive(Clone, Debug)]
@@ -72,92 +32,6 @@ pub struct Reconstruction {
     pub peak_bytes: u64,
 }
 
-/// A network's parameters, laid out for a device.
-pub struct Network {
-    architecture: Architecture,
-    parameters: ParameterLayout,
-    backbone: Backbone,
-    fuse: Fuse,
-    gaussians: Gaussians,
-}
-
-/// Everything that decides a plan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
-    /// Views and their patches.
-    pub grid: ViewGrid,
-    /// Tokens kept; all where equal to the grid's.
-    pub tokens: usize,
-    /// Whether they are found by k-means, not given.
-    pub kmeans: bool,
-    /// Whether cameras are given.
-    pub cameras: bool,
-}
-
-/// The tensors that go in and out of a plan.
-#[derive(Clone, Copy, Debug)]
-pub struct Tensors {
-    inputs: BackboneInputs,
-    /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
-    indices: Option<Tensor>,
-    scene: GaussianTensors,
-}
-
-impl Network {
-    /// Lays out a network; needs no device.
-    pub fn new(architecture: &Architecture, limits: &Limits) -> Self {
-        let mut parameters = ParameterLayout::new(limits);
-        Self {
-            backbone: Backbone::new(&mut parameters, architecture),
-            fuse: Fuse::new(&mut parameters, architecture),
-            gaussians: Gaussians::new(&mut parameters, architecture),
-            architecture: architecture.clone(),
-            parameters,
-        }
-    }
-
-    /// Bytes of the weights on the device.
-    pub fn weight_bytes(&self) -> u64 {
-        self.parameters.bytes()
-    }
-
-    /// Records the whole forward pass.
-    pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
-        let Shape { grid, tokens, .. } = shape;
-        let inputs = self.inputs(rec, shape);
-        let reduced = tokens < grid.tokens();
-        let indices = reduced.then(|| rec.input::<u32>("indices", tokens));
-
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, grid));
-        let chosen = rec.scope("cluster", |rec| match indices {
-            Some(initial) if shape.kmeans => {
-                Some(cluster::record(rec, layers[0], initial, grid.tokens(), tokens, self.architecture.width))
-            }
-            given => given,
-        });
-        let chosen = chosen.map(|indices| (indices, tokens));
-        let scene = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
-        let scene = rec.scope("gaussians", |rec| self.gaussians.record(rec, scene, inputs.images, grid, chosen));
-
-        for tensor in [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs] {
-            rec.output(tensor);
-        }
-        Tensors { inputs, indices, scene }
-    }
-
-    fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {
-        let (a, grid) = (&self.architecture, shape.grid);
-        let tokens = 1 + grid.patches();
-        let rotary = ["local", "global"].map(|kind| rec.input::<f32>(&format!("rotary_{kind}"), tokens * a.head_dim()));
-        BackboneInputs {
-            images: rec.input::<f32>("images", grid.values()),
-            positions: rec.input::<f32>("positions", tokens * a.width),
-            rotary,
-            poses: shape.cameras.then(|| rec.input::<[f32; POSE_VALUES]>("poses", grid.views)),
-        }
-    }
-}
-
 /// A network with its weights on a device.
 pub struct Model {
     device: Device,
@@ -167,17 +41,26 @@ pub struct Model {
 }
 
 impl Model {
-    /// Loads a checkpoint onto a device. `progress` gets the share that is done.
+    /// Loads a checkpoint onto a device. `progress` gets the share that is done and may stop the loading.
     ///
     /// # Errors
-    /// Where the device has too little memory or the checkpoint cannot be read.
-    pub fn load(device: &Device, checkpoint: &Checkpoint, progress: impl FnMut(f64)) -> Result<Self> {
+    /// Where the device has too little memory or the checkpoint cannot be read; [`Error::Cancelled`].
+    pub fn load(
+        device: &Device,
+        checkpoint: &Checkpoint,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
         let network = Network::new(checkpoint.architecture(), device.limits());
         let resident = Arc::new(network.parameters.load(device, checkpoint, progress)?);
         let name = "backbone.backbone.pos_embed";
         let mut learned_positions = vec![0.0; checkpoint.shape(name)?.iter().product()];
         checkpoint.read_f32(name, &mut learned_positions)?;
         Ok(Self { device: device.clone(), network, resident, learned_positions })
+    }
+
+    /// Bytes of the weights on the device.
+    pub fn weight_bytes(&self) -> u64 {
+        self.network.weight_bytes()
     }
 
     /// The network's architecture.
@@ -215,25 +98,20 @@ impl Model {
     /// # Errors
     /// [`Error::Argument`] for whatever cannot be used.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
-        let grid = self.grid(images)?;
-        let all = grid.tokens();
-        let tokens = match &request.selection {
-            Selection::Given(indices) => {
-                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
-                    return Err(Error::argument(
-                        "given tokens",
-                        format!("{} indices", indices.len()),
-                        format!("at least one, all below {all}"),
-                    ));
-                }
-                indices.len()
+        let size = images.first().map_or([0; 2], |first| [first.width, first.height]);
+        for (i, image) in images.iter().enumerate() {
+            if [image.width, image.height] != size {
+                let found = format!("{} x {}", image.width, image.height);
+                let expected = format!("{} x {}, as view 0", size[0], size[1]);
+                return Err(Error::argument(format!("size of view {i}"), found, expected));
             }
-            _ => cluster_count(all, ratio(request.ratio, grid.views)?),
-        };
+            image.validate()?;
+        }
         if let Some(cameras) = &request.cameras {
             check_cameras(cameras, images)?;
         }
-        Ok(Shape { grid, tokens, kmeans: request.selection == Selection::Kmeans, cameras: request.cameras.is_some() })
+        let chosen = (request.ratio, &request.selection);
+        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())
     }
 
     /// Records a plan for a shape, observing its intermediate tensors where asked.
@@ -291,75 +169,9 @@ impl Model {
         }
         Ok(())
     }
-
-    fn grid(&self, images: &[Image]) -> Result<ViewGrid> {
-        let patch = self.architecture().patch;
-        let first = images.first().ok_or_else(|| Error::argument("photos", 0, format!("1 to {MAX_VIEWS}")))?;
-        if images.len() > MAX_VIEWS {
-            return Err(Error::argument("photos", images.len(), format!("1 to {MAX_VIEWS}")));
-        }
-        let (width, height) = (first.width as usize, first.height as usize);
-        for (i, image) in images.iter().enumerate() {
-            let size = format!("{} x {}", image.width, image.height);
-            if (image.width, image.height) != (first.width, first.height) {
-                return Err(Error::argument(
-                    format!("size of view {i}"),
-                    size,
-                    format!("{width} x {height}, as view 0"),
-                ));
-            }
-            image.validate()?;
-        }
-        if width == 0 || height == 0 || !width.is_multiple_of(patch) || !height.is_multiple_of(patch) {
-            let size = format!("{width} x {height}");
-            return Err(Error::argument("size of the views", size, format!("multiples of {patch}")));
-        }
-        Ok(ViewGrid { views: images.len(), rows: height / patch, columns: width / patch, patch })
-    }
 }
 
-impl Tensors {
-    /// Reads the scene after a run.
-    ///
-    /// # Errors
-    /// Where a transfer fails.
-    pub fn read(&self, run: &Run, sh_degree: u32) -> Result<Scene> {
-        Ok(Scene {
-            means: run.read(self.scene.means)?,
-            scales: run.read(self.scene.scales)?,
-            quats: run.read(self.scene.quats)?,
-            opacities: run.read(self.scene.opacities)?,
-            sh_coeffs: run.read(self.scene.sh_coeffs)?,
-            sh_degree,
-        })
-    }
-}
-
-/// A ratio as a number.
-fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
-    match ratio {
-        Ratio::Auto => Ok(auto_ratio(views)),
-        Ratio::Fixed(r) if r > 0.0 && r <= 1.0 => Ok(r),
-        Ratio::Fixed(r) => Err(Error::argument("ratio", r, "a number in (0, 1], or auto")),
-    }
-}
-
-fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
-    if cameras.len() != images.len() {
-        return Err(Error::argument("cameras", cameras.len(), format!("{}, one a view", images.len())));
-    }
-    for (i, (camera, image)) in cameras.iter().zip(images).enumerate() {
-        camera.validate(&format!("camera of view {i}"))?;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        if size != (image.width, image.height) {
-            let expected = format!("{} x {}, as the image", image.width, image.height);
-            return Err(Error::argument(format!("size of camera {i}"), format!("{} x {}", size.0, size.1), expected));
-        }
-    }
-    Ok(())
-}
-
-/// RGB8 interleaved -> [views, 3, height, width] f32 in 0..1.
+/// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.
 fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
     for image in images {

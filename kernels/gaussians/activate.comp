@@ -32,12 +32,14 @@ float expm1(float x) {
     return x < 0.35 ? series : exp(x) - 1.0;
 }
 
-// log(1 + exp(x)), as torch: x itself above 20. log1p(u) by Kahan's correction of the rounding of 1 + u.
+// log(1 + exp(x)), as torch: x itself above 20. Near 1 a log is only right to 2^-21 absolutely, which is much of a small
+// scale, so there it is the series of 2 atanh(u / (2 + u)) = log(1 + u).
 float softplus(float x) {
     float u = exp(min(x, 20.0));
-    float w = 1.0 + u;
-    float small = w == 1.0 ? u : log(w) * u / (w - 1.0);
-    return x > 20.0 ? x : small;
+    float s = u / (2.0 + u);
+    float t = s * s;
+    float series = 2.0 * s * (1.0 + t * (1.0 / 3.0 + t * (1.0 / 5.0 + t * (1.0 / 7.0 + t / 9.0))));
+    return x > 20.0 ? x : (u < 0.5 ? series : log(1.0 + u));
 }
 
 void main() {

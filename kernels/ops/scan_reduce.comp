@@ -2,7 +2,8 @@
 //
 // values [count]; sums [blocks].
 // One workgroup owns one share of values, each invocation every subgroup-size-th item of it.
-// Reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009): no workgroup waits for another.
+// Reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009): no workgroup waits for
+// another.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

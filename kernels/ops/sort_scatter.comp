@@ -6,6 +6,7 @@
 // Ranks among equal digits by ballots: Adinets and Merrill, Onesweep, 2022, section 3.4, without its look-back.
 #version 460
 #extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 layout(local_size_x_id = 0) in;
 #include "shared/blocks.glsl"
 
@@ -41,13 +42,17 @@ void main() {
         uint digit = key >> shift & mask;
         uvec4 equal = peers(digit, subgroupBallot(inside));
         uint rank = subgroupBallotExclusiveBitCount(equal);
-        uint place = next[digit] + rank;
-        subgroupBarrier();
+        uint place = 0;
+        if (inside && rank == 0) {
+            place = next[digit];
+            next[digit] = place + subgroupBallotBitCount(equal);
+        }
+        subgroupMemoryBarrierShared();
+        // Every lane waits here for what the leaders read, so none reads in the next round what they have yet to write.
+        place = subgroupShuffle(place, subgroupBallotFindLSB(equal)) + rank;
         if (inside) {
             sorted_keys[place] = key;
             sorted_values[place] = values[i];
-            if (rank == 0) next[digit] = place + subgroupBallotBitCount(equal);
         }
-        subgroupBarrier();
     }
 }

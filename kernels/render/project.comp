@@ -20,7 +20,6 @@ layout(constant_id = 1) const bool COLOUR = true;
 layout(constant_id = 2) const uint SH_DEGREE = 0; // evaluated
 layout(constant_id = 3) const uint SH_STRIDE = 1; // coefficients that a Gaussian has
 layout(constant_id = 4) const bool ANTIALIASED = false;
-layout(constant_id = 5) const uint TILE = 16; // pixels a side
 
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
 layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };
@@ -53,7 +52,7 @@ float nearest(vec3 conic, vec2 from, vec2 to) {
 }
 
 // Tiles within `radii` of xy; of few tiles, those where an alpha reaches ALPHA_MIN. `reach` is the largest d' conic d
-// that does; the margin covers the rounding of d' conic d within images of 2^16 pixels a side.
+// that does; the margin covers the rounding of d' conic d within images of 2^15 pixels a side.
 TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
     vec2 grid = (uvec2(width, height) + TILE - 1) / TILE;
     uvec2 first = uvec2(clamp(floor((xy - radii) / TILE), vec2(0), grid));

@@ -3,21 +3,21 @@
 // pair_indices [intersections] by tile, near to far; tile_offsets [tiles + 1]; xy_opacities, conics, colours [pairs, 3]
 // and depths [pairs] as render/project writes them; frames [C, rows, width, channels]: of red, green, blue, alpha and
 // depth those asked for. Depth is the sum of z times weight, or, where EXPECTED_DEPTH, that sum over alpha.
-// One workgroup owns a run of PIXELS times the subgroup size pixels of one tile, row-major, each invocation every
-// subgroup-size-th of them: nothing is shared, and every Gaussian is read at one address by all.
+// One workgroup owns RUNS runs of pixels of one tile, row-major, each as long as a subgroup, and each invocation one
+// pixel of every run: nothing is shared, and all invocations read a Gaussian at one address.
 // 3D Gaussian Splatting (Kerbl et al. 2023) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_vote : require
 layout(local_size_x_id = 0) in;
+#include "shared/limits.glsl"
 #include "shared/splat.glsl"
 
 layout(constant_id = 1) const bool COLOUR = true;
 layout(constant_id = 2) const bool ALPHA = true;
 layout(constant_id = 3) const bool DEPTH = false;
 layout(constant_id = 4) const bool EXPECTED_DEPTH = false;
-layout(constant_id = 5) const uint TILE = 16;  // pixels a side
-layout(constant_id = 6) const uint PIXELS = 8; // of one invocation
+layout(constant_id = 5) const uint RUNS = 8;
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
@@ -28,27 +28,41 @@ layout(set = 0, binding = 5) readonly buffer Depths { float depths[]; };
 layout(set = 0, binding = 6) writeonly buffer Frames { float frames[]; };
 layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; vec3 background; };
 
+const uint LANES = gl_WorkGroupSize.x;
+const float LOG2_E = 1.4426950408889634;
+const float ROUNDING = 0.05; // of exponents, well above what it is in images of 2^15 pixels a side
+
 struct Pixel {
-    vec2 centre;
     float transmittance; // negative once the pixel is done
     vec3 rgb;
     float depth;
 };
 
-void blend(inout Pixel pixel, vec3 xy_opacity, vec3 conic, vec3 colour, float z) {
-    vec2 d = pixel.centre - xy_opacity.xy;
-    float e = d.x - conic.y * d.y;
-    float alpha = min(ALPHA_MAX, xy_opacity.z * exp(-0.5 * (conic.x * e * e + conic.z * d.y * d.y)));
-    if (!(alpha >= ALPHA_MIN && pixel.transmittance > 0)) return;
+// Where the first pixel of a run lies in its tile, and where an invocation's pixel lies from there.
+uvec2 run_start(uint run) {
+    const uint groups = TILE * TILE / (RUNS * LANES);
+    uint p = (gl_WorkGroupID.x % groups * RUNS + run) * LANES;
+    return uvec2(p % TILE, p / TILE);
+}
+
+uvec2 lane_offset() {
+    uint lane = gl_LocalInvocationID.x;
+    return LANES <= TILE ? uvec2(lane, 0) : uvec2(lane % TILE, lane / TILE);
+}
+
+uvec2 tile() { return uvec2(gl_WorkGroupID.x * RUNS * LANES / (TILE * TILE), first_tile_row + gl_WorkGroupID.y); }
+
+uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset(); }
+
+// Without branches: a CPU's lanes take both sides of one.
+void blend(inout Pixel pixel, float alpha, vec3 colour, float z) {
+    bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
     float left = pixel.transmittance * (1 - alpha);
-    if (left <= TRANSMITTANCE_MIN) {
-        pixel.transmittance = -pixel.transmittance;
-        return;
-    }
-    float weight = alpha * pixel.transmittance;
+    bool drawn = seen && left > TRANSMITTANCE_MIN;
+    float weight = drawn ? alpha * pixel.transmittance : 0;
     if (COLOUR) pixel.rgb += weight * colour;
     if (DEPTH) pixel.depth += weight * z;
-    pixel.transmittance = left;
+    pixel.transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
 }
 
 void store(Pixel pixel, uint at) {
@@ -64,36 +78,40 @@ void store(Pixel pixel, uint at) {
 }
 
 void main() {
-    const uint runs = TILE * TILE / (PIXELS * gl_WorkGroupSize.x);
-    uvec2 tile = uvec2(gl_WorkGroupID.x / runs, first_tile_row + gl_WorkGroupID.y);
-    uint first = gl_WorkGroupID.x % runs * PIXELS * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
-    Pixel pixels[PIXELS];
-    for (uint j = 0; j < PIXELS; ++j) {
-        uint p = first + j * gl_WorkGroupSize.x;
-        uvec2 at = tile * TILE + uvec2(p % TILE, p / TILE);
-        pixels[j] = Pixel(vec2(at) + 0.5, all(lessThan(at, size)) ? 1 : -1, vec3(0), 0);
-    }
+    Pixel pixels[RUNS];
+    for (uint run = 0; run < RUNS; ++run)
+        pixels[run] = Pixel(all(lessThan(position(run), size)) ? 1 : -1, vec3(0), 0);
 
-    uint tile_id = (gl_WorkGroupID.z * grid.y + tile.y) * grid.x + tile.x;
-    uint end = tile_offsets[tile_id + 1];
-    for (uint i = tile_offsets[tile_id]; i < end; ++i) {
+    uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
+    uint end = tile_offsets[list + 1];
+    for (uint i = tile_offsets[list]; i < end; ++i) {
         uint pair = pair_indices[i];
-        vec3 xy_opacity = xy_opacities[pair], conic = conics[pair];
         vec3 colour = COLOUR ? colours[pair] : vec3(0);
-        float z = DEPTH ? depths[pair] : 0;
+        float z = DEPTH ? depths[pair] : 0, opacity = xy_opacities[pair].z;
+        vec2 corner = vec2(tile() * TILE) + 0.5 - xy_opacities[pair].xy;
+        // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2), and the exponent below which alpha is below ALPHA_MIN.
+        vec3 conic = conics[pair] * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E);
+        float faint = log2(ALPHA_MIN / opacity) - ROUNDING;
         bool live = false;
-        for (uint j = 0; j < PIXELS; ++j) {
-            blend(pixels[j], xy_opacity, conic, colour, z);
-            live = live || pixels[j].transmittance > 0;
+        for (uint run = 0; run < RUNS; ++run) {
+            vec2 from = corner + run_start(run) + vec2(0, lane_offset().y);
+            float shear = conic.y * from.y, across = conic.z * from.y * from.y;
+            float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
+            if (conic.x * nearest * nearest + across >= faint) {
+                float e = from.x + lane_offset().x - shear;
+                float alpha = min(ALPHA_MAX, opacity * exp2(conic.x * e * e + across));
+                blend(pixels[run], alpha, colour, z);
+            }
+            live = live || pixels[run].transmittance > 0;
         }
         if (!subgroupAny(live)) break;
     }
 
     const uint channels = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
-    for (uint j = 0; j < PIXELS; ++j) {
-        uvec2 at = uvec2(pixels[j].centre);
+    for (uint run = 0; run < RUNS; ++run) {
+        uvec2 at = position(run);
         if (any(greaterThanEqual(at, size))) continue;
         uint row = gl_WorkGroupID.z * row_count + at.y - first_tile_row * TILE;
-        store(pixels[j], (row * size.x + at.x) * channels);
+        store(pixels[run], (row * size.x + at.x) * channels);
     }
 }

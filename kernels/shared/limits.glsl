@@ -5,3 +5,4 @@ const uint PANEL_COLUMNS = 32u; // Columns of a weight that lie side by side, so
 const uint ATTENTION_ROWS = 16u; // Queries that one workgroup owns.
 const uint NEAREST_ROWS = 8u; // Points that one workgroup finds the nearest targets of.
 const uint RADIX = 256u; // Values of one digit of the radix sort.
+const uint TILE = 16u; // Pixels a side of the tiles that pictures are cut into.

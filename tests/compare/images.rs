@@ -19,7 +19,7 @@ pub struct ImageTolerance {
 impl ImageTolerance {
     // f32 against f64, away from unstable pixels: twice the worst of gsplat's formulas run in f32 on the golden scenes.
 
-    /// Colour and alpha, in [0, 1]: a few dozen blended terms.
+    /// Colour and alpha, in `[0, 1]`: a few dozen blended terms.
     pub const RGB: ImageTolerance = ImageTolerance { absolute: 8e-6, relative: 0.0, psnr: 110.0 };
     /// Accumulated depth (D) in world units of a scene a few units deep.
     pub const DEPTH: ImageTolerance = ImageTolerance { absolute: 4e-5, relative: 0.0, psnr: 110.0 };

@@ -80,6 +80,26 @@ impl Tolerance {
     /// which Vulkan allows 3 ulp and more.
     pub const ELEMENTWISE: Tolerance = Tolerance { max: 2e-6, rms: 5e-7 };
 
+    /// The tolerance of one exp of |x| <= 20 and a few operations more: Vulkan allows 3 + 2 |x| ulp for it.
+    pub const EXPONENTIAL: Tolerance = Tolerance { max: 1e-5, rms: 1e-5 };
+
+    /// The tolerance of a mean of f32 `terms` of one sign, relative to itself: partial sums grow by one rounding a
+    /// doubling where lanes add side by side, and Vulkan's division is allowed 2.5 ulp.
+    pub fn mean_of(terms: usize) -> Tolerance {
+        let max = F32_ROUNDING * (5.0 + (terms.max(1) as f64).log2());
+        Tolerance { max, rms: max / 2.0 }
+    }
+
+    /// This and another source of deviation together.
+    pub fn and(self, other: Tolerance) -> Tolerance {
+        Tolerance { max: self.max + other.max, rms: self.rms + other.rms }
+    }
+
+    /// This where the truth's rms is `factor` times smaller than that of what is summed.
+    pub fn times(self, factor: f64) -> Tolerance {
+        Tolerance { max: self.max * factor, rms: self.rms * factor }
+    }
+
     /// The tolerance of f32 sums of `terms` products of comparable size: roundings walk at random, so that the sum
     /// moves by about sqrt(terms) of them; a factor of 8 covers the tail over millions of elements.
     pub fn sum_of(terms: usize) -> Tolerance {

@@ -1,10 +1,35 @@
 //! Kernels against references in f64 that use other algorithms, on the device that is there.
 
+mod arena;
+mod case;
+mod determinism;
+
+mod backbone {
+    mod average_halves;
+    mod camera_token;
+    mod patchify;
+    mod tokens;
+}
+mod cluster {
+    mod mean;
+    mod nearest;
+}
+mod gaussians {
+    mod activate;
+}
 mod ops {
+    mod add;
+    mod attention;
+    mod gather_rows;
+    mod layer_norm;
+    mod linear;
+    mod place_columns;
     mod scan;
     mod sort;
+    mod split_heads;
 }
 mod render {
+    mod intersect;
     mod project;
     mod rasterise;
 }

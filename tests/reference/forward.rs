@@ -4,14 +4,18 @@ use std::collections::BTreeMap;
 
 use super::backbone::block::{EPS, Options, block};
 use super::backbone::camera_encoder::{Prior, camera_tokens};
+use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
 use super::backbone::features::{feature, prepare};
 use super::backbone::patch_embed::{Images, patch_embed};
+use super::backbone::tokens::tokens as first_tokens;
 use super::backbone::{positions, rope};
 use super::fuse::cross_attention::cross_attention;
-use super::gaussians::head::{activate, head};
+use super::gaussians::activate::activate;
+use super::gaussians::head::head;
 use super::model::Model;
-use super::ops::linear::add;
-use super::{gather, widen};
+use super::ops::add::add;
+use super::ops::gather_rows::gather_rows;
+use super::widen;
 
 /// Intermediate results by golden key: `bb/block0`, `prep/layer1`, `scene_ca0`.
 pub type Taps = BTreeMap<String, Vec<f64>>;
@@ -61,7 +65,8 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, taps: &mut
     let mut features = Vec::new();
     for i in 0..architecture.depth {
         if i == architecture.alt_start {
-            insert_camera_tokens(model, &mut x, token_count, priors, taps);
+            let cameras = cameras(model, images.views, priors, taps);
+            insert_camera_tokens(&mut x, token_count, &cameras, architecture.width);
             taps.insert("bb/alt_in".into(), x.clone());
         }
         let global = i >= architecture.alt_start && i % 2 == 1;
@@ -93,28 +98,18 @@ fn embed(model: &Model, images: &Images) -> Vec<f64> {
     let width = model.architecture.width;
     let patches = patch_embed(images, projection.get("weight"), projection.get("bias"), model.architecture.patch);
     let positions = positions::interpolate(&widen(weights.get("pos_embed")), width, rows, columns);
-    let class = widen(weights.get("cls_token"));
-    let views = patches.chunks(rows * columns * width);
-    views.flat_map(|patches| add(&[&class, patches].concat(), &positions)).collect()
+    first_tokens(&patches, &widen(weights.get("cls_token")), &positions)
 }
 
-/// Overwrites the first token of every view by what is known of its camera: its encoding, or only whether it is the
-/// reference view, the first.
-fn insert_camera_tokens(model: &Model, x: &mut [f64], token_count: usize, priors: Option<&[Prior]>, taps: &mut Taps) {
-    let width = model.architecture.width;
-    let views = x.chunks_mut(token_count * width);
-    if let Some(priors) = priors {
-        let cameras = camera_tokens(&model.scope("backbone.cam_enc"), priors);
-        for (view, camera) in views.zip(cameras.chunks(width)) {
-            view[..width].copy_from_slice(camera);
-        }
-        taps.insert("bb/cam_token".into(), cameras);
-        return;
-    }
-    let learned = widen(model.scope("backbone.backbone").get("camera_token"));
-    for (i, view) in views.enumerate() {
-        view[..width].copy_from_slice(&learned[i.min(1) * width..][..width]);
-    }
+/// What is known of every view's camera, `[views, width]`: its encoding, or only whether it is the reference view.
+fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<f64> {
+    let Some(priors) = priors else {
+        let learned = widen(model.scope("backbone.backbone").get("camera_token"));
+        return learned_camera_tokens(&learned, model.architecture.width, views);
+    };
+    let encoded = camera_tokens(&model.scope("backbone.cam_enc"), priors);
+    taps.insert("bb/cam_token".into(), encoded.clone());
+    encoded
 }
 
 /// Tokens, of which those at `nearest` represent the scene, to Gaussians `gauss [K * G, 11 + 3 (degree + 1)^2]`; every
@@ -123,10 +118,10 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     let architecture = &model.architecture;
     let (width, colour_width) = (architecture.width, architecture.colour_width);
     let mut taps = Taps::new();
-    let mut scene = gather(&tokens.layers[0], width, nearest);
+    let mut scene = gather_rows(&tokens.layers[0], width, nearest);
     taps.insert("scene_init".into(), scene.clone());
     for (l, layer) in tokens.layers.iter().enumerate() {
-        let queries = gather(layer, width, nearest);
+        let queries = gather_rows(layer, width, nearest);
         let weights = model.scope(&format!("cross_attention.{l}"));
         let delta = cross_attention(&weights, &queries, layer, architecture.heads);
         scene = add(&scene, &delta);
@@ -136,7 +131,7 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
         scene = block(&model.scope(&format!("self_attention.{l}")), &scene, options);
         taps.insert(format!("scene_sa{l}"), scene.clone());
     }
-    let queries = gather(&tokens.colour, colour_width, nearest);
+    let queries = gather_rows(&tokens.colour, colour_width, nearest);
     let delta =
         cross_attention(&model.scope("color_cross_attention"), &queries, &tokens.colour, (colour_width / 64).max(1));
     let colour = add(&queries, &delta);

@@ -17,8 +17,3 @@ pub mod render;
 pub fn widen(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
 }
-
-/// Rows `indices` of a matrix of rows of `width`.
-pub fn gather(rows: &[f64], width: usize, indices: &[u32]) -> Vec<f64> {
-    indices.iter().flat_map(|&i| &rows[i as usize * width..][..width]).copied().collect()
-}

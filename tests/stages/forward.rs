@@ -14,10 +14,10 @@ use zipsplat_tests::golden::{self, Golden};
 fn model(config: &str) -> Model {
     let key = if config == "tiny_rect" { "tiny" } else { config };
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
-    Model::load(device(), &checkpoint, |_| ()).expect("small models fit")
+    Model::load(device(), &checkpoint, |_| std::ops::ControlFlow::Continue(())).expect("small models fit")
 }
 
-/// `in/images_u8` [views, 3, height, width] as pictures.
+/// `in/images_u8` `[views, 3, height, width]` as pictures.
 fn images(golden: &Golden) -> Vec<Image> {
     let (shape, values) = (golden.shape("in/images_u8"), golden.u8("in/images_u8"));
     let (height, width) = (shape[2], shape[3]);
@@ -104,7 +104,7 @@ fn check(file: &str) {
     assert!(compared > 10, "{file}: only {compared} taps compared");
 }
 
-/// Packed Gaussians [n, width], of which large goldens store every `sub_step`-th.
+/// Packed Gaussians `[n, width]`, of which large goldens store every `sub_step`-th.
 fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], width: usize) {
     if golden.has(key) {
         assert_gaussians_close(key, packed, &golden.f32(key), width);

@@ -10,7 +10,7 @@ use zipsplat_tests::reference::backbone::patch_embed::Images;
 use zipsplat_tests::reference::backbone::{positions, rope};
 use zipsplat_tests::reference::cluster::kmeans::{cluster_count, initial_indices, kmeans};
 use zipsplat_tests::reference::forward::{self, Tokens};
-use zipsplat_tests::reference::gaussians::head::activate;
+use zipsplat_tests::reference::gaussians::activate::activate;
 use zipsplat_tests::reference::model::Model;
 use zipsplat_tests::reference::ops::activation::{gelu, sigmoid, silu, softplus};
 use zipsplat_tests::reference::ops::layer_norm::layer_norm;

@@ -51,6 +51,7 @@ fn pico() -> Architecture {
         patch: 2,
         position_grid: 3,
         camera_depth: 1,
+        camera_heads: 2,
         color_width: 8,
         color_heads: 1,
         color_hidden: 8,

@@ -4,6 +4,7 @@ use super::{
     device::{Shared, lock},
     memory::{Memory, Resident},
     plan::{Command, Dispatch, Groups, Home, Operation, Plan, Tensor},
+    schedule::Piece,
 };
 use crate::{Error, Result};
 use ash::vk;
@@ -35,16 +36,6 @@ impl Range {
     fn meets(&self, other: &Range) -> bool {
         self.buffer == other.buffer && self.from < other.to && other.from < self.to
     }
-}
-
-/// Part of a command: all of it, or some of a long dispatch's workgroups.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
-    /// Index of the command in its plan.
-    pub command: usize,
-    /// First workgroup and count along each axis; unused for other operations.
-    pub base: [u32; 3],
-    pub groups: [u32; 3],
 }
 
 /// Where a plan's tensors are while it runs.
@@ -118,15 +109,13 @@ impl<'a> Encoder<'a> {
         match &command.operation {
             Operation::Dispatch(dispatch) => self.dispatch(dispatch, piece)?,
             Operation::Fill { target, value } => {
-                let range = self.bound.range(*target);
+                let (range, bytes) = (self.bound.range(*target), target.bytes.next_multiple_of(4));
                 // SAFETY: recording; the range is inside its buffer.
-                unsafe {
-                    self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, range.to - range.from, *value)
-                };
+                unsafe { self.raw().cmd_fill_buffer(self.commands, range.buffer, range.from, bytes, *value) };
             }
             Operation::Copy { source, target } => {
                 let (from, to) = (self.bound.range(*source), self.bound.range(*target));
-                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: from.to - from.from };
+                let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: source.bytes };
                 // SAFETY: recording; both ranges are inside their buffers and live tensors never overlap.
                 unsafe { self.raw().cmd_copy_buffer(self.commands, from.buffer, to.buffer, &[region]) };
             }
@@ -170,14 +159,7 @@ impl<'a> Encoder<'a> {
     }
 
     fn barrier(&self, from: vk::PipelineStageFlags2, to: vk::PipelineStageFlags2, access: vk::AccessFlags2) {
-        let barrier = [vk::MemoryBarrier2::default()
-            .src_stage_mask(from)
-            .src_access_mask(WRITES)
-            .dst_stage_mask(to)
-            .dst_access_mask(access)];
-        let info = vk::DependencyInfo::default().memory_barriers(&barrier);
-        // SAFETY: recording.
-        unsafe { self.raw().cmd_pipeline_barrier2(self.commands, &info) };
+        memory_barrier(self.raw(), self.commands, from, to, access);
     }
 
     fn timestamp(&mut self) {
@@ -235,9 +217,28 @@ impl<'a> Encoder<'a> {
     }
 }
 
-/// Records and submits a few commands, and waits for them.
-pub(super) fn once(shared: &Shared, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
+/// Makes writes before it visible to `access` behind it.
+fn memory_barrier(
+    raw: &ash::Device,
+    commands: vk::CommandBuffer,
+    from: vk::PipelineStageFlags2,
+    to: vk::PipelineStageFlags2,
+    access: vk::AccessFlags2,
+) {
+    let barrier = [vk::MemoryBarrier2::default()
+        .src_stage_mask(from)
+        .src_access_mask(WRITES)
+        .dst_stage_mask(to)
+        .dst_access_mask(access)];
+    let info = vk::DependencyInfo::default().memory_barriers(&barrier);
+    // SAFETY: the callers are recording into `commands`.
+    unsafe { raw.cmd_pipeline_barrier2(commands, &info) };
+}
+
+/// Copies between two buffers, behind everything that was submitted before, and waits for it.
+pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
     let raw = &shared.raw;
+    let transfer = vk::PipelineStageFlags2::TRANSFER;
     let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.family);
     // SAFETY: handles are used on this thread only and destroyed after the wait.
     unsafe {
@@ -246,7 +247,10 @@ pub(super) fn once(shared: &Shared, record: impl FnOnce(&ash::Device, vk::Comman
             let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = raw.allocate_command_buffers(&info)?[0];
             raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())?;
-            record(raw, commands);
+            let access = vk::AccessFlags2::TRANSFER_READ | vk::AccessFlags2::TRANSFER_WRITE;
+            memory_barrier(raw, commands, vk::PipelineStageFlags2::ALL_COMMANDS, transfer, access);
+            raw.cmd_copy_buffer(commands, from, to, &[region]);
+            memory_barrier(raw, commands, STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
             raw.end_command_buffer(commands)?;
             let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
             let queue = lock(&shared.queue);

@@ -1,6 +1,10 @@
 //! A Vulkan device: choosing it, what it can do, and the pipelines made on it.
 
-use super::{LocalSize, Module, instance::Instance};
+use super::{
+    LocalSize, Module,
+    instance::Instance,
+    limits::{Limits, probe},
+};
 use crate::{Error, Result};
 use ash::{ext, khr, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
@@ -16,61 +20,17 @@ pub struct DeviceOptions {
     pub selector: Option<String>,
     /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run.
     pub validation: bool,
+    /// Binds at most so many bytes at once, as a device with a smaller limit would have it.
+    pub max_binding_bytes: Option<u64>,
+    /// Moves bytes through staging memory also where the host sees the device's own, as a discrete GPU has it.
+    pub staged: bool,
 }
 
 impl Default for DeviceOptions {
     /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1.
     fn default() -> Self {
-        Self { selector: None, validation: std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1") }
-    }
-}
-
-/// What a device is and can do, as far as plans depend on it.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct Limits {
-    /// The device's name.
-    pub name: String,
-    /// The driver's name and version.
-    pub driver: String,
-    /// Vulkan version, `major.minor.patch`.
-    pub api: String,
-    /// Whether the device is a CPU.
-    pub cpu: bool,
-    /// Whether the device is a discrete GPU.
-    pub discrete: bool,
-    /// Invocations in a subgroup.
-    pub subgroup_size: u32,
-    /// Bytes that one binding of a kernel may span.
-    pub max_binding_bytes: u64,
-    /// Bytes that one allocation may have.
-    pub max_block_bytes: u64,
-    /// Workgroups along x, y, z.
-    pub max_groups: [u32; 3],
-    /// Bytes of shared memory of a workgroup.
-    pub shared_bytes: u32,
-    /// Bytes of the memory that kernels work in.
-    pub memory_bytes: u64,
-    /// Nanoseconds of one timestamp tick; 0 where there are no timestamps.
-    pub timestamp_ns: f64,
-}
-
-impl Default for Limits {
-    /// A plain desktop device, for plans made without one.
-    fn default() -> Self {
-        Self {
-            name: "none".into(),
-            driver: String::new(),
-            api: "1.3.0".into(),
-            cpu: false,
-            discrete: true,
-            subgroup_size: 32,
-            max_binding_bytes: u32::MAX as u64,
-            max_block_bytes: 4 << 30,
-            max_groups: [65535; 3],
-            shared_bytes: 32 << 10,
-            memory_bytes: u64::MAX,
-            timestamp_ns: 1.0,
-        }
+        let validation = std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1");
+        Self { selector: None, validation, max_binding_bytes: None, staged: false }
     }
 }
 
@@ -86,8 +46,12 @@ pub(super) struct Shared {
     pub queue: Mutex<vk::Queue>,
     pub family: u32,
     pub limits: Limits,
+    /// Bytes of device memory that blocks hold.
+    pub allocated: AtomicU64,
     /// Arithmetic per millisecond seen so far, for splitting long plans.
     pub flops_per_ms: AtomicU64,
+    /// See [`DeviceOptions::staged`].
+    pub staged: bool,
     subgroup_control: bool,
     pipelines: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
     layouts: Mutex<HashMap<&'static str, Layout>>,
@@ -106,16 +70,6 @@ struct Layout {
     set: vk::DescriptorSetLayout,
     pipeline: vk::PipelineLayout,
     module: vk::ShaderModule,
-}
-
-/// Properties that decide whether a device can be used, beside [`Limits`].
-pub(super) struct Found {
-    api: u32,
-    queue_family: Option<u32>,
-    push_descriptor: bool,
-    features: Vec<(&'static str, bool)>,
-    subgroup_control: bool,
-    llvmpipe_major: Option<u32>,
 }
 
 impl Device {
@@ -148,7 +102,7 @@ impl Device {
             return Err(Error::NoDevice(why.join("; ")));
         };
         let physical = *physical;
-        Shared::new(instance, physical).map(|s| Self(Arc::new(s)))
+        Shared::new(instance, physical, options).map(|s| Self(Arc::new(s)))
     }
 
     /// What the device is and can do.
@@ -158,8 +112,9 @@ impl Device {
 }
 
 impl Shared {
-    fn new(instance: Instance, physical: vk::PhysicalDevice) -> Result<Self> {
-        let (limits, found) = probe(&instance.raw, physical);
+    fn new(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
+        let (mut limits, found) = probe(&instance.raw, physical);
+        limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let extensions = [khr::push_descriptor::NAME.as_ptr()];
@@ -192,7 +147,9 @@ impl Shared {
             // SAFETY: the family and queue were asked for above.
             queue: Mutex::new(unsafe { raw.get_device_queue(family, 0) }),
             family,
+            allocated: AtomicU64::new(0),
             flops_per_ms: AtomicU64::new(if limits.cpu { 10_000_000 } else { 1_000_000_000 }),
+            staged: options.staged,
             subgroup_control: found.subgroup_control,
             pipelines: Mutex::default(),
             layouts: Mutex::default(),
@@ -351,99 +308,4 @@ impl std::ops::DerefMut for AllocatorGuard<'_> {
 /// Locks even where a panicking thread held the lock: the data are plain tables.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|e| e.into_inner())
-}
-
-/// Reads what a device is and can do.
-pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
-    let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
-    let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
-    let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
-    let mut f12 = vk::PhysicalDeviceVulkan12Features::default();
-    let mut f13 = vk::PhysicalDeviceVulkan13Features::default();
-    let mut properties =
-        vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
-    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut f12).push_next(&mut f13);
-    // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
-    let (memory, families, extensions) = unsafe {
-        instance.get_physical_device_properties2(device, &mut properties);
-        instance.get_physical_device_features2(device, &mut features);
-        (
-            instance.get_physical_device_memory_properties(device),
-            instance.get_physical_device_queue_family_properties(device),
-            instance.enumerate_device_extension_properties(device).unwrap_or_default(),
-        )
-    };
-    let base = properties.properties;
-    let text = |s: Option<&std::ffi::CStr>| s.map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-    let compute = vk::QueueFlags::COMPUTE;
-    let queue_family = families.iter().position(|f| f.queue_flags.contains(compute)).map(|i| i as u32);
-    let timestamps = queue_family.is_some_and(|f| families[f as usize].timestamp_valid_bits > 0);
-    let kind = base.device_type;
-    let api = base.api_version;
-    let driver_version = text(v12.driver_info_as_c_str().ok());
-    let limits = Limits {
-        name: text(base.device_name_as_c_str().ok()),
-        driver: format!("{} {driver_version}", text(v12.driver_name_as_c_str().ok())),
-        api: format!("{}.{}.{}", vk::api_version_major(api), vk::api_version_minor(api), vk::api_version_patch(api)),
-        cpu: kind == vk::PhysicalDeviceType::CPU,
-        discrete: kind == vk::PhysicalDeviceType::DISCRETE_GPU,
-        subgroup_size: v11.subgroup_size,
-        max_binding_bytes: base.limits.max_storage_buffer_range as u64,
-        max_block_bytes: v11.max_memory_allocation_size.min(v13.max_buffer_size).min(4 << 30),
-        max_groups: base.limits.max_compute_work_group_count,
-        shared_bytes: base.limits.max_compute_shared_memory_size,
-        memory_bytes: memory
-            .memory_heaps_as_slice()
-            .iter()
-            .filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL))
-            .map(|h| h.size)
-            .max()
-            .unwrap_or(0),
-        timestamp_ns: if timestamps { base.limits.timestamp_period as f64 } else { 0.0 },
-    };
-    let operations = vk::SubgroupFeatureFlags::BASIC
-        | vk::SubgroupFeatureFlags::VOTE
-        | vk::SubgroupFeatureFlags::ARITHMETIC
-        | vk::SubgroupFeatureFlags::BALLOT
-        | vk::SubgroupFeatureFlags::SHUFFLE;
-    let subgroups = v11.subgroup_supported_operations.contains(operations)
-        && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    let found = Found {
-        api,
-        queue_family,
-        push_descriptor: extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::push_descriptor::NAME)),
-        features: vec![
-            ("subgroup arithmetic, ballot and shuffle in compute", subgroups),
-            ("timelineSemaphore", f12.timeline_semaphore == vk::TRUE),
-            ("scalarBlockLayout", f12.scalar_block_layout == vk::TRUE),
-            ("synchronization2", f13.synchronization2 == vk::TRUE),
-            ("maintenance4", f13.maintenance4 == vk::TRUE),
-            ("subgroupSizeControl", f13.subgroup_size_control == vk::TRUE),
-            ("computeFullSubgroups", f13.compute_full_subgroups == vk::TRUE),
-        ],
-        subgroup_control: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
-        llvmpipe_major: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
-            .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),
-    };
-    (limits, found)
-}
-
-/// What a device would need to have and has not.
-pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
-    let mut missing = Vec::new();
-    if found.api < vk::API_VERSION_1_3 {
-        missing.push(format!("Vulkan 1.3 (has {})", limits.api));
-    }
-    if found.queue_family.is_none() {
-        missing.push("a compute queue".into());
-    }
-    if !found.push_descriptor {
-        missing.push("VK_KHR_push_descriptor".into());
-    }
-    // Mesa 22's lavapipe cuts loops off after 65,535 iterations without a word.
-    if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {
-        missing.push(format!("lavapipe 25 or later (Mesa {major} computes long loops wrongly)"));
-    }
-    missing.extend(found.features.iter().filter(|f| !f.1).map(|f| f.0.to_owned()));
-    missing
 }

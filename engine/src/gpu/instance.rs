@@ -1,6 +1,6 @@
 //! Vulkan instance, validation, and the devices that can be had.
 
-use super::device::{Limits, missing_features, probe};
+use super::limits::{Limits, missing_features, probe};
 use crate::{Error, Result};
 use ash::{ext, vk};
 use std::{

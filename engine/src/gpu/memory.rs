@@ -13,7 +13,7 @@ use gpu_allocator::{
     MemoryLocation,
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, atomic::Ordering};
 
 /// Bytes that go through host-visible memory at a time where the device's own is not.
 const STAGING_BYTES: u64 = 16 << 20;
@@ -38,8 +38,9 @@ impl Memory {
     pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
         let shared = device.0.clone();
         let needed: u64 = sizes.iter().sum();
-        if needed > shared.limits.memory_bytes {
-            return Err(Error::Memory { what: what.into(), needed, available: shared.limits.memory_bytes });
+        let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
+        if needed > available {
+            return Err(Error::Memory { what: what.into(), needed, available });
         }
         let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
         for &bytes in sizes {
@@ -60,7 +61,7 @@ impl Memory {
             unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), memory, bytes.len()) };
             return Ok(());
         }
-        let mut staging = self.staging(MemoryLocation::CpuToGpu)?;
+        let mut staging = self.staging()?;
         let stage = staging.as_mut().expect("made above");
         for (i, chunk) in bytes.chunks(STAGING_BYTES as usize).enumerate() {
             let memory = stage.bytes_at(0, chunk.len()).ok_or_else(unmapped)?;
@@ -79,7 +80,7 @@ impl Memory {
             unsafe { std::ptr::copy_nonoverlapping(memory, bytes.as_mut_ptr(), bytes.len()) };
             return Ok(());
         }
-        let mut staging = self.staging(MemoryLocation::GpuToCpu)?;
+        let mut staging = self.staging()?;
         let stage = staging.as_mut().expect("made above");
         for (i, chunk) in bytes.chunks_mut(STAGING_BYTES as usize).enumerate() {
             let at = offset + i as u64 * STAGING_BYTES;
@@ -91,10 +92,11 @@ impl Memory {
         Ok(())
     }
 
-    fn staging(&self, location: MemoryLocation) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
+    /// Cached by the host, because reading from memory that is not is very slow.
+    fn staging(&self) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
         let mut staging = lock(&self.staging);
         if staging.is_none() {
-            *staging = Some(Block::new(&self.shared, "staging", STAGING_BYTES, location)?);
+            *staging = Some(Block::new(&self.shared, "staging", STAGING_BYTES, MemoryLocation::GpuToCpu)?);
         }
         Ok(staging)
     }
@@ -102,10 +104,7 @@ impl Memory {
     fn transfer(&self, from: vk::Buffer, from_at: u64, to: vk::Buffer, to_at: u64, bytes: u64) -> Result<()> {
         let size = bytes.next_multiple_of(4);
         let region = vk::BufferCopy { src_offset: from_at, dst_offset: to_at, size };
-        super::commands::once(&self.shared, |raw, commands| {
-            // SAFETY: both buffers are alive and hold the region; `once` waits for the copy.
-            unsafe { raw.cmd_copy_buffer(commands, from, to, &[region]) }
-        })
+        super::commands::copy_now(&self.shared, from, to, region)
     }
 }
 
@@ -128,6 +127,7 @@ impl Block {
             || Error::Memory { what: what.into(), needed: bytes, available: shared.limits.memory_bytes.min(bytes - 1) };
         // SAFETY: a plain buffer; freed in `free`.
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| too_little())?;
+        shared.allocated.fetch_add(bytes, Ordering::Relaxed);
         let mut block = Self { buffer, allocation: None, bytes, mapped: false };
         // SAFETY: the buffer was just made on this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
@@ -143,7 +143,8 @@ impl Block {
             return Err(too_little());
         };
         let coherent = allocation.memory_properties().contains(vk::MemoryPropertyFlags::HOST_COHERENT);
-        block.mapped = coherent && allocation.mapped_ptr().is_some();
+        let staged = shared.staged && location == MemoryLocation::GpuOnly;
+        block.mapped = coherent && !staged && allocation.mapped_ptr().is_some();
         // SAFETY: both were made for each other and are bound once.
         let bound = unsafe { shared.raw.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
         block.allocation = Some(allocation);
@@ -163,6 +164,7 @@ impl Block {
     }
 
     fn free(self, shared: &Shared) {
+        shared.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
         // SAFETY: users wait for their submissions before they drop their memory.
         unsafe { shared.raw.destroy_buffer(self.buffer, None) };
         if let Some(allocation) = self.allocation {

@@ -99,14 +99,19 @@ impl Recorder {
             LocalSize::Fixed(size) => size,
             LocalSize::Subgroup => [self.limits.subgroup_size, 1, 1],
         };
-        let threads = threads.xyz();
-        self.dispatch_groups(kernel, [0, 1, 2].map(|i| threads[i].div_ceil(size[i])))
+        let (threads, one_dimensional) = (threads.xyz(), threads.one_dimensional());
+        let groups = [0, 1, 2].map(|i| threads[i].div_ceil(size[i]));
+        self.fixed(kernel, groups, one_dimensional)
     }
 
-    /// Dispatches whole workgroups. A 1-D dispatch above `GROUP_FOLD` groups is folded to rows of that many.
+    /// Dispatches whole workgroups. Where a single number is given and above `GROUP_FOLD`, they are folded to rows of that
+    /// many, which `group_index()` in a kernel takes back; three numbers stay as they are.
     pub fn dispatch_groups<K: Kernel>(&mut self, kernel: K, groups: impl Threads) -> Recorded<'_> {
-        let mut groups = groups.xyz();
-        if groups[0] > GROUP_FOLD && groups[1] == 1 && groups[2] == 1 {
+        self.fixed(kernel, groups.xyz(), groups.one_dimensional())
+    }
+
+    fn fixed<K: Kernel>(&mut self, kernel: K, mut groups: [u32; 3], one_dimensional: bool) -> Recorded<'_> {
+        if one_dimensional && groups[0] > GROUP_FOLD {
             groups = [GROUP_FOLD, groups[0].div_ceil(GROUP_FOLD), 1];
         }
         let module = &K::MODULE;
@@ -130,13 +135,17 @@ impl Recorder {
 
     /// Sets every 32-bit word of a tensor.
     pub fn fill(&mut self, target: Tensor, value: u32) {
-        self.command(Operation::Fill { target, value });
+        if target.bytes > 0 {
+            self.command(Operation::Fill { target, value });
+        }
     }
 
     /// Copies `source` over `target`, which is as long.
     pub fn copy(&mut self, source: Tensor, target: Tensor) {
         assert_eq!(source.bytes, target.bytes, "copy between tensors of different length");
-        self.command(Operation::Copy { source, target });
+        if source.bytes > 0 {
+            self.command(Operation::Copy { source, target });
+        }
     }
 
     /// Lays out the arena.
@@ -254,9 +263,13 @@ impl Recorded<'_> {
 }
 
 /// Counts along x, y and z; a single number is along x.
-pub trait Threads {
+pub trait Threads: Copy {
     /// All three.
     fn xyz(self) -> [u32; 3];
+    /// Whether it is a single number.
+    fn one_dimensional(self) -> bool {
+        true
+    }
 }
 
 impl Threads for u32 {
@@ -274,5 +287,8 @@ impl Threads for usize {
 impl Threads for [u32; 3] {
     fn xyz(self) -> [u32; 3] {
         self
+    }
+    fn one_dimensional(self) -> bool {
+        false
     }
 }

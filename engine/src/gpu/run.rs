@@ -2,10 +2,11 @@
 
 use super::{
     Device, Plan, Profile, Resident, Tensor,
-    commands::{Bound, Encoder, Piece, driver},
+    commands::{Bound, Encoder, driver},
     device::lock,
     memory::Memory,
-    plan::{Groups, Home, Operation, Role},
+    plan::{Command, Home, Role},
+    schedule::{Cursor, MAX_PIECES, Piece},
 };
 use crate::{Error, Result};
 use ash::vk;
@@ -19,12 +20,8 @@ use std::{
 
 /// What one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
 const SUBMISSION: Duration = Duration::from_millis(100);
-/// Arithmetic that takes as long as moving a byte, roughly, on CPUs and GPUs alike.
-const FLOPS_PER_BYTE: u64 = 4;
 /// Submissions under way at once.
 const IN_FLIGHT: usize = 2;
-/// Pieces of one profiled submission, two timestamps each.
-const PROFILED_PIECES: usize = 1024;
 
 /// How far a run is.
 #[derive(Clone, Copy, Debug)]
@@ -78,13 +75,6 @@ struct Clock {
     times: StageTimes,
     last: Instant,
     done: u64,
-}
-
-/// Where encoding stands: the next command, and how many of its workgroups along `axis` are done.
-#[derive(Clone, Copy, Default)]
-struct Cursor {
-    command: usize,
-    done: u32,
 }
 
 impl Run {
@@ -178,21 +168,21 @@ impl Run {
         let result = self.submit_all(&mut progress);
         // Whatever is under way ends before anything it uses may change.
         let idle = self.wait(self.signalled);
+        self.forget_inputs();
         if result.is_err() {
             // A recording that was cut short is not replayed.
             self.discard_batches();
         }
         let times = result?;
         idle?;
-        self.forget_inputs();
         self.device.0.check_messages()?;
         Ok(times)
     }
 
     fn submit_all(&mut self, progress: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
-        let total: u64 = self.plan.commands.iter().map(|c| self.cost(&c.operation, c.flops)).sum();
+        let total: u64 = self.plan.commands.iter().map(Command::cost).sum();
         let commands = self.plan.commands.len();
-        let mut cursor = Cursor { command: if self.batches.is_empty() { 0 } else { commands }, done: 0 };
+        let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         let mut clock = Clock { times: StageTimes::default(), last: Instant::now(), done: 0 };
         let mut under_way = VecDeque::new();
         for index in 0.. {
@@ -236,7 +226,7 @@ impl Run {
     pub fn profile(&mut self) -> Result<Profile> {
         self.check_inputs()?;
         let raw = self.device.0.raw.clone();
-        let count = 2 * PROFILED_PIECES as u32;
+        let count = 2 * MAX_PIECES as u32;
         let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(count);
         // SAFETY: destroyed below, after the last submission was waited for.
         let queries = unsafe { raw.create_query_pool(&info, None) }.map_err(|e| driver("vkCreateQueryPool", e))?;
@@ -255,7 +245,7 @@ impl Run {
         let mut cursor = Cursor::default();
         let commands = self.command_buffer()?;
         while cursor.command < self.plan.commands.len() {
-            let (pieces, _) = self.next_pieces(&mut cursor);
+            let (pieces, _) = cursor.next_pieces(&self.plan, self.budget());
             self.record(commands, &pieces, Some((queries, count)))?;
             let value = self.timeline_value()? + 1;
             self.submit_as(commands, value)?;
@@ -295,7 +285,7 @@ impl Run {
 
     fn encode(&self, cursor: &mut Cursor) -> Result<Batch> {
         let first_command = cursor.command;
-        let (pieces, cost) = self.next_pieces(cursor);
+        let (pieces, cost) = cursor.next_pieces(&self.plan, self.budget());
         let commands = self.command_buffer()?;
         self.record(commands, &pieces, None)?;
         Ok(Batch { commands, cost, first_command })
@@ -315,50 +305,9 @@ impl Run {
         encoder.end()
     }
 
-    /// Takes pieces of one stage that are worth one submission; a dispatch beyond that is cut along its longest axis.
-    fn next_pieces(&self, cursor: &mut Cursor) -> (Vec<Piece>, u64) {
-        let budget = self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64;
-        let stage = self.plan.stage(cursor.command);
-        let (mut pieces, mut cost) = (Vec::new(), 0);
-        while let Some(command) = self.plan.commands.get(cursor.command) {
-            if self.plan.stage(cursor.command) != stage {
-                break;
-            }
-            let whole = self.cost(&command.operation, command.flops);
-            let mut piece = Piece { command: cursor.command, base: [0; 3], groups: [1; 3] };
-            let mut piece_cost = whole;
-            if let Operation::Dispatch(dispatch) = &command.operation
-                && let Groups::Fixed(groups) = dispatch.groups
-            {
-                let axis = (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0);
-                // A folded dispatch counts its groups along x, so it can only be cut between rows.
-                let axis = if groups[1] > 1 && groups[2] == 1 { 1.max(axis) } else { axis };
-                let per_group = (whole / groups[axis] as u64).max(1);
-                let room = (budget.saturating_sub(cost) / per_group).clamp(1, groups[axis] as u64) as u32;
-                piece.groups = groups;
-                piece.base[axis] = cursor.done;
-                piece.groups[axis] = room.min(groups[axis] - cursor.done);
-                piece_cost = per_group * piece.groups[axis] as u64;
-                cursor.done += piece.groups[axis];
-                if cursor.done < groups[axis] {
-                    pieces.push(piece);
-                    return (pieces, cost + piece_cost);
-                }
-            }
-            pieces.push(piece);
-            cost += piece_cost;
-            *cursor = Cursor { command: cursor.command + 1, done: 0 };
-            if cost >= budget || pieces.len() == PROFILED_PIECES {
-                break;
-            }
-        }
-        (pieces, cost)
-    }
-
-    fn cost(&self, operation: &Operation, flops: u64) -> u64 {
-        let mut bytes = 0;
-        operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
-        flops.max(bytes * FLOPS_PER_BYTE)
+    /// Cost of one submission.
+    fn budget(&self) -> u64 {
+        self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64
     }
 
     /// Moves the estimate of the device's speed towards what a submission took.

@@ -34,7 +34,7 @@ pub struct Part {
     pub column: usize,
     /// Norm over a head's channels.
     pub norm: Option<Norm>,
-    /// Rotary table [tokens, dim / 2, 2] f32 and its tokens.
+    /// Rotary table `[tokens, dim / 2, 2]` f32 and its tokens.
     pub rotary: Option<(Tensor, usize)>,
     /// Whether these are keys, which are laid out with tokens running fastest.
     pub keys: bool,
@@ -66,7 +66,7 @@ impl Attention {
         ]
     }
 
-    /// Takes a part of `projection` [rows, stride], whose first row is row `first_row` of all, into `out`.
+    /// Takes a part of `projection` `[rows, stride]`, whose first row is row `first_row` of all, into `out`.
     pub fn split(
         &self,
         rec: &mut Recorder,
@@ -109,7 +109,7 @@ impl Attention {
         1.0 / (self.heads.dim as f32).sqrt()
     }
 
-    /// softmax(q k) v of every head, [sequences * queries, width] f32.
+    /// softmax(q k) v of every head, `[sequences * queries, width]` f32.
     pub fn record(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3]) -> Tensor {
         let Heads { count, dim } = self.heads;
         let out = rec.tensor::<f32>("attended", self.sequences * self.queries * self.heads.width());

@@ -26,7 +26,7 @@ pub(super) struct Mlp {
     activation: Activation,
 }
 
-/// How the tokens of a residual stream [sequences * tokens, width] attend to each other.
+/// How the tokens of a residual stream `[sequences * tokens, width]` attend to each other.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
     /// Sequences that do not see each other.
@@ -56,7 +56,7 @@ impl Block {
         }
     }
 
-    /// Runs the block on `x` [count * tokens, width] in place.
+    /// Runs the block on `x` `[count * tokens, width]` in place.
     pub fn record(&self, rec: &mut Recorder, x: Tensor, sequences: Sequences) {
         let width = self.heads.width();
         let rows = sequences.count * sequences.tokens;
@@ -67,7 +67,7 @@ impl Block {
             keys: sequences.tokens,
         };
         let [q, k, v] = attention.tensors(rec);
-        for part in row_chunks(rec, rows, 3 * width) {
+        for part in row_chunks(rec, rows, &[width, 3 * width]) {
             let normed = self.norm1.apply(rec, x.slice::<f32>(part.start * width, part.len() * width), part.len());
             let qkv = self.qkv.apply(rec, "qkv", normed, part.len(), Epilogue::default());
             let [q_norm, k_norm] = self.qk_norm.map_or([None; 2], |n| n.map(Some));
@@ -107,10 +107,10 @@ impl Mlp {
         Self { norm, fc1, fc2, gamma, activation }
     }
 
-    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all [rows, width].
+    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all `[rows, width]`.
     pub fn record(&self, rec: &mut Recorder, residual: Tensor, addend: Option<Tensor>, out: Tensor, rows: usize) {
         let width = self.norm.width;
-        for part in row_chunks(rec, rows, self.fc1.columns) {
+        for part in row_chunks(rec, rows, &[width, self.fc1.columns]) {
             let rows_of = |t: Tensor| t.slice::<f32>(part.start * width, part.len() * width);
             let normed = match addend {
                 Some(addend) => self.norm.apply_to_sum(rec, rows_of(residual), rows_of(addend), part.len()),

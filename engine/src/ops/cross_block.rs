@@ -42,20 +42,20 @@ impl CrossBlock {
         }
     }
 
-    /// The two residuals d1 + d2 of `queries` [count, width] looking at `keys` [key_count, width]: d1 = gamma1 *
+    /// The two residuals d1 + d2 of `queries` `[count, width]` looking at `keys` `[key_count, width]`: d1 = gamma1 *
     /// attention, d2 = gamma2 * mlp(norm(queries + d1)).
     pub fn record(&self, rec: &mut Recorder, queries: (Tensor, usize), keys: (Tensor, usize)) -> Tensor {
         let width = self.heads.width();
         let attention = Attention { heads: self.heads, sequences: 1, queries: queries.1, keys: keys.1 };
         let [q, k, v] = attention.tensors(rec);
-        for part in row_chunks(rec, queries.1, width) {
+        for part in row_chunks(rec, queries.1, &[width]) {
             let x = queries.0.slice::<f32>(part.start * width, part.len() * width);
             let normed = self.norm_q.apply(rec, x, part.len());
             let projected = self.q_proj.apply(rec, "q", normed, part.len(), Epilogue::default());
             let what = Part { norm: Some(self.q_norm), scale: attention.scale(), ..Part::default() };
             attention.split(rec, (projected, width), part.start, part.len(), what, q);
         }
-        for part in row_chunks(rec, keys.1, 2 * width) {
+        for part in row_chunks(rec, keys.1, &[width, 2 * width]) {
             let x = keys.0.slice::<f32>(part.start * width, part.len() * width);
             let normed = self.norm_kv.apply(rec, x, part.len());
             let projected = self.kv_proj.apply(rec, "kv", normed, part.len(), Epilogue::default());

@@ -1,17 +1,21 @@
 //! Linear layers with fused epilogues.
 
-use super::row_chunks;
+use super::rows::{SCRATCH_BYTES, row_chunks};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{limits::LINEAR_ROWS, ops},
 };
 
+/// Narrower layers are cut as if they were this wide, which keeps their workgroups, rows / LINEAR_ROWS along x, below the
+/// 65,535 that every device has.
+const NARROWEST: usize = SCRATCH_BYTES as usize / (4 * LINEAR_ROWS as usize * 65_535) + 1;
+
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// [panels, inner, PANEL_COLUMNS] f32, the last panel padded.
+    /// `[panels, inner, PANEL_COLUMNS]` f32, the last panel padded.
     pub weight: Tensor,
-    /// [columns] f32.
+    /// `[columns]` f32.
     pub bias: Tensor,
     /// Values of an input row, padded to a multiple of 4.
     pub inner: usize,
@@ -27,7 +31,7 @@ pub enum Activation {
     None,
     /// The exact (erf) GELU.
     Gelu,
-    /// silu(gate) * value; columns alternate between the two.
+    /// silu(gate) * value; columns, a multiple of 4, alternate between the two. Without gamma and residual.
     SwiGlu,
 }
 
@@ -36,9 +40,9 @@ pub enum Activation {
 pub struct Epilogue {
     /// Pointwise function.
     pub activation: Activation,
-    /// LayerScale, [columns] f32.
+    /// LayerScale, `[columns]` f32.
     pub gamma: Option<Tensor>,
-    /// [rows, columns] f32; may be the output itself.
+    /// `[rows, columns]` f32; may be the output itself.
     pub residual: Option<Tensor>,
 }
 
@@ -48,18 +52,20 @@ impl Linear {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Applies the layer to `input` [rows, inner] into a new tensor.
+    /// Applies the layer to `input` `[rows, inner]` into a new tensor.
     pub fn apply(&self, rec: &mut Recorder, name: &str, input: Tensor, rows: usize, epilogue: Epilogue) -> Tensor {
         let out = rec.tensor::<f32>(name, rows * self.out_columns(epilogue.activation));
         self.record(rec, input, rows, out, epilogue);
         out
     }
 
-    /// Applies the layer to `input` [rows, inner] into `out` [rows, columns].
+    /// Applies the layer to `input` `[rows, inner]` into `out` `[rows, columns]`.
     pub fn record(&self, rec: &mut Recorder, input: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
+        let alone = epilogue.gamma.is_none() && epilogue.residual.is_none() && self.columns.is_multiple_of(4);
+        assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");
         let out_columns = self.out_columns(epilogue.activation);
         let lanes = rec.limits().subgroup_size as usize;
-        for part in row_chunks(rec, rows, self.inner.max(out_columns)) {
+        for part in row_chunks(rec, rows, &[self.inner, out_columns, NARROWEST]) {
             let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
             let out = rows_of(out, out_columns);
             let kernel = ops::Linear {

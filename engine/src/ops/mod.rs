@@ -15,6 +15,6 @@ pub use block::{Block, Sequences};
 pub use cross_block::CrossBlock;
 pub use linear::{Activation, Epilogue, Linear};
 pub use norm::{Norm, NormRows};
-pub use parameters::ParameterLayout;
+pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns};

@@ -9,9 +9,9 @@ use crate::{
 /// A layer norm's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Norm {
-    /// [width] f32.
+    /// `[width]` f32.
     pub weight: Tensor,
-    /// [width] f32.
+    /// `[width]` f32.
     pub bias: Tensor,
     /// Channels.
     pub width: usize,
@@ -40,14 +40,14 @@ impl NormRows {
 }
 
 impl Norm {
-    /// Normalises `input` [rows, width] into a new tensor.
+    /// Normalises `input` `[rows, width]` into a new tensor.
     pub fn apply(&self, rec: &mut Recorder, input: Tensor, rows: usize) -> Tensor {
         let out = rec.tensor::<f32>("normed", rows * self.width);
         self.record(rec, input, None, out, NormRows::packed(rows, self.width));
         out
     }
 
-    /// Normalises `input` + `addend` [rows, width] into a new tensor.
+    /// Normalises `input` + `addend` `[rows, width]` into a new tensor.
     pub fn apply_to_sum(&self, rec: &mut Recorder, input: Tensor, addend: Tensor, rows: usize) -> Tensor {
         let out = rec.tensor::<f32>("normed", rows * self.width);
         self.record(rec, input, Some(addend), out, NormRows::packed(rows, self.width));
@@ -61,7 +61,7 @@ impl Norm {
         // Cut at whole views where a view has a row more in the input than in the output.
         let view = rows.patches.max(1);
         let extra = rows.patches.min(1);
-        for part in row_chunks(rec, count / view, view.max(1) * stride + extra * width) {
+        for part in row_chunks(rec, count / view, &[(view + extra) * width, view * width, view * stride]) {
             let (first, last) = (part.start * view, part.end * view);
             let (first_in, last_in) = (part.start * (view + extra), part.end * (view + extra));
             let kernel = ops::LayerNorm {

@@ -2,12 +2,13 @@
 
 use super::{Linear, Norm};
 use crate::{
-    Result,
+    Error, Result,
     gpu::{Device, Limits, Resident, ResidentLayout, Tensor},
     kernels::limits::PANEL_COLUMNS,
     weights::Checkpoint,
 };
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// Where every parameter goes, and how it is packed there.
 pub struct ParameterLayout {
@@ -21,7 +22,7 @@ struct Upload {
     packing: Packing,
 }
 
-/// How a checkpoint's [columns, inner] matrix becomes the [panels, inner, PANEL_COLUMNS] one that kernels read.
+/// How a checkpoint's `[columns, inner]` matrix becomes the `[panels, inner, PANEL_COLUMNS]` one that kernels read.
 #[derive(Clone, Copy)]
 enum Packing {
     /// As it is.
@@ -45,7 +46,7 @@ impl ParameterLayout {
         self.add(name, len, Packing::Vector)
     }
 
-    /// `NAME.weight` [columns, inner] (a convolution's kernel counts as one row an output) and `NAME.bias`.
+    /// `NAME.weight` `[columns, inner]` (a convolution's kernel counts as one row an output) and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, inner, columns, Packing::Matrix { inner, columns }, Packing::Vector)
     }
@@ -70,11 +71,16 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done.
+    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done and may stop it.
     ///
     /// # Errors
-    /// Where the device has too little memory, or the checkpoint cannot be read.
-    pub fn load(&self, device: &Device, checkpoint: &Checkpoint, mut progress: impl FnMut(f64)) -> Result<Resident> {
+    /// Where the device has too little memory, or the checkpoint cannot be read; [`Error::Cancelled`].
+    pub fn load(
+        &self,
+        device: &Device,
+        checkpoint: &Checkpoint,
+        mut progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Resident> {
         let resident = Resident::new(device, &self.layout)?;
         let (mut source, mut packed) = (Vec::new(), Vec::new());
         let mut done = 0;
@@ -85,7 +91,9 @@ impl ParameterLayout {
             upload.packing.pack(&source, &mut packed);
             resident.write(upload.tensor, &packed)?;
             done += upload.tensor.bytes();
-            progress(done as f64 / self.bytes() as f64);
+            if progress(done as f64 / self.bytes() as f64).is_break() {
+                return Err(Error::Cancelled);
+            }
         }
         Ok(resident)
     }
@@ -124,7 +132,14 @@ impl Packing {
     }
 }
 
-/// [columns, inner] -> [panels, padded inner, PANEL_COLUMNS]; column c comes from row `row_from_column(c)`.
+/// The matrix `weight` `[columns, inner]` as [`Linear::weight`] holds it.
+pub fn pack_matrix(weight: &[f32], inner: usize, columns: usize) -> Vec<f32> {
+    let mut packed = Vec::new();
+    Packing::Matrix { inner, columns }.pack(weight, &mut packed);
+    packed
+}
+
+/// `[columns, inner]` -> `[panels, padded inner, PANEL_COLUMNS]`; column c comes from row `row_from_column(c)`.
 fn transpose(
     source: &[f32],
     inner: usize,

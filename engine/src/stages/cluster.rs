@@ -58,8 +58,8 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     chosen
 }
 
-/// Records k-means on `tokens` [count, width]. `initial` [clusters] holds the first centroids' tokens
-/// ([`even_indices`]). Returns the nearest token of each centroid, [clusters] u32.
+/// Records k-means on `tokens` `[count, width]`. `initial` `[clusters]` holds the first centroids' tokens
+/// ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
 pub fn record(
     rec: &mut Recorder,
     tokens: Tensor,

@@ -28,8 +28,8 @@ impl Fuse {
         Self { width: a.width, layers: (0..a.out_layers.len()).map(layer).collect() }
     }
 
-    /// Records the fusion of `layers` ([tokens, width] each, deepest first) for the `count` tokens `chosen`, or for all
-    /// of them. Returns the scene tokens [count, width].
+    /// Records the fusion of `layers` (`[tokens, width]` each, deepest first) for the `count` tokens `chosen`, or for all
+    /// of them. Returns the scene tokens `[count, width]`.
     pub fn record(
         &self,
         rec: &mut Recorder,

@@ -6,7 +6,9 @@ use super::{ViewGrid, embed_patches};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::gaussians as kernels,
-    ops::{Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, add, gather_rows, join_columns},
+    ops::{
+        Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, add, gather_rows, join_columns, row_chunks,
+    },
     weights::Architecture,
 };
 
@@ -25,15 +27,15 @@ pub struct Gaussians {
 pub struct GaussianTensors {
     /// N.
     pub count: usize,
-    /// [N, 3] f32.
+    /// `[N, 3]` f32.
     pub means: Tensor,
-    /// [N, 3] f32, standard deviations.
+    /// `[N, 3]` f32, standard deviations.
     pub scales: Tensor,
-    /// [N, 4] f32, wxyz.
+    /// `[N, 4]` f32, wxyz.
     pub quats: Tensor,
-    /// [N] f32, 0..1.
+    /// `[N]` f32, 0..1.
     pub opacities: Tensor,
-    /// [N, (degree + 1)^2, 3] f32.
+    /// `[N, (degree + 1)^2, 3]` f32.
     pub sh_coeffs: Tensor,
 }
 
@@ -55,7 +57,7 @@ impl Gaussians {
         }
     }
 
-    /// Records the head for scene tokens [count, width] that stand for the tokens `chosen` (all, where `None`) of
+    /// Records the head for scene tokens `[count, width]` that stand for the tokens `chosen` (all, where `None`) of
     /// `images`.
     pub fn record(
         &self,
@@ -101,7 +103,7 @@ impl Gaussians {
     }
 }
 
-/// Activates `raw` [count, 11 + 3 (sh_degree + 1)^2].
+/// Activates `raw` `[count, 11 + 3 (sh_degree + 1)^2]`.
 pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize) -> GaussianTensors {
     let bases = (sh_degree + 1) * (sh_degree + 1);
     let tensors = GaussianTensors {
@@ -113,8 +115,19 @@ pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize)
         sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", count * bases),
     };
     let GaussianTensors { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
-    let bases = bases as u32;
-    let kernel = kernels::Activate { raw, means, scales, quats, opacities, sh_coeffs, count: count as u32, bases };
-    rec.dispatch(kernel, count);
+    for part in row_chunks(rec, count, &[11 + 3 * bases, 3, 4, 1, 3 * bases]) {
+        let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
+        let kernel = kernels::Activate {
+            raw: rows_of(raw, 11 + 3 * bases),
+            means: rows_of(means, 3),
+            scales: rows_of(scales, 3),
+            quats: rows_of(quats, 4),
+            opacities: rows_of(opacities, 1),
+            sh_coeffs: rows_of(sh_coeffs, 3 * bases),
+            count: part.len() as u32,
+            bases: bases as u32,
+        };
+        rec.dispatch(kernel, part.len());
+    }
     tensors
 }

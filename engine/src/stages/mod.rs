@@ -38,13 +38,13 @@ impl ViewGrid {
     }
 }
 
-/// Every patch embedded by a convolution whose stride is its size: [tokens, width].
+/// Every patch embedded by a convolution whose stride is its size: `[tokens, width]`.
 fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &crate::ops::Linear) -> Tensor {
     let values = 3 * grid.patch * grid.patch;
     let out = rec.tensor::<f32>("embedded", grid.tokens() * linear.columns);
     // Padded columns of the weight are zero, but an unwritten 0 * NaN would not be.
     assert_eq!(values, linear.inner, "patches of whole vec4");
-    for part in crate::ops::row_chunks(rec, grid.views, grid.patches() * values.max(linear.columns)) {
+    for part in crate::ops::row_chunks(rec, grid.views, &[grid.patches() * values, grid.patches() * linear.columns]) {
         let view = values * grid.patches();
         let tokens = part.len() * grid.patches();
         let patches = rec.tensor::<f32>("patches", tokens * values);

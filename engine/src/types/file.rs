@@ -10,7 +10,7 @@ use crate::{Error, Result};
 ///
 /// # Errors
 /// [`Error::Io`] naming `path`.
-pub(crate) fn write_atomic(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+pub fn write_atomic(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let special = path.metadata().is_ok_and(|found| !found.is_file());
     let written = if special { write_through(path, write) } else { write_beside(path, write) };
     written.map_err(|source| Error::io(path, source))

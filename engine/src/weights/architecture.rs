@@ -179,10 +179,10 @@ impl Architecture {
             ("color_heads", self.color_heads, self.color_width),
         ];
         for (field, found, width) in heads {
-            self.expect(width.is_multiple_of(found), field, found, format!("a divisor of the width {width}"))?;
+            let fits = width.is_multiple_of(found) && (width / found).is_multiple_of(4);
+            self.expect(fits, field, found, format!("a divisor of the width {width} into heads of whole quads"))?;
         }
-        let rope_fits = self.rope_start >= self.depth || self.head_dim().is_multiple_of(4);
-        self.expect(rope_fits, "heads", self.heads, "heads whose channels divide by 4, for rotary embedding")?;
+        self.expect(self.patch.is_multiple_of(2), "patch", self.patch, "an even number of pixels")?;
         self.expect(self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
         self.expect(self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
         let ascending = self.out_layers.is_sorted_by(|a, b| a < b);

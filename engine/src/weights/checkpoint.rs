@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::BufWriter;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use memmap2::Mmap;
@@ -157,6 +158,19 @@ impl Checkpoint {
     /// [`Error::Io`]; [`Error::Argument`] names a tensor with a value too large for `dtype`; those of
     /// [`Checkpoint::read_f32`].
     pub fn save(&self, path: impl AsRef<Path>, dtype: Dtype) -> Result<()> {
+        self.save_with(path, dtype, |_| ControlFlow::Continue(()))
+    }
+
+    /// As [`Checkpoint::save`]; `progress` gets the share that is done and may stop it, which leaves no file.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::save`], and [`Error::Cancelled`].
+    pub fn save_with(
+        &self,
+        path: impl AsRef<Path>,
+        dtype: Dtype,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<()> {
         let path = path.as_ref();
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut builder = tempfile::Builder::new();
@@ -165,7 +179,7 @@ impl Checkpoint {
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
         let mut out = BufWriter::with_capacity(1 << 20, file);
-        safetensors::write(self, dtype, path, &mut out)?;
+        safetensors::write(self, dtype, path, &mut out, progress)?;
         let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
         file.as_file().sync_all().map_err(|error| Error::io(path, error))?;
         file.persist(path).map_err(|error| Error::io(path, error.error))?;

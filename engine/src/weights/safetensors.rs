@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::{self, Write};
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use half::{bf16, f16};
@@ -59,12 +60,22 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
 }
 
 /// Writes every tensor of `checkpoint` in `dtype`, one at a time. `path` only names `out` in messages.
-pub(super) fn write(checkpoint: &Checkpoint, dtype: Dtype, path: &Path, out: &mut impl Write) -> Result<()> {
+pub(super) fn write(
+    checkpoint: &Checkpoint,
+    dtype: Dtype,
+    path: &Path,
+    out: &mut impl Write,
+    mut progress: impl FnMut(f64) -> ControlFlow<()>,
+) -> Result<()> {
     let file_error = |error: io::Error| Error::io(path, error);
     let header = header(checkpoint, dtype).map_err(|reason| Error::format(path, None, reason))?;
     out.write_all(&(header.len() as u64).to_le_bytes()).map_err(file_error)?;
     out.write_all(header.as_bytes()).map_err(file_error)?;
-    for (name, shape) in checkpoint.parameters() {
+    let parameters = checkpoint.parameters();
+    for (i, (name, shape)) in parameters.iter().enumerate() {
+        if progress(i as f64 / parameters.len() as f64).is_break() {
+            return Err(Error::Cancelled);
+        }
         let mut values = vec![0.0; shape.iter().product()];
         checkpoint.read_f32(name, &mut values)?;
         out.write_all(&encode(name, &values, dtype)?).map_err(file_error)?;

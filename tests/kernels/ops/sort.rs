@@ -1,21 +1,21 @@
 //! The radix sort against std's stable sort.
 
 use zipsplat::{
-    gpu::{Device, DeviceOptions, Recorder, Run},
+    gpu::{Recorder, Run},
     ops::sort::sort_pairs,
 };
-use zipsplat_tests::compare::assert_same;
+use zipsplat_tests::{compare::assert_same, device::device};
 
 /// Sorts the first `count` of `keys`, with their indices as values, and holds them to std's sort.
-fn check(device: &Device, keys: &[u32], count: usize, bits: u32) {
-    let mut rec = Recorder::new(device.limits());
+fn check(keys: &[u32], count: usize, bits: u32) {
+    let mut rec = Recorder::new(device().limits());
     let unsorted = rec.input::<u32>("keys", keys.len());
     let indices = rec.input::<u32>("indices", keys.len());
     let item_count = rec.input::<u32>("item_count", 1);
     let (sorted, order) = sort_pairs(&mut rec, unsorted, indices, item_count, keys.len(), bits);
     rec.output(sorted);
     rec.output(order);
-    let mut run = Run::new(device, rec.finish().unwrap()).unwrap();
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
     run.write(unsorted, keys).unwrap();
     run.write(indices, &(0..keys.len() as u32).collect::<Vec<_>>()).unwrap();
     run.write(item_count, &[count as u32]).unwrap();
@@ -34,25 +34,22 @@ fn keys(count: usize, mask: u32) -> Vec<u32> {
 
 #[test]
 fn equals_a_stable_sort() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     for count in [1, 2, 7, 8, 9, 255, 256, 257, 1025, 70_001] {
-        check(&device, &keys(count, u32::MAX), count, 32);
+        check(&keys(count, u32::MAX), count, 32);
     }
-    check(&device, &keys(1_000_003, u32::MAX), 1_000_003, 31);
+    check(&keys(1_000_003, u32::MAX), 1_000_003, 31);
 }
 
 #[test]
 fn equal_keys_keep_their_order() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     for mask in [0, 1, 0x0301] {
-        check(&device, &keys(10_000, mask), 10_000, 16);
+        check(&keys(10_000, mask), 10_000, 16);
     }
 }
 
 #[test]
 fn sorts_only_the_items_and_bits_in_use() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     for (count, bits) in [(0, 32), (1, 0), (3_000, 0), (3_000, 1), (3_000, 13), (1, 31), (4_999, 20)] {
-        check(&device, &keys(5_000, u32::MAX), count, bits);
+        check(&keys(5_000, u32::MAX), count, bits);
     }
 }

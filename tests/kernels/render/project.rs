@@ -1,13 +1,14 @@
 //! Projection against the goldens' per-Gaussian projection.
 
 use zipsplat::{
-    gpu::{Device, DeviceOptions, Recorder, Run},
+    gpu::{Recorder, Run},
     kernels::render::Project,
     stages::render::{CameraRows, camera_rows},
     types::{Camera, Scene},
 };
 use zipsplat_tests::{
     compare::{Tolerance, assert_close, assert_same, columns},
+    device::device,
     golden::{self, Golden},
     scenes::{golden_cameras, golden_scene},
 };
@@ -21,10 +22,8 @@ struct Projection {
     tile_sets: Vec<[u32; 3]>,
 }
 
-const TILE: u32 = 16;
-
-fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
-    let mut rec = Recorder::new(device.limits());
+fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
+    let mut rec = Recorder::new(device().limits());
     let pairs = scene.len() * cameras.len();
     let kernel = Project {
         means: rec.input::<[f32; 3]>("means", scene.len()),
@@ -48,14 +47,13 @@ fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool
         sh_degree: scene.sh_degree,
         sh_stride: scene.sh_coeffs_per_gaussian() as u32,
         antialiased,
-        tile: TILE,
     };
     rec.dispatch(kernel, pairs);
     for output in [kernel.xy_opacities, kernel.conics, kernel.colours, kernel.depths, kernel.tile_sets, kernel.indices]
     {
         rec.output(output);
     }
-    let mut run = Run::new(device, rec.finish().unwrap()).unwrap();
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
     run.write(kernel.means, &scene.means).unwrap();
     run.write(kernel.scales, &scene.scales).unwrap();
     run.write(kernel.quats, &scene.quats).unwrap();
@@ -75,12 +73,11 @@ fn project(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool
 
 #[test]
 fn equals_the_goldens() {
-    let device = Device::open(&DeviceOptions::default()).unwrap();
     for file in golden::list("raster.") {
         let Some(golden) = Golden::open(&file).filter(|g| g.has("proj/classic/ok")) else { continue };
         let (scene, cameras) = (golden_scene(&golden), golden_cameras(&golden));
         for mode in ["classic", "antialiased"] {
-            let got = project(&device, &scene, &cameras, mode == "antialiased");
+            let got = project(&scene, &cameras, mode == "antialiased");
             compare(&golden, &format!("proj/{mode}"), &got, scene.len(), cameras.len());
         }
     }

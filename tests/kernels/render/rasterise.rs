@@ -1,1 +1,94 @@
+//! Blending against brute force, from splats that the reference projected.
 
+use zipsplat::{
+    gpu::{Recorder, Run},
+    kernels::{limits::TILE, render::Rasterise},
+};
+use zipsplat_tests::{
+    compare::{ImageTolerance, Picture, assert_images_close},
+    device::device,
+    reference::render::{project::Splat, rasterise},
+};
+
+const SIZE: [usize; 2] = [37, 21];
+
+/// Ellipses of all sizes around the picture, near to far.
+fn splats() -> Vec<Splat> {
+    let wave = |i: usize, step: f64| 0.5 + 0.5 * (i as f64 * step).sin();
+    let splat = |i: usize| {
+        let (a, c) = (0.5 + 60.0 * wave(i, 1.3).powi(3), 0.5 + 60.0 * wave(i, 2.1).powi(3));
+        let b = 0.95 * (2.0 * wave(i, 0.7) - 1.0) * (a * c).sqrt();
+        let determinant = a * c - b * b;
+        Splat {
+            mean: [50.0 * wave(i, 3.7) - 5.0, 30.0 * wave(i, 5.9) - 5.0],
+            depth: 1.0 + 0.01 * i as f64,
+            conic: [c / determinant, -b / determinant, a / determinant],
+            opacity: wave(i, 0.9),
+            compensation: 1.0,
+            radii: [0; 2],
+            tiles: [[0; 2]; 2],
+            colour: [wave(i, 1.0), wave(i, 1.1), wave(i, 1.2)],
+        }
+    };
+    (0..150).map(splat).collect()
+}
+
+#[test]
+fn equals_brute_force_for_any_number_of_runs() {
+    let splats = splats();
+    let grid = SIZE.map(|pixels| pixels.div_ceil(TILE as usize));
+    let tiles = grid[0] * grid[1];
+    let truth = rasterise::rasterise(&splats.iter().copied().map(Some).collect::<Vec<_>>(), SIZE, [0.1, 0.2, 0.3]);
+    let all_runs = TILE * TILE / device().limits().subgroup_size;
+    for runs in [1, 2, all_runs] {
+        let mut rec = Recorder::new(device().limits());
+        let kernel = Rasterise {
+            pair_indices: rec.input::<u32>("pair_indices", splats.len() * tiles),
+            tile_offsets: rec.input::<u32>("tile_offsets", tiles + 1),
+            xy_opacities: rec.input::<[f32; 3]>("xy_opacities", splats.len()),
+            conics: rec.input::<[f32; 3]>("conics", splats.len()),
+            colours: rec.input::<[f32; 3]>("colours", splats.len()),
+            depths: rec.input::<f32>("depths", splats.len()),
+            frames: rec.tensor::<[f32; 5]>("frames", SIZE[0] * SIZE[1]),
+            size: SIZE.map(|pixels| pixels as u32),
+            grid: grid.map(|tiles| tiles as u32),
+            first_tile_row: 0,
+            row_count: SIZE[1] as u32,
+            background: [0.1, 0.2, 0.3],
+            colour: true,
+            alpha: true,
+            depth: true,
+            expected_depth: true,
+            runs,
+        };
+        rec.dispatch_groups(kernel, [grid[0] as u32 * all_runs / runs, grid[1] as u32, 1]);
+        rec.output(kernel.frames);
+        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+        let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
+        run.write(kernel.pair_indices, &every).unwrap();
+        run.write(kernel.tile_offsets, &(0..=tiles).map(|t| (t * splats.len()) as u32).collect::<Vec<_>>()).unwrap();
+        let each =
+            |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
+        run.write(kernel.xy_opacities, &each(|s| [s.mean[0], s.mean[1], s.opacity])).unwrap();
+        // The kernel's form of a conic: see kernels/render/project.comp.
+        let completed = |s: &Splat| {
+            let [a, b, c] = s.conic;
+            [a, -b / a, c - b * b / a]
+        };
+        run.write(kernel.conics, &each(completed)).unwrap();
+        run.write(kernel.colours, &each(|s| s.colour)).unwrap();
+        run.write(kernel.depths, &splats.iter().map(|s| s.depth as f32).collect::<Vec<_>>()).unwrap();
+        run.execute().unwrap();
+
+        let frames: Vec<[f32; 5]> = run.read(kernel.frames).unwrap();
+        let hold = |what: &str, values: Vec<f32>, truth: &[f64], unstable: &[u8], tolerance| {
+            let picture = Picture { values: &values, width: SIZE[0], channels: truth.len() / unstable.len() };
+            assert_images_close(&format!("{runs} runs {what}"), picture, truth, unstable, tolerance);
+        };
+        let rgb = frames.iter().flat_map(|pixel| pixel[..3].to_vec()).collect();
+        hold("rgb", rgb, &truth.rgb, &truth.unstable, ImageTolerance::RGB);
+        hold("alpha", frames.iter().map(|p| p[3]).collect(), &truth.alpha, &truth.unstable, ImageTolerance::RGB);
+        let depth = frames.iter().map(|p| p[4]).collect();
+        hold("depth", depth, &truth.expected_depth, &truth.unstable, ImageTolerance::EXPECTED_DEPTH);
+    }
+}

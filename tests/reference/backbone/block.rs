@@ -1,10 +1,11 @@
 //! The pre-norm transformer block of backbone, camera encoder and fusion.
 
-use super::rope::rope;
 use crate::reference::model::Scope;
 use crate::reference::ops::activation::{gelu, swiglu};
+use crate::reference::ops::add::add;
 use crate::reference::ops::attention::attention;
-use crate::reference::ops::linear::{add, layer_scale};
+use crate::reference::ops::linear::layer_scale;
+use crate::reference::ops::split_heads::{Part, split_heads};
 
 /// The epsilon of every LayerNorm but the backbone's `norm1`, `norm2` and final `norm`.
 pub const EPS: f64 = 1e-5;
@@ -34,22 +35,23 @@ fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     let width = weights.get("proj.bias").len();
     let head_dim = width / options.heads;
     let qkv = weights.linear("qkv", x);
-    let part =
-        |i: usize| -> Vec<f64> { qkv.chunks(3 * width).flat_map(|row| &row[i * width..][..width]).copied().collect() };
-    let (mut q, mut k, v) = (norm_heads(weights, "q_norm", part(0)), norm_heads(weights, "k_norm", part(1)), part(2));
+    let part = |i: usize, norm, positions| {
+        let part = Part { column: i * width, heads: options.heads, head_dim, norm, positions };
+        split_heads(&qkv, 3 * width, part)
+    };
+    let q = part(0, head_norm(weights, "q_norm"), options.positions);
+    let k = part(1, head_norm(weights, "k_norm"), options.positions);
+    let v = part(2, None, None);
     let length = x.len() / options.sequences;
-    if let Some(positions) = options.positions {
-        let rotate = |x: &[f64]| x.chunks(length).flat_map(|sequence| rope(sequence, positions, head_dim)).collect();
-        (q, k) = (rotate(&q), rotate(&k));
-    }
     let sequences = q.chunks(length).zip(k.chunks(length)).zip(v.chunks(length));
     let mixed: Vec<f64> = sequences.flat_map(|((q, k), v)| attention(q, k, v, options.heads, head_dim)).collect();
     weights.linear("proj", &mixed)
 }
 
-/// LayerNorm over each head's channels, shared by the heads, where the block has it.
-pub fn norm_heads(weights: &Scope, name: &str, x: Vec<f64>) -> Vec<f64> {
-    if weights.has(&format!("{name}.weight")) { weights.layer_norm(name, &x, EPS) } else { x }
+/// The LayerNorm `name` over a head's channels, where the block has it.
+pub fn head_norm<'a>(weights: &Scope<'a>, name: &str) -> Option<(&'a [f32], &'a [f32], f64)> {
+    let parameter = |kind| format!("{name}.{kind}");
+    weights.has(&parameter("weight")).then(|| (weights.get(&parameter("weight")), weights.get(&parameter("bias")), EPS))
 }
 
 /// Two linear layers with GELU between, or three with SwiGLU.

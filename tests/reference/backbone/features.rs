@@ -1,8 +1,11 @@
 //! Blocks' results to the tokens that are fused.
 
+use super::average_halves::average_halves;
 use super::block::EPS;
 use crate::compare::columns;
 use crate::reference::model::Model;
+use crate::reference::ops::add::add;
+use crate::reference::ops::place_columns::join_columns;
 
 /// The feature of one output layer: `[local | final norm(x)]` per token, the camera token of each view dropped.
 ///
@@ -22,8 +25,6 @@ pub fn prepare(model: &Model, feature: &[f64], layer: usize) -> Vec<f64> {
     let half = |start: usize| columns(feature, 2 * width, start, start + width);
     let local = model.scope("pre_norm_local").layer_norm(&layer, &half(0), EPS);
     let global = model.scope("pre_norm_global").layer_norm(&layer, &half(width), EPS);
-    let joined: Vec<f64> =
-        local.chunks(width).zip(global.chunks(width)).flat_map(|(a, b)| a.iter().chain(b)).copied().collect();
-    let projected = model.scope("downscale").linear(&layer, &joined);
-    projected.iter().zip(local.iter().zip(&global)).map(|(p, (a, b))| p + (a + b) / 2.0).collect()
+    let joined = join_columns(&local, width, &global, width);
+    add(&model.scope("downscale").linear(&layer, &joined), &average_halves(&joined, width))
 }

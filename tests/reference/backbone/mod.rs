@@ -1,8 +1,12 @@
 //! Images to tokens: a vision transformer that alternates attention within a view and across views.
 
+pub mod average_halves;
 pub mod block;
 pub mod camera_encoder;
+pub mod camera_token;
 pub mod features;
 pub mod patch_embed;
+pub mod patchify;
 pub mod positions;
 pub mod rope;
+pub mod tokens;

@@ -1,6 +1,9 @@
 //! Pictures to patch tokens: a convolution whose stride is its size.
 
-/// Views of one size, `values [views, 3, height, width]` in [0, 1].
+use super::patchify::patchify;
+use crate::reference::ops::linear::linear;
+
+/// Views of one size, `values [views, 3, height, width]` in `[0, 1]`.
 pub struct Images {
     /// Channel-major values of all views.
     pub values: Vec<f64>,
@@ -27,23 +30,5 @@ impl Images {
 
 /// `weight [outputs, 3, patch, patch]`; gives `[views, patches row-major, outputs]`.
 pub fn patch_embed(images: &Images, weight: &[f32], bias: &[f32], patch: usize) -> Vec<f64> {
-    let [rows, columns] = images.grid(patch);
-    let pixel = |view: usize, channel: usize, y: usize, x: usize| {
-        images.values[((view * 3 + channel) * images.height + y) * images.width + x]
-    };
-    let mut tokens = Vec::with_capacity(images.views * rows * columns * bias.len());
-    for view in 0..images.views {
-        for place in 0..rows * columns {
-            let [top, left] = [place / columns * patch, place % columns * patch];
-            for (output, &offset) in bias.iter().enumerate() {
-                let mut sum = f64::from(offset);
-                for (i, &w) in weight[output * 3 * patch * patch..][..3 * patch * patch].iter().enumerate() {
-                    let [channel, y, x] = [i / (patch * patch), i / patch % patch, i % patch];
-                    sum += f64::from(w) * pixel(view, channel, top + y, left + x);
-                }
-                tokens.push(sum);
-            }
-        }
-    }
-    tokens
+    linear(&patchify(images, patch), weight, bias)
 }

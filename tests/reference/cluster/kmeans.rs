@@ -1,6 +1,8 @@
 //! k-means (Lloyd 1982), five rounds from evenly spaced tokens; distances from differences, never from products.
 
-use rayon::prelude::*;
+use super::mean::mean;
+use super::nearest::two_nearest;
+use crate::reference::ops::gather_rows::gather_rows;
 
 const ITERATIONS: usize = 5;
 
@@ -36,43 +38,20 @@ pub fn initial_indices(tokens: usize, k: usize) -> Vec<u32> {
 
 /// Clusters `x [N, width]` into K.
 pub fn kmeans(x: &[f64], width: usize, k: usize) -> Clusters {
-    let tokens: Vec<&[f64]> = x.chunks(width).collect();
-    let mut centroids: Vec<Vec<f64>> =
-        initial_indices(tokens.len(), k).into_iter().map(|i| tokens[i as usize].to_vec()).collect();
+    let mut centroids = gather_rows(x, width, &initial_indices(x.len() / width, k));
     let mut assignments = Vec::new();
     for _ in 0..ITERATIONS {
-        let assignment: Vec<u32> = tokens.par_iter().map(|token| two_nearest(token, &centroids)[0].0).collect();
-        centroids = (0..k as u32)
-            .map(|cluster| {
-                let members: Vec<&[f64]> =
-                    tokens.iter().zip(&assignment).filter(|(_, a)| **a == cluster).map(|(token, _)| *token).collect();
-                let count = members.len().max(1) as f64;
-                (0..width).map(|j| members.iter().map(|member| member[j]).sum::<f64>() / count).collect()
-            })
-            .collect();
+        let assignment: Vec<u32> = two_nearest(x, &centroids, width).iter().map(|[first, _]| first.0).collect();
+        centroids = mean(x, &assignment, k, width);
         assignments.push(assignment);
     }
-    let pairs: Vec<_> = centroids.par_iter().map(|centroid| two_nearest(centroid, &tokens)).collect();
+    let pairs = two_nearest(&centroids, x, width);
     // Relative to the farther; two tokens on the centroid itself are a tie.
     let gap = |near: f64, far: f64| if far > 0.0 { (far - near) / far } else { 0.0 };
     Clusters {
-        centroids: centroids.concat(),
+        centroids,
         assignments,
         nearest: pairs.iter().map(|[first, _]| first.0).collect(),
         second: pairs.iter().map(|[first, second]| (second.0, gap(first.1, second.1))).collect(),
     }
-}
-
-/// The two of `points` nearest to `x` with their distances, lower indices first among equals; a lone point twice.
-fn two_nearest(x: &[f64], points: &[impl AsRef<[f64]>]) -> [(u32, f64); 2] {
-    let mut best = [(0, f64::INFINITY); 2];
-    for (i, point) in points.iter().enumerate() {
-        let distance = x.iter().zip(point.as_ref()).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-        if distance < best[0].1 {
-            best = [(i as u32, distance), best[0]];
-        } else if distance < best[1].1 {
-            best[1] = (i as u32, distance);
-        }
-    }
-    best
 }

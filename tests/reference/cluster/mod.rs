@@ -1,3 +1,5 @@
 //! Tokens to fewer tokens: k-means, then the token nearest to each centroid.
 
 pub mod kmeans;
+pub mod mean;
+pub mod nearest;

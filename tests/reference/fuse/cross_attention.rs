@@ -1,20 +1,25 @@
 //! Cross-attention with its MLP.
 
-use crate::reference::backbone::block::{EPS, mlp, norm_heads};
+use crate::reference::backbone::block::{EPS, head_norm, mlp};
 use crate::reference::model::Scope;
+use crate::reference::ops::add::add;
 use crate::reference::ops::attention::attention;
-use crate::reference::ops::linear::{add, layer_scale};
+use crate::reference::ops::linear::layer_scale;
+use crate::reference::ops::split_heads::{Part, split_heads};
 
 /// What a cross-attention block adds to `queries [n, width]` that attend to `keys [m, width]`:
 /// `d1 = gamma1 * attention(norm_q(queries), norm_kv(keys))`, `d2 = gamma2 * mlp(norm2(queries + d1))`; gives `d1 + d2`.
 pub fn cross_attention(weights: &Scope, queries: &[f64], keys: &[f64], heads: usize) -> Vec<f64> {
     let parts = weights.scope("attn");
     let width = parts.get("proj.bias").len();
-    let q = norm_heads(&parts, "q_norm", parts.linear("q_proj", &weights.layer_norm("norm_q", queries, EPS)));
+    let head_dim = width / heads;
+    let q = parts.linear("q_proj", &weights.layer_norm("norm_q", queries, EPS));
     let kv = parts.linear("kv_proj", &weights.layer_norm("norm_kv", keys, EPS));
-    let (k, v): (Vec<_>, Vec<_>) = kv.chunks(2 * width).map(|row| row.split_at(width)).unzip();
-    let k = norm_heads(&parts, "k_norm", k.concat());
-    let mixed = attention(&q, &k, &v.concat(), heads, width / heads);
+    let part = |column, norm| Part { column, heads, head_dim, norm, positions: None };
+    let q = split_heads(&q, width, part(0, head_norm(&parts, "q_norm")));
+    let k = split_heads(&kv, 2 * width, part(0, head_norm(&parts, "k_norm")));
+    let v = split_heads(&kv, 2 * width, part(width, None));
+    let mixed = attention(&q, &k, &v, heads, head_dim);
     let attended = layer_scale(&parts.linear("proj", &mixed), weights.get("ls1.gamma"));
     let hidden = mlp(&weights.scope("mlp"), &weights.layer_norm("norm2", &add(queries, &attended), EPS));
     add(&attended, &layer_scale(&hidden, weights.get("ls2.gamma")))

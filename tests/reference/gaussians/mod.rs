@@ -1,3 +1,4 @@
 //! Scene and colour tokens to Gaussians.
 
+pub mod activate;
 pub mod head;

@@ -1,4 +1,4 @@
-//! Linear layers and the residual that takes their results.
+//! Linear layers and the scale of their results.
 
 use rayon::prelude::*;
 
@@ -15,10 +15,4 @@ pub fn linear(x: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
 /// `gamma * x`, every row of `x` by the layer scale `gamma`.
 pub fn layer_scale(x: &[f64], gamma: &[f32]) -> Vec<f64> {
     x.chunks(gamma.len()).flat_map(|row| row.iter().zip(gamma).map(|(x, &g)| x * f64::from(g))).collect()
-}
-
-/// Elementwise sum.
-pub fn add(a: &[f64], b: &[f64]) -> Vec<f64> {
-    assert_eq!(a.len(), b.len());
-    a.iter().zip(b).map(|(a, b)| a + b).collect()
 }

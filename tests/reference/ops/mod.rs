@@ -1,6 +1,10 @@
 //! Operations that several stages use.
 
 pub mod activation;
+pub mod add;
 pub mod attention;
+pub mod gather_rows;
 pub mod layer_norm;
 pub mod linear;
+pub mod place_columns;
+pub mod split_heads;

@@ -23,7 +23,7 @@ pub struct Gaussians {
     pub quats: Vec<[f64; 4]>,
     /// Standard deviations along the axes.
     pub scales: Vec<[f64; 3]>,
-    /// In [0, 1].
+    /// In `[0, 1]`.
     pub opacities: Vec<f64>,
     /// `[N, K, 3]`.
     pub sh_coeffs: Vec<f64>,

@@ -35,7 +35,7 @@ impl CameraEncoder {
         }
     }
 
-    /// [views, POSE_VALUES] -> [views, width]. The views are one sequence.
+    /// `[views, POSE_VALUES]` -> `[views, width]`. The views are one sequence.
     pub fn record(&self, rec: &mut Recorder, poses: Tensor, views: usize) -> Tensor {
         rec.scope("camera_encoder", |rec| {
             let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };

@@ -40,7 +40,7 @@ impl Features {
         let Layer { local_norm, global_norm, downscale } = &self.layers[j];
         let (width, patches) = (self.width, grid.patches());
         let out = rec.tensor::<f32>("prepared", grid.tokens() * width);
-        for part in row_chunks(rec, grid.views, (1 + patches) * 2 * width) {
+        for part in row_chunks(rec, grid.views, &[(1 + patches) * width, patches * 2 * width, patches * width]) {
             let stream = (1 + patches) * width;
             let views_of = |t: Tensor| t.slice::<f32>(part.start * stream, part.len() * stream);
             let rows = part.len() * patches;

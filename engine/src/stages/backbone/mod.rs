@@ -36,13 +36,13 @@ pub struct Backbone {
 /// What the host hands over.
 #[derive(Clone, Copy, Debug)]
 pub struct BackboneInputs {
-    /// [views, 3, height, width] f32, RGB in 0..1.
+    /// `[views, 3, height, width]` f32, RGB in 0..1.
     pub images: Tensor,
-    /// [1 + patches, width] f32: [`interpolate_positions`].
+    /// `[1 + patches, width]` f32: [`interpolate_positions`].
     pub positions: Tensor,
-    /// [2, 1 + patches, head / 2, 2] f32: [`rotary_tables`], for local and for global blocks.
+    /// `[2, 1 + patches, head / 2, 2]` f32: [`rotary_tables`], for local and for global blocks.
     pub rotary: [Tensor; 2],
-    /// [views, POSE_VALUES] f32 where poses are given; without, the camera encoder does not run.
+    /// `[views, POSE_VALUES]` f32 where poses are given; without, the camera encoder does not run.
     pub poses: Option<Tensor>,
 }
 
@@ -67,7 +67,7 @@ impl Backbone {
         }
     }
 
-    /// Records the backbone. Returns the prepared tokens [views * patches, width] of each out layer, deepest first.
+    /// Records the backbone. Returns the prepared tokens `[views * patches, width]` of each out layer, deepest first.
     pub fn record(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Vec<Tensor> {
         let a = &self.architecture;
         let tokens = 1 + grid.patches();

@@ -9,7 +9,7 @@ const OFFSET: f64 = 0.1;
 /// Rotary embedding turns channel pair j of a half of size h by position * BASE^(-2j / h).
 const BASE: f64 = 100.0;
 
-/// Learned positions [1 + side * side, width] for a grid of `rows` x `columns` patches: [1 + rows * columns, width].
+/// Learned positions `[1 + side * side, width]` for a grid of `rows` x `columns` patches: `[1 + rows * columns, width]`.
 ///
 /// Bicubic without antialiasing, edges repeated; the class token's row stays. Only the grid they were learned on is left
 /// as it is.
@@ -53,7 +53,7 @@ fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
     (0..count).map(one).collect()
 }
 
-/// (cos, sin) for every token of a view and every channel pair of a head, [1 + rows * columns, dim / 2, 2]: first for
+/// (cos, sin) for every token of a view and every channel pair of a head, `[1 + rows * columns, dim / 2, 2]`: first for
 /// local blocks, where patch (y, x) stands at (y + 1, x + 1), then for global ones, where every patch stands at (1, 1).
 /// The camera token stands at the origin. The first half of the pairs turns with y, the second with x.
 pub fn rotary_tables(rows: usize, columns: usize, dim: usize) -> [Vec<f32>; 2] {

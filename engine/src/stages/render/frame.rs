@@ -63,6 +63,9 @@ impl Frame {
             wanted.then(|| {
                 let from = first;
                 first += count;
+                if count == channels {
+                    return values.to_vec();
+                }
                 values.chunks_exact(channels).flat_map(|pixel| &pixel[from..from + count]).copied().collect()
             })
         };

@@ -1,6 +1,6 @@
 //! Ellipses to lists of Gaussians, one a tile, near to far.
 
-use super::{FrameShape, Tiling, project::Splats};
+use super::{FrameShape, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::{Intersect, TileCounts, TileOffsets},
@@ -20,13 +20,7 @@ pub(super) struct TileLists {
 /// Bits of a depth: positive f32 order like their bits, and the sign is always 0.
 const DEPTH_BITS: u32 = 31;
 
-pub(super) fn record(
-    rec: &mut Recorder,
-    splats: &Splats,
-    shape: FrameShape,
-    tiling: Tiling,
-    capacity: usize,
-) -> TileLists {
+pub(super) fn record(rec: &mut Recorder, splats: &Splats, shape: FrameShape, capacity: usize) -> TileLists {
     let pairs = u32::try_from(splats.pairs).expect("bindings hold fewer than 2^32 words");
     let tile_sets = splats.tile_sets;
 
@@ -53,12 +47,12 @@ pub(super) fn record(
         status,
         pairs,
         camera_count: shape.cameras as u32,
-        grid: tiling.grid,
+        grid: shape.grid(),
         capacity: u32::try_from(capacity).expect("bindings hold fewer than 2^32 words"),
     };
     rec.dispatch(kernel, splats.pairs + 1);
 
-    let tile_count = tiling.tiles(shape);
+    let tile_count = shape.tiles();
     let tile_bits = usize::BITS - (tile_count - 1).leading_zeros();
     let (tiles, pair_indices) =
         rec.scope("by_tile", |rec| sort_pairs(rec, tiles, pair_indices, status, capacity, tile_bits));

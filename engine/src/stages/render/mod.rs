@@ -9,7 +9,10 @@ mod project;
 mod rasterise;
 mod renderer;
 
-use crate::gpu::{Limits, Recorder, Tensor};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::limits::TILE,
+};
 
 pub use frame::{Depth, Frame, RenderRequest};
 pub use project::{CameraRows, SceneTensors, camera_rows};
@@ -39,7 +42,7 @@ pub struct RenderOutputs {
 impl RenderOutputs {
     /// How many intersections there are, from the status that was read: draw again with at least that capacity where
     /// it is larger than the one recorded. `None` where they are too many to count.
-    pub fn needed(status: [u32; 3]) -> Option<usize> {
+    pub fn needed(status: &[u32]) -> Option<usize> {
         (status[2] == 0).then_some(status[1] as usize)
     }
 }
@@ -55,38 +58,24 @@ pub fn record(
     capacity: usize,
 ) -> RenderOutputs {
     rec.scope("render", |rec| {
-        let tiling = Tiling::new(rec.limits(), shape);
-        let splats = project::record(rec, scene, cameras, shape, request, tiling);
-        let lists = intersect::record(rec, &splats, shape, tiling, capacity);
-        let frames = rasterise::record(rec, &splats, &lists, shape, request, tiling);
+        let splats = project::record(rec, scene, cameras, shape, request);
+        let lists = intersect::record(rec, &splats, shape, capacity);
+        let frames = rasterise::record(rec, &splats, &lists, shape, request);
         rec.output(frames);
         rec.output(lists.status);
         RenderOutputs { frames, status: lists.status }
     })
 }
 
-/// How pictures are cut into tiles and tiles into workgroups of one subgroup.
-#[derive(Clone, Copy, Debug)]
-struct Tiling {
-    /// Pixels a side.
-    tile: u32,
-    /// Pixels of an invocation.
-    pixels: u32,
-    /// Tiles of a picture along x and y.
-    grid: [u32; 2],
-}
-
-impl Tiling {
-    /// Narrow subgroups are those of CPUs, where a pixel costs more than an intersection; on GPUs it is the other way
-    /// round. A workgroup has 64 pixels on both, or one an invocation.
-    fn new(limits: &Limits, shape: FrameShape) -> Self {
-        let tile: u32 = if limits.subgroup_size <= 16 { 8 } else { 16 };
-        let pixels = (64 / limits.subgroup_size).max(1);
-        Self { tile, pixels, grid: [shape.width.div_ceil(tile), shape.height.div_ceil(tile)] }
+impl FrameShape {
+    /// Tiles along x and y.
+    fn grid(&self) -> [u32; 2] {
+        [self.width.div_ceil(TILE), self.height.div_ceil(TILE)]
     }
 
     /// Tiles of all pictures.
-    fn tiles(&self, shape: FrameShape) -> usize {
-        shape.cameras * self.grid[0] as usize * self.grid[1] as usize
+    fn tiles(&self) -> usize {
+        let [x, y] = self.grid();
+        self.cameras * x as usize * y as usize
     }
 }

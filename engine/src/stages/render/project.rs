@@ -1,6 +1,6 @@
 //! Gaussians to ellipses.
 
-use super::{FrameShape, RenderRequest, Tiling};
+use super::{FrameShape, RenderRequest};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::Project,
@@ -65,7 +65,6 @@ pub(super) fn record(
     cameras: Tensor,
     shape: FrameShape,
     request: &RenderRequest,
-    tiling: Tiling,
 ) -> Splats {
     let pairs = scene.len * shape.cameras;
     let tensor = |rec: &mut Recorder, name, words| rec.tensor::<u32>(name, words * pairs.max(1));
@@ -108,7 +107,6 @@ pub(super) fn record(
             sh_degree: scene.sh_degree_used,
             sh_stride: stride as u32,
             antialiased: request.antialiased,
-            tile: tiling.tile,
         };
         rec.dispatch(kernel, len * shape.cameras);
     }

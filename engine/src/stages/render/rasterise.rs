@@ -1,13 +1,16 @@
 //! Lists of Gaussians to pictures.
 
-use super::{Depth, FrameShape, RenderRequest, Tiling, intersect::TileLists, project::Splats};
+use super::{Depth, FrameShape, RenderRequest, intersect::TileLists, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::render::Rasterise,
+    kernels::{limits::TILE, render::Rasterise},
 };
 
 /// Rows after which a picture may be cut: then every part starts at a multiple of 256 bytes.
 const BAND: usize = 64;
+/// Pixels of a workgroup on a GPU: few, because a small picture has few tiles to fill it with. A CPU's workgroup takes
+/// the whole tile and reads each Gaussian once.
+const GPU_PIXELS: u32 = 64;
 /// Operations of one Gaussian on one pixel.
 const BLEND_FLOPS: u64 = 24;
 
@@ -17,7 +20,6 @@ pub(super) fn record(
     lists: &TileLists,
     shape: FrameShape,
     request: &RenderRequest,
-    tiling: Tiling,
 ) -> Tensor {
     let height = shape.height as usize;
     let row = shape.width as usize * request.channels();
@@ -25,8 +27,10 @@ pub(super) fn record(
     // A frame larger than a binding is drawn in bands; several frames that are together are for the caller to split.
     let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
     let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
-    let runs = tiling.tile * tiling.tile / (tiling.pixels * rec.limits().subgroup_size);
-    let blends = lists.pair_indices.bytes() / 4 * u64::from(tiling.tile * tiling.tile);
+    let lanes = rec.limits().subgroup_size;
+    let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
+    let groups_a_tile = TILE * TILE / (lanes * runs);
+    let blends = lists.pair_indices.bytes() / 4 * u64::from(TILE * TILE);
     for first in (0..height).step_by(bands) {
         let rows = bands.min(height - first);
         let kernel = Rasterise {
@@ -38,18 +42,17 @@ pub(super) fn record(
             depths: splats.depths,
             frames: frames.slice::<f32>(first * row, shape.cameras * rows * row),
             size: [shape.width, shape.height],
-            grid: tiling.grid,
-            first_tile_row: first as u32 / tiling.tile,
+            grid: shape.grid(),
+            first_tile_row: first as u32 / TILE,
             row_count: rows as u32,
             background: request.background,
             colour: request.rgb,
             alpha: request.alpha,
             depth: request.depth.is_some(),
             expected_depth: request.depth == Some(Depth::Expected),
-            tile: tiling.tile,
-            pixels: tiling.pixels,
+            runs,
         };
-        let groups = [tiling.grid[0] * runs, (rows as u32).div_ceil(tiling.tile), shape.cameras as u32];
+        let groups = [shape.grid()[0] * groups_a_tile, (rows as u32).div_ceil(TILE), shape.cameras as u32];
         rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);
     }
     frames

@@ -3,13 +3,15 @@
 use super::{CameraRows, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record};
 use crate::{
     Error, Result,
-    gpu::{Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     types::{Camera, Scene},
 };
 use std::sync::Arc;
 
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
+/// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
+const MAX_SIDE: u32 = 1 << 15;
 
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
@@ -43,8 +45,8 @@ impl Renderer {
         Self::with_capacity(device, 0)
     }
 
-    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles before it has to grow; 0 leaves
-    /// that to the scene's size.
+    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles before it has to grow; 0
+    /// leaves that to the scene's size.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
         Self { device: device.clone(), scene: None, plans: Vec::new(), capacity, cameras_at_once: usize::MAX }
     }
@@ -52,8 +54,8 @@ impl Renderer {
     /// Draws `scene` with each camera, in their order.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the scene, a camera or the request cannot be drawn; [`Error::Memory`] where one picture
-    /// needs more than the device has.
+    /// [`Error::Argument`] where the scene, a camera or the request cannot be drawn; [`Error::Memory`] where one
+    /// picture needs more than the device has.
     pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         self.load(scene)?;
         self.render_loaded(cameras, request)
@@ -95,6 +97,10 @@ impl Renderer {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
             let size = (camera.intrinsics.width, camera.intrinsics.height);
+            if size.0.max(size.1) > MAX_SIDE {
+                let found = format!("{} x {}", size.0, size.1);
+                return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
+            }
             if !sizes.contains(&size) {
                 sizes.push(size);
             }
@@ -112,6 +118,19 @@ impl Renderer {
         Ok(frames.into_iter().flatten().collect())
     }
 
+    /// Device time of drawing the scene that was loaded last with one camera, by kernel.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`].
+    pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
+        // Afterwards there is a plan with room for every intersection.
+        self.render_loaded(std::slice::from_ref(camera), request)?;
+        let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+        let plan = self.plan(shape, request)?;
+        plan.run.write(plan.cameras, &[camera_rows(camera)])?;
+        plan.run.profile()
+    }
+
     /// Draws cameras of one size, as many at once as there is memory for.
     fn render_alike(
         &mut self,
@@ -119,10 +138,15 @@ impl Renderer {
         size: (u32, u32),
         request: &RenderRequest,
     ) -> Result<Vec<Frame>> {
+        let bytes_each = [
+            12 * self.scene.as_ref().map_or(0, |scene| scene.tensors.len),
+            4 * request.channels() * size.0 as usize * size.1 as usize,
+        ];
+        let bindable = self.device.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
-            let together = &left[..left.len().min(self.cameras_at_once)];
+            let together = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
             match self.render_together(together, size, request) {
                 Ok(drawn) => frames.extend(drawn),
                 Err(Error::Memory { .. }) if together.len() > 1 => {
@@ -148,7 +172,7 @@ impl Renderer {
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
             let status: Vec<u32> = plan.run.read(plan.outputs.status)?;
-            let needed = RenderOutputs::needed([status[0], status[1], status[2]]).unwrap_or(1 << 32);
+            let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
             if needed <= plan.capacity {
                 let values: Vec<f32> = plan.run.read(plan.outputs.frames)?;
                 let frame = |values| Frame::from_channels(width, height, values, request);

@@ -1,0 +1,157 @@
+//! What a device is and can do, and what it would need to have.
+
+use ash::{khr, vk};
+
+/// What a device is and can do, as far as plans depend on it.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Limits {
+    /// The device's name.
+    pub name: String,
+    /// The driver's name and version.
+    pub driver: String,
+    /// Vulkan version, `major.minor.patch`.
+    pub api: String,
+    /// Whether the device is a CPU.
+    pub cpu: bool,
+    /// Whether the device is a discrete GPU.
+    pub discrete: bool,
+    /// Invocations in a subgroup.
+    pub subgroup_size: u32,
+    /// Bytes that one binding of a kernel may span.
+    pub max_binding_bytes: u64,
+    /// Bytes that one allocation may have.
+    pub max_block_bytes: u64,
+    /// Workgroups along x, y, z.
+    pub max_groups: [u32; 3],
+    /// Bytes of shared memory of a workgroup.
+    pub shared_bytes: u32,
+    /// Bytes of the memory that kernels work in.
+    pub memory_bytes: u64,
+    /// Nanoseconds of one timestamp tick; 0 where there are no timestamps.
+    pub timestamp_ns: f64,
+}
+
+impl Default for Limits {
+    /// A plain desktop device, for plans made without one.
+    fn default() -> Self {
+        Self {
+            name: "none".into(),
+            driver: String::new(),
+            api: "1.3.0".into(),
+            cpu: false,
+            discrete: true,
+            subgroup_size: 32,
+            max_binding_bytes: u32::MAX as u64,
+            max_block_bytes: 4 << 30,
+            max_groups: [65535; 3],
+            shared_bytes: 32 << 10,
+            memory_bytes: u64::MAX,
+            timestamp_ns: 1.0,
+        }
+    }
+}
+
+/// Properties that decide whether a device can be used, beside [`Limits`].
+pub(super) struct Found {
+    pub api: u32,
+    pub queue_family: Option<u32>,
+    pub push_descriptor: bool,
+    pub features: Vec<(&'static str, bool)>,
+    pub subgroup_control: bool,
+    pub llvmpipe_major: Option<u32>,
+}
+
+/// Reads what a device is and can do.
+pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
+    let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
+    let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
+    let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
+    let mut f12 = vk::PhysicalDeviceVulkan12Features::default();
+    let mut f13 = vk::PhysicalDeviceVulkan13Features::default();
+    let mut properties =
+        vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
+    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut f12).push_next(&mut f13);
+    // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
+    let (memory, families, extensions) = unsafe {
+        instance.get_physical_device_properties2(device, &mut properties);
+        instance.get_physical_device_features2(device, &mut features);
+        (
+            instance.get_physical_device_memory_properties(device),
+            instance.get_physical_device_queue_family_properties(device),
+            instance.enumerate_device_extension_properties(device).unwrap_or_default(),
+        )
+    };
+    let base = properties.properties;
+    let text = |s: Option<&std::ffi::CStr>| s.map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let compute = vk::QueueFlags::COMPUTE;
+    let queue_family = families.iter().position(|f| f.queue_flags.contains(compute)).map(|i| i as u32);
+    let timestamps = queue_family.is_some_and(|f| families[f as usize].timestamp_valid_bits > 0);
+    let kind = base.device_type;
+    let api = base.api_version;
+    let driver_version = text(v12.driver_info_as_c_str().ok());
+    let limits = Limits {
+        name: text(base.device_name_as_c_str().ok()),
+        driver: format!("{} {driver_version}", text(v12.driver_name_as_c_str().ok())),
+        api: format!("{}.{}.{}", vk::api_version_major(api), vk::api_version_minor(api), vk::api_version_patch(api)),
+        cpu: kind == vk::PhysicalDeviceType::CPU,
+        discrete: kind == vk::PhysicalDeviceType::DISCRETE_GPU,
+        subgroup_size: v11.subgroup_size,
+        max_binding_bytes: base.limits.max_storage_buffer_range as u64,
+        max_block_bytes: v11.max_memory_allocation_size.min(v13.max_buffer_size).min(4 << 30),
+        max_groups: base.limits.max_compute_work_group_count,
+        shared_bytes: base.limits.max_compute_shared_memory_size,
+        memory_bytes: memory
+            .memory_heaps_as_slice()
+            .iter()
+            .filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL))
+            .map(|h| h.size)
+            .max()
+            .unwrap_or(0),
+        timestamp_ns: if timestamps { base.limits.timestamp_period as f64 } else { 0.0 },
+    };
+    let operations = vk::SubgroupFeatureFlags::BASIC
+        | vk::SubgroupFeatureFlags::VOTE
+        | vk::SubgroupFeatureFlags::ARITHMETIC
+        | vk::SubgroupFeatureFlags::BALLOT
+        | vk::SubgroupFeatureFlags::SHUFFLE;
+    let subgroups = v11.subgroup_supported_operations.contains(operations)
+        && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    let found = Found {
+        api,
+        queue_family,
+        push_descriptor: extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::push_descriptor::NAME)),
+        features: vec![
+            ("subgroup arithmetic, ballot and shuffle in compute", subgroups),
+            ("timelineSemaphore", f12.timeline_semaphore == vk::TRUE),
+            ("scalarBlockLayout", f12.scalar_block_layout == vk::TRUE),
+            ("synchronization2", f13.synchronization2 == vk::TRUE),
+            ("maintenance4", f13.maintenance4 == vk::TRUE),
+            ("subgroupSizeControl", f13.subgroup_size_control == vk::TRUE),
+            ("computeFullSubgroups", f13.compute_full_subgroups == vk::TRUE),
+        ],
+        subgroup_control: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        llvmpipe_major: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
+            .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),
+    };
+    (limits, found)
+}
+
+/// What a device would need to have and has not.
+pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
+    let mut missing = Vec::new();
+    if found.api < vk::API_VERSION_1_3 {
+        missing.push(format!("Vulkan 1.3 (has {})", limits.api));
+    }
+    if found.queue_family.is_none() {
+        missing.push("a compute queue".into());
+    }
+    if !found.push_descriptor {
+        missing.push("VK_KHR_push_descriptor".into());
+    }
+    // Mesa 22's lavapipe cuts loops off after 65,535 iterations without a word.
+    if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {
+        missing.push(format!("lavapipe 25 or later (Mesa {major} computes long loops wrongly)"));
+    }
+    missing.extend(found.features.iter().filter(|f| !f.1).map(|f| f.0.to_owned()));
+    missing
+}

@@ -1,0 +1,154 @@
+//! Bad input: one error that names it, the right exit code, and no file.
+
+use crate::{Folder, zipsplat};
+use zipsplat::types::{poses::write_transforms, write_ply};
+use zipsplat_tests::scenes;
+
+/// Runs a line that has to fail with `code` and `words`, and holds that the folder is as it was.
+#[track_caller]
+fn refused(folder: &Folder, line: &str, code: u8, words: &[&str]) {
+    let before = folder.names();
+    folder.run(line).fails(code, words);
+    assert_eq!(folder.names(), before, "{line}");
+}
+
+const MICRO: &str = "--weights @/micro.safetensors --size 28x28 -o @/out.ply";
+
+#[test]
+fn photos() {
+    let folder = Folder::new();
+    let png = std::fs::read(folder.path("photos/1.png")).expect("a photo");
+    std::fs::write(folder.path("cut.png"), &png[..png.len() / 2]).expect("a file");
+    std::fs::write(folder.path("text.jpg"), "not a photo").expect("a file");
+    std::fs::create_dir(folder.path("empty")).expect("an empty folder");
+    for (photos, words) in [
+        ("@/cut.png", ["cut.png", ""]),
+        ("@/photos @/text.jpg", ["text.jpg", "no PNG, JPEG or WebP"]),
+        ("@/absent.png", ["absent.png", "No such file"]),
+        ("@/empty", ["photos in", "found none"]),
+    ] {
+        refused(&folder, &format!("reconstruct {photos} {MICRO}"), 3, &words);
+    }
+    let many = vec!["@/photos"; 97].join(" ");
+    refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192"]);
+}
+
+#[test]
+fn numbers() {
+    let folder = Folder::new();
+    for ratio in ["0", "1.5", "nan", "inf", "-0.5"] {
+        refused(&folder, &format!("reconstruct @/photos --ratio={ratio} {MICRO}"), 3, &["ratio", "(0, 1]"]);
+    }
+    for size in ["30x28", "28x0", "4294967282x14"] {
+        let line = format!("reconstruct @/photos --weights @/micro.safetensors --size {size} -o @/out.ply");
+        refused(&folder, &line, 3, &["size of the views"]);
+    }
+    refused(&folder, "info --plan --views 0 --weights seeded:vits", 3, &["views", "1 to 192"]);
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    let folder = Folder::new();
+    let before = folder.names();
+    for line in [
+        "",
+        "paint",
+        "reconstruct -o @/out.ply",
+        "reconstruct @/photos --ratio half -o @/out.ply",
+        "reconstruct @/photos --size 252 -o @/out.ply",
+        "reconstruct @/photos --select best -o @/out.ply",
+        "reconstruct @/photos --precision sloppy -o @/out.ply",
+        "render @/scene.ply -o @/out",
+        "render @/scene.ply --orbit --wiggle -o @/out",
+        "render @/scene.ply --orbit --background 2,0,0 -o @/out",
+        "render @/scene.ply --orbit --frames 0 -o @/out",
+        "info --plan --weights seeded:vits",
+    ] {
+        let outcome = folder.run(line);
+        assert_eq!((outcome.code, outcome.out.as_str()), (2, ""), "{line}");
+        assert!(outcome.err.contains("Usage: ") || outcome.err.contains("error: "), "{line}: {}", outcome.err);
+    }
+    assert_eq!(folder.names(), before);
+    assert_eq!(zipsplat("--version").code, 0);
+}
+
+#[test]
+fn poses() {
+    let folder = Folder::new();
+    let cameras = [scenes::camera(40, 30)];
+    write_transforms(folder.path("one.json"), &cameras, &["photos/1.png"]).expect("cameras can be written");
+    write_transforms(folder.path("none.json"), &[], &[] as &[&str]).expect("cameras can be written");
+    std::fs::write(folder.path("bad.json"), "{\"frames\": 3}").expect("a file");
+    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    let reconstruct = |poses: &str| format!("reconstruct @/photos --poses {poses} {MICRO}");
+    refused(&folder, &reconstruct("@/one.json"), 3, &["10.png", "one that the poses name"]);
+    refused(&folder, &reconstruct("@/bad.json"), 3, &["bad.json", "frames"]);
+    refused(&folder, &reconstruct("@/absent.json"), 3, &["absent.json"]);
+    refused(&folder, &reconstruct("@/photos"), 3, &["poses", "transforms.json"]);
+    refused(&folder, "render @/scene.ply --cameras @/none.json -o @/out", 3, &["cameras of", "at least one"]);
+    let elsewhere = "render @/scene.ply --cameras @/one.json --relative-to 7.png -o @/out";
+    refused(&folder, elsewhere, 3, &["7.png"]);
+    refused(&folder, "render @/scene.ply --orbit --fov 180 -o @/out", 3, &["field of view", "180"]);
+    refused(&folder, "render @/scene.ply --orbit --size 0x9 -o @/out", 3, &["camera 0", "size"]);
+    let line = "render @/scene.ply --cameras @/one.json --size";
+    refused(&folder, &format!("{line} 4294967295x4294967295 -o @/out"), 3, &["size of camera 0", "32768"]);
+    refused(&folder, &format!("{line} 32768x32768 -o @/out"), 4, &["bytes"]);
+}
+
+#[test]
+fn weights() {
+    let folder = Folder::new();
+    let whole = std::fs::read(folder.path("micro.safetensors")).expect("weights");
+    std::fs::write(folder.path("cut.safetensors"), &whole[..whole.len() - 100]).expect("a file");
+    std::fs::write(folder.path("empty.safetensors"), "").expect("a file");
+    let reconstruct = |weights: &str| format!("reconstruct @/photos {weights} --size 28x28 -o @/out.ply");
+    refused(&folder, &reconstruct(""), 3, &["--weights", "seeded:vits"]);
+    refused(&folder, &reconstruct("--weights seeded:vitx"), 3, &["vitx", "vits, vitb, vitl, vitg"]);
+    refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitx"), 3, &["vitx"]);
+    refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitb"), 3, &["vitb", "micro"]);
+    refused(&folder, &reconstruct("--weights @/cut.safetensors"), 3, &["cut.safetensors"]);
+    refused(&folder, &reconstruct("--weights @/empty.safetensors"), 3, &["empty.safetensors"]);
+    refused(&folder, &reconstruct("--weights @/absent.safetensors"), 3, &["absent.safetensors", "No such file"]);
+    refused(&folder, "convert @/cut.safetensors @/out.safetensors", 3, &["cut.safetensors"]);
+    refused(&folder, "convert @/micro.safetensors @/out.safetensors --dtype f64", 3, &["dtype", "f64"]);
+    refused(&folder, "info @/cut.safetensors", 3, &["cut.safetensors"]);
+    refused(&folder, "info @/photos", 3, &["photos"]);
+}
+
+#[test]
+fn scenes_with_hostile_counts() {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    let good = std::fs::read(folder.path("scene.ply")).expect("a scene");
+    let end = good.windows(11).position(|window| window == b"end_header\n").expect("a header");
+    let header = String::from_utf8_lossy(&good[..end]).into_owned();
+    for (name, count) in [("a.ply", "4294967295"), ("b.ply", "18446744073709551615"), ("c.ply", "-1"), ("d.ply", "6")] {
+        let bytes = [header.replace("vertex 5", &format!("vertex {count}")).as_bytes(), &good[end..]].concat();
+        std::fs::write(folder.path(name), bytes).expect("a file");
+        refused(&folder, &format!("render @/{name} --wiggle -o @/out"), 3, &[name]);
+        refused(&folder, &format!("info @/{name}"), 3, &[name]);
+    }
+    refused(&folder, "render @/absent.ply --wiggle -o @/out", 3, &["absent.ply"]);
+}
+
+#[test]
+fn devices() {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    let nowhere = "--device nonesuch";
+    refused(&folder, &format!("reconstruct @/photos {nowhere} {MICRO}"), 4, &["nonesuch", "0: "]);
+    refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
+    refused(&folder, &format!("info --plan --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
+    refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
+}
+
+#[test]
+fn outputs() {
+    let folder = Folder::new();
+    let reconstruct =
+        |output: &str| format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o {output}");
+    refused(&folder, &reconstruct("@/absent/out.ply"), 3, &["output folder", "absent"]);
+    refused(&folder, &reconstruct("@/photos"), 3, &["output", "the folder"]);
+    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
+}

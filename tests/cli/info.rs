@@ -1,0 +1,48 @@
+//! `zipsplat info`.
+
+use crate::Folder;
+use zipsplat::types::write_ply;
+use zipsplat_tests::scenes;
+
+#[test]
+fn devices_are_listed_with_what_they_can_do() {
+    let folder = Folder::new();
+    let devices = folder.run("info --json").json();
+    let usable = |device: &serde_json::Value| device["missing"].as_array().is_some_and(Vec::is_empty);
+    assert!(devices.as_array().is_some_and(|list| list.iter().any(usable)), "{devices}");
+    let text = folder.run("info").success();
+    assert!(text.starts_with("0: ") && text.contains("usable") && text.contains("subgroup"), "{text}");
+}
+
+#[test]
+fn files_are_told_apart_by_content() {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(7, 2, 0.1), folder.path("scene.bin")).expect("a scene can be written");
+    let scene = folder.run("info @/scene.bin --json").json();
+    assert_eq!((&scene["gaussians"], &scene["sh_degree"]), (&7.into(), &2.into()));
+    assert!(scene["bounds"][0][2].as_f64() >= Some(1.0) && scene["bounds"][1][2].as_f64() <= Some(6.0), "{scene}");
+    let checkpoint = folder.run("info @/micro.safetensors --json").json();
+    assert_eq!(checkpoint["architecture"]["depth"], 3);
+    let (parameters, bytes) = (checkpoint["parameters"].as_u64(), checkpoint["bytes"].as_u64());
+    assert_eq!(parameters.map(|count| 4 * count), bytes);
+    assert!(folder.run("info seeded:vitg").success().contains("vitg"));
+}
+
+#[test]
+fn a_plan_takes_what_a_run_then_takes() {
+    let folder = Folder::new();
+    for options in ["--size 28x28", "--size 70x42 --ratio 0.5", "--size 28x42 --ratio 0.5 --select stride"] {
+        let shared = format!("--weights @/micro.safetensors {options} --json");
+        let plan = folder.run(&format!("info --plan --views 2 {shared}")).json();
+        let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply")).json();
+        assert_eq!(plan["peak_bytes"], run["peak_bytes"], "{options}");
+        let number = |key: &str| plan[key].as_u64().expect("a number");
+        assert_eq!(number("peak_bytes"), number("weight_bytes") + number("arena_bytes"));
+        let rows = plan["rows"].as_array().expect("a row a tensor");
+        let end = |row: &serde_json::Value| row["offset"].as_u64().zip(row["bytes"].as_u64()).map(|(o, b)| o + b);
+        assert!(rows.len() > 20 && rows.iter().all(|row| end(row) <= plan["arena_bytes"].as_u64()));
+    }
+    let line = "info --plan --views 3 --weights seeded:vitg --ratio auto --poses";
+    let (top, all) = (folder.run(line).success(), folder.run(&format!("{line} --all")).success());
+    assert!(top.lines().count() < 30 && all.lines().count() > 50 && top.contains("--all shows them"), "{top}");
+}

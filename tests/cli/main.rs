@@ -1,0 +1,118 @@
+//! The command line, run in process: results, errors with their exit codes, and that no failure leaves a file.
+
+mod cancel;
+mod convert;
+mod errors;
+mod info;
+mod measure;
+mod reconstruct;
+mod render;
+
+use std::{
+    ffi::OsString,
+    path::{Path, PathBuf},
+    sync::atomic::AtomicBool,
+};
+use tempfile::TempDir;
+use zipsplat::{
+    types::Image,
+    weights::{Checkpoint, Dtype},
+};
+use zipsplat_cli::{Terminal, run};
+use zipsplat_tests::architectures;
+
+/// What a command did.
+#[derive(Debug)]
+struct Outcome {
+    code: u8,
+    out: String,
+    err: String,
+}
+
+impl Outcome {
+    /// Standard output of a command that has to succeed.
+    #[track_caller]
+    fn success(self) -> String {
+        assert_eq!(self.code, 0, "{}", self.err);
+        self.out
+    }
+
+    /// Standard output of a command that has to succeed, as JSON.
+    #[track_caller]
+    fn json(self) -> serde_json::Value {
+        serde_json::from_str(&self.success()).expect("--json prints JSON and nothing else")
+    }
+
+    /// Holds that the command failed with `code` and one line that has all of `words`.
+    #[track_caller]
+    fn fails(self, code: u8, words: &[&str]) {
+        assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
+        let errors: Vec<_> = self.err.lines().filter(|line| !line.starts_with("note: ")).collect();
+        assert!(matches!(errors[..], [line] if line.starts_with("error: ")), "not one error: {}", self.err);
+        for word in words {
+            assert!(errors[0].contains(word), "'{word}' is not in: {}", errors[0]);
+        }
+    }
+}
+
+/// Runs `zipsplat` with arguments separated by spaces.
+fn zipsplat(line: &str) -> Outcome {
+    command(line, &AtomicBool::new(false))
+}
+
+fn command(line: &str, cancelled: &AtomicBool) -> Outcome {
+    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
+    let (mut out, mut err) = (Vec::new(), Vec::new());
+    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled });
+    let text = |bytes| String::from_utf8(bytes).expect("commands print text");
+    Outcome { code, out: text(out), err: text(err) }
+}
+
+/// A folder with two photos (`photos/1.png`, `photos/10.png`), a small network's weights and nothing else.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let folder = Self(TempDir::new().expect("a temporary folder"));
+        std::fs::create_dir(folder.path("photos")).expect("an empty folder");
+        for (name, shift) in [("photos/10.png", 3), ("photos/1.png", 0)] {
+            photo(40, 30, shift).save_png(folder.path(name)).expect("a photo can be written");
+        }
+        let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network");
+        checkpoint.save(folder.path("micro.safetensors"), Dtype::F32).expect("weights can be written");
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// The line with every `@` replaced by this folder.
+    fn line(&self, line: &str) -> String {
+        line.replace('@', &self.0.path().display().to_string())
+    }
+
+    fn run(&self, line: &str) -> Outcome {
+        zipsplat(&self.line(line))
+    }
+
+    /// Names of all files and folders in it, sorted, hidden ones too.
+    fn names(&self) -> Vec<String> {
+        names(self.0.path())
+    }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = folder.read_dir().expect("a folder");
+    let mut names: Vec<_> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+/// A picture with colour gradients, the same for the same shift.
+fn photo(width: u32, height: u32, shift: u32) -> Image {
+    let pixel = |x: u32, y: u32| [5 * x + shift, 7 * y, 3 * (x + y)].map(|value| value as u8);
+    let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
+    Image { width, height, rgb }
+}

@@ -1,0 +1,88 @@
+//! `zipsplat reconstruct`.
+
+use crate::{Folder, zipsplat};
+use glam::{DMat3, DVec3};
+use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply};
+
+#[test]
+fn two_photos_become_a_scene() {
+    let folder = Folder::new();
+    let text = folder.run("reconstruct @/photos --weights seeded:vits --size 28x28 -o @/scene.ply").success();
+    let scene = read_ply(folder.path("scene.ply")).expect("the scene can be read");
+    // 2 views of 2 x 2 patches, each 32 Gaussians of degree 1.
+    assert_eq!((scene.len(), scene.sh_degree), (2 * 4 * 32, 1));
+    for word in ["256 Gaussians", "2 views", "8 of 8 tokens", "load photos", "backbone", "gaussians", "write", "/s)"] {
+        assert!(text.contains(word), "'{word}' is not in: {text}");
+    }
+}
+
+#[test]
+fn the_ratio_and_selection_decide_the_number() {
+    let folder = Folder::new();
+    for (options, tokens) in [
+        ("--ratio 0.5", 6),
+        ("--ratio auto", 6),
+        ("--ratio 0.3 --select stride", 3),
+        ("--ratio 0.3 --select random:7", 3),
+        ("--ratio 1 --precision exact", 12),
+    ] {
+        let json = folder
+            .run(&format!(
+                "reconstruct @/photos --weights @/micro.safetensors --size 42x28 {options} --json -o @/s.ply"
+            ))
+            .json();
+        let scene = read_ply(folder.path("s.ply")).expect("the scene can be read");
+        assert_eq!((json["tokens"].as_u64(), json["all_tokens"].as_u64()), (Some(tokens), Some(12)), "{options}");
+        assert_eq!(scene.len() as u64, 4 * tokens, "{options}");
+        for stage in ["load photos", "load weights", "backbone", "fuse", "gaussians", "write"] {
+            assert!(json["seconds"][stage].as_f64().is_some_and(|s| s >= 0.0), "{stage}: {json}");
+        }
+    }
+}
+
+#[test]
+fn folders_are_in_natural_order_and_files_as_given() {
+    let folder = Folder::new();
+    let reconstruct = |photos: &str, output: &str| {
+        let line = format!("reconstruct {photos} --weights @/micro.safetensors --size 28x28 -q -o @/{output}");
+        assert_eq!(folder.run(&line).success(), "");
+        std::fs::read(folder.path(output)).expect("the scene was written")
+    };
+    let natural = reconstruct("@/photos", "a.ply");
+    assert_eq!(natural, reconstruct("@/photos/1.png @/photos/10.png", "b.ply"));
+    assert_ne!(natural, reconstruct("@/photos/10.png @/photos/1.png", "c.ply"));
+}
+
+#[test]
+fn poses_count_relative_to_the_first_view() {
+    let folder = Folder::new();
+    let intrinsics = Intrinsics { width: 40, height: 30, fx: 35.0, fy: 35.0, cx: 20.0, cy: 15.0 };
+    let camera = |turn: f64, x: f64| {
+        let pose = Pose { rotation: DMat3::from_rotation_y(turn), translation: DVec3::new(x, 0.25, 0.5) };
+        Camera { intrinsics, pose }
+    };
+    let cameras = [camera(0.25, 0.0), camera(0.5, 1.0)];
+    let names = ["photos/1.png", "photos/10.png"];
+    let world = Pose { rotation: DMat3::from_rotation_x(1.0), translation: DVec3::new(3.0, -2.0, 1.0) };
+    let moved = cameras.map(|camera| Camera { pose: world.compose(&camera.pose), ..camera });
+    write_transforms(folder.path("here.json"), &cameras, &names).expect("cameras can be written");
+    write_transforms(folder.path("moved.json"), &moved, &names).expect("cameras can be written");
+    let scene = |options: &str| {
+        let line = format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 {options} -o @/s.ply");
+        folder.run(&line).success();
+        read_ply(folder.path("s.ply")).expect("the scene can be read").means
+    };
+    let (here, moved, none) = (scene("--poses @/here.json"), scene("--poses @/moved.json"), scene(""));
+    let apart = |other: &[[f32; 3]]| {
+        here.as_flattened().iter().zip(other.as_flattened()).fold(0f32, |most, (a, b)| most.max((a - b).abs()))
+    };
+    assert!(apart(&moved) < 1e-4, "the capture's own world shows: {}", apart(&moved));
+    assert!(apart(&none) > 1e-3, "the cameras do not show: {}", apart(&none));
+}
+
+#[test]
+fn help_has_examples_for_every_command() {
+    for command in ["", "reconstruct ", "render ", "info ", "convert ", "bench "] {
+        assert!(zipsplat(&format!("{command}--help")).success().contains("Examples:\n  zipsplat "), "{command}");
+    }
+}

@@ -1,0 +1,89 @@
+//! `zipsplat render`.
+
+use crate::{Folder, names};
+use std::collections::BTreeMap;
+use zipsplat::types::{Camera, Image, Pose, poses::write_transforms, write_ply};
+use zipsplat_tests::scenes;
+
+/// A folder with `scene.ply` and three cameras, the first and last wider than the second.
+fn folder() -> Folder {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
+    let camera = |size: (u32, u32), x: f64| Camera {
+        pose: Pose { translation: [x, 0.0, 0.0].into(), ..Pose::IDENTITY },
+        ..scenes::camera(size.0, size.1)
+    };
+    let cameras = [camera((48, 32), 0.0), camera((32, 32), 0.5), camera((48, 32), -0.5)];
+    write_transforms(folder.path("cameras.json"), &cameras, &["c/a.png", "c/b.png", "c/c.png"]).expect("cameras");
+    folder
+}
+
+fn contents(folder: &Folder, name: &str) -> BTreeMap<String, Vec<u8>> {
+    let path = folder.path(name);
+    let read = |name: String| (name.clone(), std::fs::read(path.join(name)).expect("a file"));
+    names(&path).into_iter().map(read).collect()
+}
+
+#[test]
+fn every_camera_gets_a_picture_and_again_the_same() {
+    let folder = folder();
+    let draw = |out: &str| {
+        folder.run(&format!("render @/scene.ply --cameras @/cameras.json -o @/{out}")).success();
+        contents(&folder, out)
+    };
+    let (first, second) = (draw("a"), draw("b"));
+    assert_eq!(first.keys().collect::<Vec<_>>(), ["000.png", "001.png", "002.png", "contact.png"]);
+    assert_eq!(first, second);
+    let size = |name: &str| Image::size(folder.path(name)).expect("a picture");
+    assert_eq!([size("a/000.png"), size("a/001.png"), size("a/contact.png")], [(48, 32), (32, 32), (96, 64)]);
+    assert_ne!(first["000.png"], first["002.png"]);
+}
+
+#[test]
+fn depth_and_alpha_are_what_the_renderer_gives() {
+    let folder = folder();
+    std::fs::create_dir(folder.path("out")).expect("an empty folder");
+    std::fs::write(folder.path("out/mine.txt"), "stays").expect("a file");
+    let line =
+        "render @/scene.ply --cameras @/cameras.json --depth --alpha --antialiased --background 1,0.5,0 -o @/out";
+    let text = folder.run(line).success();
+    assert!(text.contains("depth: 1000 levels a world unit"), "{text}");
+    let open = |name: &str| image::open(folder.path(name)).expect("a picture");
+    let image::DynamicImage::ImageLuma16(depth) = open("out/000.depth.png") else { panic!("depth has 16 bits") };
+    let image::DynamicImage::ImageLuma8(alpha) = open("out/000.alpha.png") else { panic!("alpha has 8 bits") };
+    assert_eq!((depth.dimensions(), alpha.dimensions()), ((48, 32), (48, 32)));
+    // The scene's Gaussians are 1 to 6 units away, some wider than 0.1.
+    let seen = depth.pixels().zip(alpha.pixels()).filter(|(_, alpha)| alpha.0[0] > 64);
+    let depths: Vec<u16> = seen.map(|(depth, _)| depth.0[0]).collect();
+    assert!(depths.len() > 20, "{} pixels", depths.len());
+    assert!(depths.iter().all(|depth| (900..6100).contains(depth)), "{depths:?}");
+    let names = names(&folder.path("out"));
+    assert_eq!(names.len(), 3 * 3 + 2, "{names:?}");
+    assert!(names.contains(&"mine.txt".to_owned()));
+}
+
+#[test]
+fn paths_have_as_many_pictures_as_asked() {
+    let folder = folder();
+    for path in ["--orbit", "--wiggle"] {
+        let json = folder.run(&format!("render @/scene.ply {path} --frames 5 --size 20x16 --json -o @/{path}")).json();
+        assert_eq!(json["frames"], 5);
+        let files = contents(&folder, path);
+        assert_eq!(files.len(), 6);
+        let pictures: std::collections::BTreeSet<_> = files.values().collect();
+        // A wiggle passes its middle twice and the first picture is not drawn again at the end.
+        assert!(pictures.len() >= 5, "{} different pictures", pictures.len());
+    }
+}
+
+#[test]
+fn cameras_count_from_a_photo_and_fit_a_size() {
+    let folder = folder();
+    let line = "render @/scene.ply --cameras @/cameras.json --size 24x24 -o @";
+    folder.run(&format!("{line}/all")).success();
+    folder.run(&format!("{line}/from --relative-to elsewhere/b.png")).success();
+    let (all, from) = (contents(&folder, "all"), contents(&folder, "from"));
+    assert_eq!(Image::size(folder.path("all/000.png")).expect("a picture"), (24, 24));
+    // b itself then stands at the origin, half a unit right of where the file has it; a's field of view differs.
+    assert_ne!(all["001.png"], from["001.png"]);
+}

@@ -1,0 +1,86 @@
+//! One plan under test: inputs with their values, and outputs that show what was not written and what should not have been.
+
+use bytemuck::Pod;
+use zipsplat::gpu::{Limits, Recorder, Run, Tensor};
+use zipsplat_tests::device::device;
+
+/// Bytes behind an output that nothing may write.
+const GUARD: usize = 256;
+
+/// Every byte of an output before the plan runs: NaN as f32, and as an index far out of range.
+const UNWRITTEN: u8 = 0xff;
+
+pub struct Case {
+    pub rec: Recorder,
+    inputs: Vec<(Tensor, Vec<u8>)>,
+    guarded: Vec<(Tensor, usize)>,
+}
+
+impl Case {
+    pub fn new() -> Case {
+        Case::within(device().limits())
+    }
+
+    /// A plan for narrower limits than the device's.
+    pub fn within(limits: &Limits) -> Case {
+        Case { rec: Recorder::new(limits), inputs: Vec::new(), guarded: Vec::new() }
+    }
+
+    pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {
+        let tensor = self.rec.input::<T>("input", values.len());
+        self.inputs.push((tensor, bytemuck::cast_slice(values).to_vec()));
+        tensor
+    }
+
+    /// A tensor of `len` results.
+    pub fn output<T>(&mut self, len: usize) -> Tensor {
+        let bytes = len * size_of::<T>();
+        let whole = self.rec.tensor::<u8>("output", bytes + GUARD);
+        self.rec.fill(whole, u32::from_ne_bytes([UNWRITTEN; 4]));
+        self.rec.output(whole);
+        self.guarded.push((whole, bytes));
+        whole.slice::<T>(0, len)
+    }
+
+    /// Runs the plan to its end; results are read from what it returns.
+    pub fn run(self) -> Run {
+        let mut run = Run::new(device(), self.rec.finish().unwrap()).unwrap();
+        for (tensor, bytes) in &self.inputs {
+            run.write(*tensor, bytes).unwrap();
+        }
+        run.execute().unwrap();
+        for (whole, bytes) in self.guarded {
+            let behind = &run.read::<u8>(whole).unwrap()[bytes..];
+            assert!(behind.iter().all(|byte| *byte == UNWRITTEN), "written behind an output of {bytes} bytes");
+        }
+        run
+    }
+
+    /// Runs the plan and reads one result.
+    pub fn result<T: Pod>(self, output: Tensor) -> Vec<T> {
+        self.run().read(output).unwrap()
+    }
+}
+
+/// `len` values in (-1, 1), the same for the same seed (splitmix64).
+pub fn random(seed: u64, len: usize) -> Vec<f32> {
+    let signed = |z: u64| (z >> 40) as f32 / (1 << 23) as f32 - 1.0;
+    (0..len).map(|i| signed(bits(seed, i))).collect()
+}
+
+/// `len` whole numbers below `bound`, the same for the same seed.
+pub fn random_below(seed: u64, len: usize, bound: u32) -> Vec<u32> {
+    (0..len).map(|i| (bits(seed, i) >> 32) as u32 % bound).collect()
+}
+
+fn bits(seed: u64, i: usize) -> u64 {
+    let z = (seed << 32).wrapping_add(i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// f64 results of at most one rounding each as the f32 that a kernel gives exactly.
+pub fn rounded(values: &[f64]) -> Vec<f32> {
+    values.iter().map(|&x| x as f32).collect()
+}

@@ -1,0 +1,113 @@
+//! Means of clusters against sums in f64, and the whole clustering against the goldens.
+
+use crate::case::{Case, random, random_below};
+use zipsplat::kernels::cluster::Mean;
+use zipsplat::stages::cluster;
+use zipsplat_tests::compare::{Tolerance, assert_as_near, assert_close, assert_same};
+use zipsplat_tests::golden::Golden;
+use zipsplat_tests::reference::{cluster::mean::mean, widen};
+
+fn centroids(points: &[f32], cluster_of_point: &[u32], clusters: usize, width: usize) -> Vec<f32> {
+    let mut case = Case::new();
+    let out = case.output::<f32>(clusters * width);
+    let kernel = Mean {
+        points: case.input(points),
+        cluster_of_point: case.input(cluster_of_point),
+        centroids: out,
+        point_count: cluster_of_point.len() as u32,
+        cluster_count: clusters as u32,
+        width: width as u32,
+    };
+    case.rec.dispatch_groups(kernel, clusters);
+    case.result(out)
+}
+
+fn check(count: usize, clusters: usize, width: usize) {
+    // Away from zero, so that no mean is small by chance.
+    let points: Vec<f32> = random(1, count * width).iter().map(|x| x + 1.5).collect();
+    let assigned = random_below(2, count, clusters as u32);
+    let got = centroids(&points, &assigned, clusters, width);
+    let truth = mean(&widen(&points), &assigned, clusters, width);
+    assert_close(&format!("{count} points, {clusters} x {width}"), &got, &truth, Tolerance::sum_of(count));
+}
+
+#[test]
+fn equals_the_reference() {
+    // Points around a subgroup of any size, widths around what a workgroup adds at a time.
+    for count in [1, 7, 8, 9, 31, 32, 33, 65, 500] {
+        for width in [1, 4, 63, 64, 65, 130, 384] {
+            for clusters in [1, 2, 9] {
+                check(count, clusters, width);
+            }
+        }
+    }
+    check(20_000, 3, 8);
+    check(40, 65_537, 4);
+}
+
+#[test]
+fn a_cluster_without_points_is_zero() {
+    let points = random(3, 5 * 12);
+    let got = centroids(&points, &[1, 1, 4, 1, 4], 6, 12);
+    for (cluster, centroid) in got.chunks(12).enumerate() {
+        let empty = ![1, 4].contains(&cluster);
+        assert_eq!(centroid.iter().all(|x| *x == 0.0), empty, "cluster {cluster}: {centroid:?}");
+    }
+    assert_same("no points", &centroids(&[], &[], 3, 4), &[0.0; 12]);
+}
+
+#[test]
+fn a_cluster_of_one_is_its_point() {
+    let points = random(4, 9 * 20);
+    let order = [4, 2, 0, 8, 6, 1, 3, 5, 7u32];
+    let got = centroids(&points, &order, 9, 20);
+    for (point, &cluster) in points.chunks(20).zip(&order) {
+        assert_same("centroid", &got[cluster as usize * 20..][..20], point);
+    }
+}
+
+#[test]
+fn clusters_as_the_goldens() {
+    let golden = Golden::committed("kmeans.safetensors");
+    let cases = golden.stems("/x");
+    assert!(cases.len() >= 10);
+    for name in cases {
+        let key = |part: &str| format!("{name}/{part}");
+        let (x, width, clusters) =
+            (golden.f32(&key("x")), golden.shape(&key("x"))[1], golden.u32(&key("K"))[0] as usize);
+        let count = x.len() / width;
+        let mut case = Case::new();
+        case.rec = case.rec.observing();
+        let (tokens, initial) = (case.input(&x), case.input(&cluster::even_indices(count, clusters)));
+        let nearest = cluster::record(&mut case.rec, tokens, initial, count, clusters, width);
+        case.rec.output(nearest);
+        let run = case.run();
+        let observed = |what: &str| run.observed().iter().find(|(name, _)| name == what).expect(what).1;
+
+        assert_same(&key("assign"), &run.read::<u32>(observed("assign")).unwrap(), &golden.u32(&key("assign_exact")));
+        let centroids: Vec<f32> = run.read(observed("centroids")).unwrap();
+        // One cluster may have all points.
+        assert_close(&key("centroids"), &centroids, &golden.f32(&key("centroids_exact")), Tolerance::sum_of(count));
+        let nearest: Vec<u32> = run.read(nearest).unwrap();
+        // Where several tokens are equally near, which one is decided by rounding.
+        let gaps = golden.f32(&key("nearest_gap"));
+        let clear: Vec<usize> = (0..clusters).filter(|&k| gaps[k] > 1e-4).collect();
+        let pick = |indices: &[u32]| clear.iter().map(|&k| indices[k]).collect::<Vec<_>>();
+        assert_same(&key("nearest"), &pick(&nearest), &pick(&golden.u32(&key("nearest_exact"))));
+        assert_as_near(&key("nearest"), &nearest, &centroids, &x, width);
+    }
+}
+
+#[test]
+fn first_centroids_are_spread_as_in_the_goldens() {
+    let golden = Golden::committed("kmeans.safetensors");
+    let keys: Vec<_> = golden.keys().into_iter().filter(|key| key.starts_with("linspace/")).collect();
+    assert!(keys.len() >= 20);
+    for key in keys {
+        let (tokens, k) = key["linspace/".len()..].split_once('_').expect("tokens_k");
+        assert_same(&key, &cluster::even_indices(tokens.parse().unwrap(), k.parse().unwrap()), &golden.u32(&key));
+    }
+    for row in golden.f64("k_of_compression@f64").chunks(3).filter(|row| row[1] <= 1.0) {
+        assert_eq!(cluster::cluster_count(row[0] as usize, row[1]), row[2] as usize, "{row:?}");
+    }
+}

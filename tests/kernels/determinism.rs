@@ -1,0 +1,108 @@
+//! The same inputs give the same bits, every run and on every opening of a device.
+
+use crate::case::random;
+use std::ops::ControlFlow;
+use zipsplat::gpu::{Device, DeviceOptions, Progress, Recorder, Run};
+use zipsplat::kernels::ops::Add;
+use zipsplat::reconstruct::{Model, Ratio, Request};
+use zipsplat::types::{Image, Scene};
+use zipsplat::weights::Checkpoint;
+use zipsplat_tests::{architectures, compare::assert_same, device::device};
+
+/// Views of 4 x 5 patches of noise.
+fn images(views: u32) -> Vec<Image> {
+    let (width, height) = (5 * 14, 4 * 14);
+    let view = |seed: u32| {
+        let rgb = (0..3 * width * height).map(|i| ((i + seed).wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        Image::new(width, height, rgb).unwrap()
+    };
+    (0..views).map(|v| view(1 + (v << 20))).collect()
+}
+
+fn model(device: &Device) -> Model {
+    let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
+    Model::load(device, &checkpoint, |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn reconstruct(model: &Model, views: u32, ratio: f64) -> Scene {
+    let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
+    model.reconstruct(&images(views), &request, |_| ControlFlow::Continue(())).unwrap().scene
+}
+
+fn bits(scene: &Scene) -> Vec<u32> {
+    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
+    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
+    fields.flatten().map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn every_run_gives_the_same_bits() {
+    let model_here = model(device());
+    let first = bits(&reconstruct(&model_here, 2, 0.5));
+    assert!(!first.is_empty());
+    assert_same("again", &bits(&reconstruct(&model_here, 2, 0.5)), &first);
+    let elsewhere = Device::open(&DeviceOptions::default()).unwrap();
+    assert_same("on another opening of the device", &bits(&reconstruct(&model(&elsewhere), 2, 0.5)), &first);
+}
+
+#[test]
+fn staging_changes_no_bit() {
+    let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
+    let mapped = bits(&reconstruct(&model(device()), 2, 0.5));
+    assert_same("through staging memory", &bits(&reconstruct(&model(&staged), 2, 0.5)), &mapped);
+}
+
+#[test]
+fn binding_parts_of_tensors_changes_no_bit() {
+    // Just above the largest weight, far below the pictures, the hidden layers and the head's output.
+    let narrow = DeviceOptions { max_binding_bytes: Some(200 << 10), ..DeviceOptions::default() };
+    let narrow = Device::open(&narrow).unwrap();
+    for ratio in [0.5, 1.0] {
+        let whole = bits(&reconstruct(&model(device()), 24, ratio));
+        assert_same(&format!("ratio {ratio}"), &bits(&reconstruct(&model(&narrow), 24, ratio)), &whole);
+    }
+}
+
+#[test]
+fn cutting_long_dispatches_changes_no_bit() {
+    // As much arithmetic as is stated here is cut into hundreds of submissions.
+    for stated in [0, 1 << 40] {
+        let device = Device::open(&DeviceOptions::default()).unwrap();
+        // A folded dispatch, and one below the fold.
+        for count in [64 * 100_000 + 1, 64 * 1000] {
+            let values = random(1, count);
+            let mut rec = Recorder::new(device.limits());
+            let (left, out) = (rec.input::<f32>("left", count), rec.tensor::<f32>("out", count));
+            let kernel = Add { left, right: left, out, count: count as u32 };
+            rec.dispatch(kernel, count).flops(stated);
+            rec.output(out);
+            let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+            run.write(left, &values).unwrap();
+            let mut submissions = 0;
+            let count_submissions = |_: Progress<'_>| {
+                submissions += 1;
+                ControlFlow::Continue(())
+            };
+            run.execute_with(count_submissions).unwrap();
+            assert_eq!(submissions > 1, stated > 0, "{submissions} submissions");
+            let doubled: Vec<f32> = values.iter().map(|x| 2.0 * x).collect();
+            assert_same(&format!("{submissions} submissions"), &run.read::<f32>(out).unwrap(), &doubled);
+        }
+    }
+}
+
+#[test]
+fn observing_changes_no_bit() {
+    let model = model(device());
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let shape = model.shape(&images(2), &request).unwrap();
+    let run = |observe: bool| {
+        let (plan, tensors) = model.record(shape, observe).unwrap();
+        let mut run = model.run(plan).unwrap();
+        model.write_inputs(&mut run, &tensors, shape, &images(2), &request).unwrap();
+        run.execute().unwrap();
+        assert_eq!(run.observed().is_empty(), !observe);
+        tensors.read(&run, model.architecture().sh_degree as u32).unwrap()
+    };
+    assert_same("observed", &bits(&run(true)), &bits(&run(false)));
+}

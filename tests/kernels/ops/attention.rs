@@ -1,0 +1,142 @@
+//! Attention against softmax with every score held in f64.
+
+use crate::case::{Case, random};
+use zipsplat::kernels::limits::{ATTENTION_ROWS, GROUP_FOLD};
+use zipsplat::ops::{Attention, Heads, Part};
+use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::reference::{ops::attention::attention, widen};
+
+/// Queries, keys and values `[sequences * tokens, heads * dim]` of one attention.
+struct Problem {
+    shape: Attention,
+    q: Vec<f32>,
+    k: Vec<f32>,
+    v: Vec<f32>,
+}
+
+impl Problem {
+    fn random(sequences: usize, queries: usize, keys: usize, count: usize, dim: usize) -> Problem {
+        let width = count * dim;
+        Problem {
+            shape: Attention { heads: Heads { count, dim }, sequences, queries, keys },
+            q: random(1, sequences * queries * width),
+            k: random(2, sequences * keys * width),
+            v: random(3, sequences * keys * width),
+        }
+    }
+
+    fn check(&self, name: &str) {
+        let shape = self.shape;
+        let name = format!("{name} {shape:?}");
+        assert_close(&name, &self.attended(), &self.truth(), tolerance(shape));
+    }
+
+    /// All padding holds NaN, which must reach nothing.
+    fn attended(&self) -> Vec<f32> {
+        let shape = self.shape;
+        let mut case = Case::new();
+        let tensors = shape.tensors(&mut case.rec);
+        let parts = [
+            (&self.q, shape.queries, Part { scale: shape.scale(), ..Part::default() }),
+            (&self.k, shape.keys, Part { keys: true, ..Part::default() }),
+            (&self.v, shape.keys, Part::default()),
+        ];
+        for (tensor, (values, tokens, part)) in tensors.into_iter().zip(parts) {
+            case.rec.fill(tensor, f32::NAN.to_bits());
+            let projection = (case.input(values), shape.heads.width());
+            shape.split(&mut case.rec, projection, 0, shape.sequences * tokens, part, tensor);
+        }
+        let out = shape.record(&mut case.rec, tensors);
+        case.rec.output(out);
+        case.result(out)
+    }
+
+    fn truth(&self) -> Vec<f64> {
+        let Attention { heads, queries, keys, .. } = self.shape;
+        let [q, k, v] = [&self.q, &self.k, &self.v].map(|x| widen(x));
+        let kv = k.chunks(keys * heads.width()).zip(v.chunks(keys * heads.width()));
+        let sequences = q.chunks(queries * heads.width()).zip(kv);
+        sequences.flat_map(|(q, (k, v))| attention(q, k, v, heads.count, heads.dim)).collect()
+    }
+}
+
+/// A score is a sum of `dim` products; weights and the result are sums over keys. Values that average out leave the result
+/// smaller than its terms, but the terms' errors average out with them.
+fn tolerance(shape: Attention) -> Tolerance {
+    Tolerance::sum_of(shape.heads.dim).and(Tolerance::sum_of(shape.keys)).and(Tolerance::ELEMENTWISE)
+}
+
+const DIMS: [usize; 9] = [4, 8, 16, 24, 32, 48, 64, 96, 128];
+
+#[test]
+fn every_head_size_and_number_of_keys() {
+    for dim in DIMS {
+        for keys in [1, 2, 3, 4, 5, 31, 32, 33, 325, 1300] {
+            Problem::random(1, 9, keys, 2, dim).check("random");
+        }
+    }
+}
+
+#[test]
+fn every_number_of_queries_and_sequences() {
+    for queries in [1, 7, 8, 9, 15, 16, 17, 31, 33, 65, 130] {
+        for (sequences, heads) in [(1, 1), (2, 3), (5, 2)] {
+            Problem::random(sequences, queries, 37, heads, 16).check("random");
+        }
+    }
+    let none = Problem::random(1, 0, 5, 2, 16);
+    assert!(none.attended().is_empty());
+}
+
+#[test]
+fn one_head_over_very_many_queries() {
+    // More workgroups along x than a one-dimensional dispatch is folded at.
+    Problem::random(1, ATTENTION_ROWS as usize * GROUP_FOLD as usize + 3, 2, 1, 4).check("many queries");
+}
+
+#[test]
+fn logits_of_ten_thousand() {
+    // Whole numbers, whose products f32 adds without error: what is compared is the softmax, not the scores' rounding.
+    for dim in [16, 64] {
+        let mut problem = Problem::random(2, 11, 70, 2, dim);
+        let whole = |x: &mut f32, most: f32| *x = (*x * most).round();
+        problem.q.iter_mut().for_each(|x| whole(x, 64.0));
+        problem.k.iter_mut().for_each(|x| whole(x, 16384.0 / dim as f32));
+        let width = problem.shape.heads.width();
+        let score = |q: &[f32], k: &[f32]| q.iter().zip(k).map(|(a, b)| a * b).sum::<f32>() / (dim as f32).sqrt();
+        let keys = || problem.k[..70 * width].chunks(width);
+        let largest = keys().map(|k| score(&problem.q[..dim], &k[..dim])).fold(0.0f32, |a, s| a.max(s.abs()));
+        assert!(largest > 1e4, "{largest}");
+        problem.check("large logits");
+    }
+}
+
+#[test]
+fn equal_keys_weigh_the_same() {
+    for keys in [3, 33, 325] {
+        let mut problem = Problem::random(1, 5, keys, 1, 32);
+        let first = problem.k[..32].to_vec();
+        problem.k.chunks_mut(32).for_each(|key| key.copy_from_slice(&first));
+        problem.check("equal keys");
+    }
+}
+
+#[test]
+fn one_key_takes_all() {
+    for (keys, chosen) in [(33, 0), (33, 32), (325, 170)] {
+        let mut problem = Problem::random(1, 5, keys, 1, 16);
+        problem.q.fill(8.0);
+        problem.k[16 * chosen..16 * (chosen + 1)].fill(50.0);
+        let value = problem.v[16 * chosen..16 * (chosen + 1)].repeat(5);
+        assert_close("truth", &problem.truth(), &value, Tolerance::STORED);
+        problem.check("dominating key");
+    }
+}
+
+#[test]
+fn all_logits_far_below_zero() {
+    let mut problem = Problem::random(1, 5, 33, 1, 16);
+    problem.q.fill(64.0);
+    problem.k.iter_mut().for_each(|x| *x = (*x * 8.0).round() - 48.0);
+    problem.check("negative logits");
+}

@@ -1,0 +1,161 @@
+//! Heads out of a projection: where every value goes exactly, and what norm and rotation make of it.
+
+use crate::case::{Case, random};
+use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
+use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::reference::{
+    backbone::rope::{global_positions, local_positions},
+    ops::split_heads::{Part, split_heads},
+    widen,
+};
+
+/// One call of the kernel: `rows` rows from `first_row` on, of sequences of `sequence` rows.
+#[derive(Clone, Copy, Debug)]
+struct Call {
+    heads: usize,
+    dim: usize,
+    rows: usize,
+    first_row: usize,
+    out_rows: usize,
+    sequence: usize,
+    norm: bool,
+    /// Patches of a view, rows and columns, by which the heads are rotated.
+    grid: Option<(usize, usize)>,
+    global: bool,
+    transpose: bool,
+}
+
+const PLAIN: Call = Call {
+    heads: 3,
+    dim: 16,
+    rows: 14,
+    first_row: 0,
+    out_rows: 14,
+    sequence: 7,
+    norm: false,
+    grid: None,
+    global: false,
+    transpose: false,
+};
+
+const COLUMN: usize = 5;
+const SCALE: f32 = 0.25;
+const EPS: f32 = 1e-5;
+
+impl Call {
+    /// Runs the kernel and holds what it wrote, and nothing else, to the reference.
+    fn check(self) {
+        let Call { heads, dim, rows, sequence, .. } = self;
+        let stride = heads * dim + 2 * COLUMN;
+        let projection = random(1, rows * stride);
+        let (weight, bias) = (random(2, dim), random(3, dim));
+        let (grid_rows, grid_columns) = self.grid.unwrap_or((1, 1));
+        let table = &rotary_tables(grid_rows, grid_columns, dim)[usize::from(self.global)];
+
+        let mut case = Case::new();
+        let padded = sequence.next_multiple_of(4);
+        let out_len = if self.transpose { self.out_rows / sequence * padded } else { self.out_rows };
+        let out = case.output::<f32>(heads * dim * out_len);
+        let kernel = SplitHeads {
+            projection: case.input(&projection),
+            weight: case.input(&weight),
+            bias: case.input(&bias),
+            rotary: case.input(table),
+            out,
+            rows: rows as u32,
+            heads: heads as u32,
+            dim: dim as u32,
+            stride: stride as u32,
+            column: COLUMN as u32,
+            first_row: self.first_row as u32,
+            out_rows: self.out_rows as u32,
+            sequence: sequence as u32,
+            tokens: (1 + grid_rows * grid_columns) as u32,
+            scale: SCALE,
+            eps: EPS,
+            norm: self.norm,
+            rotate: self.grid.is_some(),
+            transpose: self.transpose,
+        };
+        case.rec.dispatch_groups(kernel, rows * heads);
+        let mut got: Vec<f32> = case.result(out);
+
+        let truth = self.truth(&projection, stride, &weight, &bias);
+        let written: Vec<f32> = (0..rows * heads * dim)
+            .map(|i| std::mem::replace(&mut got[self.place(i / dim / heads, i / dim % heads, i % dim)], f32::NAN))
+            .collect();
+        assert!(got.iter().all(|x| x.is_nan()), "{self:?}: something else was written");
+        let tolerance = if self.norm { Tolerance::sum_of(dim) } else { Tolerance::sum_of(0) };
+        assert_close(&format!("{self:?}"), &written, &truth, tolerance.and(Tolerance::ELEMENTWISE));
+    }
+
+    /// Where channel `channel` of a head of this call's row `row` goes.
+    fn place(&self, row: usize, head: usize, channel: usize) -> usize {
+        let row = self.first_row + row;
+        let (sequences, padded) = (self.out_rows / self.sequence, self.sequence.next_multiple_of(4));
+        if self.transpose {
+            ((head * sequences + row / self.sequence) * self.dim + channel) * padded + row % self.sequence
+        } else {
+            (head * self.out_rows + row) * self.dim + channel
+        }
+    }
+
+    /// `[rows, heads, dim]`
+    fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> Vec<f64> {
+        let positions: Option<Vec<_>> = self.grid.map(|(rows, columns)| {
+            let view = if self.global { global_positions(rows, columns) } else { local_positions(rows, columns) };
+            let from = (0..self.rows).map(|row| view[(self.first_row + row) % view.len()]);
+            from.collect()
+        });
+        let part = Part {
+            column: COLUMN,
+            heads: self.heads,
+            head_dim: self.dim,
+            norm: self.norm.then_some((weight, bias, f64::from(EPS))),
+            positions: positions.as_deref(),
+        };
+        split_heads(&widen(projection), stride, part).iter().map(|x| x * f64::from(SCALE)).collect()
+    }
+}
+
+#[test]
+fn every_switch() {
+    for norm in [false, true] {
+        for grid in [None, Some((2, 3))] {
+            for transpose in [false, true] {
+                Call { norm, grid, transpose, ..PLAIN }.check();
+            }
+        }
+    }
+    Call { grid: Some((2, 3)), global: true, ..PLAIN }.check();
+}
+
+#[test]
+fn every_head_size() {
+    for dim in [4, 8, 12, 16, 24, 32, 48, 64, 96, 128] {
+        Call { dim, norm: true, grid: Some((3, 2)), ..PLAIN }.check();
+    }
+}
+
+#[test]
+fn parts_of_the_rows() {
+    for transpose in [false, true] {
+        for (first_row, rows) in [(0, 0), (0, 1), (1, 1), (5, 9), (7, 7), (13, 1)] {
+            Call { first_row, rows, transpose, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
+        }
+    }
+}
+
+#[test]
+fn sequences_of_every_remainder() {
+    for sequence in 1..=9 {
+        let rows = 3 * sequence;
+        Call { rows, out_rows: rows, sequence, transpose: true, ..PLAIN }.check();
+    }
+}
+
+#[test]
+fn rows_beyond_the_most_workgroups() {
+    let rows = 65_537;
+    Call { heads: 1, dim: 4, rows, out_rows: rows, sequence: rows, grid: Some((4, 4)), ..PLAIN }.check();
+}

@@ -1,0 +1,135 @@
+//! Counting and listing of tiles against lists made on the host.
+
+use zipsplat::{
+    gpu::{Recorder, Run},
+    kernels::render::{Intersect, TileCounts, TileOffsets},
+};
+use zipsplat_tests::{compare::assert_same, device::device};
+
+const GRID: [u32; 2] = [11, 7];
+const CAMERAS: u32 = 2;
+
+/// Tile sets of pairs as the projection packs them: rectangles, masks, and nothing.
+fn tile_sets(pairs: u32) -> Vec<[u32; 3]> {
+    let set = |pair: u32| {
+        let (x, y) = (pair * 7 % GRID[0], pair * 5 % GRID[1]);
+        let (width, height) = (1 + pair * 3 % (GRID[0] - x), 1 + pair % (GRID[1] - y));
+        let mask = match width * height {
+            area @ 1..=32 if pair.is_multiple_of(3) => pair.wrapping_mul(0x9e37_79b9) & u32::MAX >> (32 - area),
+            _ => 0,
+        };
+        if pair % 5 == 4 { [0; 3] } else { [x | y << 16, width | height << 16, mask] }
+    };
+    (0..pairs).map(set).collect()
+}
+
+/// Tiles of a set by id, row-major; a mask of 0 means all.
+fn tiles([corner, size, mask]: [u32; 3], camera: u32) -> Vec<u32> {
+    let (x, y, width, height) = (corner & 0xffff, corner >> 16, size & 0xffff, size >> 16);
+    (0..width * height)
+        .filter(|t| mask == 0 || mask >> t & 1 == 1)
+        .map(|t| (camera * GRID[1] + y + t / width) * GRID[0] + x + t % width)
+        .collect()
+}
+
+/// Runs the kernel alone, with these prefix sums; gives tiles, pairs and status.
+fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) -> [Vec<u32>; 3] {
+    let mut rec = Recorder::new(device().limits());
+    let kernel = Intersect {
+        tile_sets: rec.input::<[u32; 3]>("tile_sets", sets.len()),
+        indices: rec.input::<u32>("indices", sets.len()),
+        offsets: rec.input::<u32>("offsets", sums.len()),
+        tiles: rec.tensor::<u32>("tiles", capacity as usize),
+        pair_indices: rec.tensor::<u32>("pair_indices", capacity as usize),
+        status: rec.tensor::<u32>("status", 3),
+        pairs: sets.len() as u32,
+        camera_count: CAMERAS,
+        grid: GRID,
+        capacity,
+    };
+    rec.fill(kernel.status, 0);
+    rec.dispatch(kernel, sums.len());
+    let outputs = [kernel.tiles, kernel.pair_indices, kernel.status];
+    outputs.into_iter().for_each(|output| rec.output(output));
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+    run.write(kernel.tile_sets, sets).unwrap();
+    run.write(kernel.indices, indices).unwrap();
+    run.write(kernel.offsets, sums).unwrap();
+    run.execute().unwrap();
+    outputs.map(|output| run.read(output).unwrap())
+}
+
+#[test]
+fn lists_every_tile_in_depth_order() {
+    for pairs in [1, 63, 64, 65, 1000] {
+        let sets = tile_sets(pairs);
+        let indices: Vec<u32> = (0..pairs).map(|i| (i * 617 + 3) % pairs).collect();
+        let (mut expected_tiles, mut expected_pairs, mut sums) = (Vec::new(), Vec::new(), vec![0]);
+        for &pair in &indices {
+            let tiles = tiles(sets[pair as usize], pair % CAMERAS);
+            expected_pairs.extend(tiles.iter().map(|_| pair));
+            expected_tiles.extend(tiles);
+            sums.push(expected_tiles.len() as u32);
+        }
+        let total = expected_tiles.len();
+        for capacity in [total + 10, total, total.div_ceil(2)] {
+            let [tiles, pair_indices, status] = intersect(&sets, &indices, &sums, capacity as u32);
+            let listed = total.min(capacity);
+            assert_same("tiles", &tiles[..listed], &expected_tiles[..listed]);
+            assert_same("pairs", &pair_indices[..listed], &expected_pairs[..listed]);
+            assert_eq!(status, [listed as u32, total as u32, 0]);
+        }
+    }
+}
+
+#[test]
+fn counts_every_tile_in_depth_order() {
+    let sets = tile_sets(300);
+    let indices: Vec<u32> = (0..300).rev().collect();
+    let mut rec = Recorder::new(device().limits());
+    let kernel = TileCounts {
+        tile_sets: rec.input::<[u32; 3]>("tile_sets", sets.len()),
+        indices: rec.input::<u32>("indices", sets.len()),
+        tile_counts: rec.tensor::<u32>("tile_counts", sets.len() + 1),
+        pairs: sets.len() as u32,
+    };
+    rec.dispatch(kernel, sets.len() + 1);
+    rec.output(kernel.tile_counts);
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+    run.write(kernel.tile_sets, &sets).unwrap();
+    run.write(kernel.indices, &indices).unwrap();
+    run.execute().unwrap();
+    let expected = indices.iter().map(|&i| tiles(sets[i as usize], 0).len() as u32).chain([0]);
+    assert_same("counts", &run.read::<u32>(kernel.tile_counts).unwrap(), &expected.collect::<Vec<_>>());
+}
+
+#[test]
+fn a_sum_that_wraps_is_noticed() {
+    let [_, _, status] = intersect(&tile_sets(3), &[0, 1, 2], &[0, 4_000_000_000, 5, 9], 4);
+    assert_eq!(status, [4, 9, 1]);
+}
+
+#[test]
+fn finds_where_each_tile_starts() {
+    for (count, tile_count) in [(0, 3), (1, 1), (1000, 1), (1000, 100), (5000, 70_000)] {
+        // The items beyond `count` are not in use and hold anything.
+        let mut tiles: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(2_654_435_761) % tile_count).collect();
+        tiles.sort_unstable();
+        let expected: Vec<u32> = (0..=tile_count).map(|t| tiles.partition_point(|&tile| tile < t) as u32).collect();
+        tiles.resize(count as usize + 5, 0);
+        let mut rec = Recorder::new(device().limits());
+        let kernel = TileOffsets {
+            tiles: rec.input::<u32>("tiles", tiles.len()),
+            item_count: rec.input::<u32>("item_count", 1),
+            tile_offsets: rec.tensor::<u32>("tile_offsets", expected.len()),
+            tile_count,
+        };
+        rec.dispatch(kernel, expected.len());
+        rec.output(kernel.tile_offsets);
+        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+        run.write(kernel.tiles, &tiles).unwrap();
+        run.write(kernel.item_count, &[count]).unwrap();
+        run.execute().unwrap();
+        assert_same("offsets", &run.read::<u32>(kernel.tile_offsets).unwrap(), &expected);
+    }
+}

@@ -1,0 +1,7 @@
+//! Matrices side by side.
+
+/// `left [rows, left_width]` and `right [rows, right_width]` as `[rows, left_width + right_width]`.
+pub fn join_columns(left: &[f64], left_width: usize, right: &[f64], right_width: usize) -> Vec<f64> {
+    let rows = left.chunks(left_width).zip(right.chunks(right_width));
+    rows.flat_map(|(left, right)| left.iter().chain(right)).copied().collect()
+}

@@ -1,0 +1,140 @@
+//! Who may use whom: each layer of the engine names only what stands before it, and only one names Vulkan.
+
+use crate::source::{Source, files, paths, tokens};
+
+/// The engine's layers, each of which uses only those before it. `error` stands for the crate's `Error` and `Result`.
+const LAYERS: [&str; 8] = ["error", "gpu", "types", "weights", "ops", "stages", "reconstruct", "ffi"];
+
+/// Layers that dispatch kernels. The kernel table is made from `gpu`, which in turn needs the constants of both sides.
+const DISPATCHING: [&str; 2] = ["ops", "stages"];
+
+/// Files beside `engine/src/gpu` and `engine/src/ffi` with unsafe code, and why.
+const UNSAFE: [(&str, &str); 2] = [
+    ("engine/src/weights/checkpoint.rs", "maps a checkpoint into memory"),
+    ("tools/src/commands/bench/gemm.rs", "calls the gemm crate, which it measures beside ours"),
+];
+
+fn engine() -> Vec<Source> {
+    files("engine/src", "rs")
+}
+
+/// The module of a file below `engine/src`: `stages/backbone/mod.rs` is `[stages, backbone]`.
+fn module(path: &str) -> Vec<&str> {
+    let inside = path.trim_start_matches("engine/src/").trim_end_matches(".rs");
+    inside.split('/').filter(|part| *part != "mod").collect()
+}
+
+/// Paths from the crate's root that a file names, but for its unit tests.
+fn used(source: &Source) -> Vec<Vec<String>> {
+    let own = module(&source.path);
+    let absolute = |path: Vec<String>| {
+        let supers = path.iter().take_while(|part| *part == "super").count();
+        let base = if supers > 0 { &own[..own.len().saturating_sub(supers)] } else { &[] };
+        let rest = path.iter().skip_while(|part| *part == "super" || *part == "crate");
+        base.iter().map(|part| part.to_string()).chain(rest.cloned()).collect()
+    };
+    let (code, _unit_tests) = source.text.split_once("#[cfg(test)]").unwrap_or((&source.text, ""));
+    paths(&tokens(code), &["crate", "super"]).into_iter().map(absolute).collect()
+}
+
+/// What is wrong with a file of `layer` naming `path`, if anything.
+fn problem(own: &[&str], path: &[String], stages: &[String]) -> Option<String> {
+    let (layer, named) = (own[0], path.first()?.as_str());
+    if named == "kernels" {
+        let constants = layer == "gpu" && path.get(1).is_some_and(|part| part == "limits");
+        return (!constants && !DISPATCHING.contains(&layer)).then(|| format!("{layer} dispatches no kernels"));
+    }
+    let named = if named.starts_with(char::is_uppercase) { "error" } else { named };
+    let place = |name: &str| LAYERS.iter().position(|layer| *layer == name);
+    let (Some(mine), Some(theirs)) = (place(layer), place(named)) else {
+        return Some(format!("{layer} or {named} is no layer that this test knows"));
+    };
+    if theirs > mine {
+        return Some(format!("{layer} stands before {named}"));
+    }
+    let other = path.get(1).filter(|stage| layer == "stages" && named == "stages" && stages.contains(stage))?;
+    (own.get(1) != Some(&other.as_str()) && own.len() > 1).then(|| format!("stage {} knows stage {other}", own[1]))
+}
+
+#[test]
+fn layers_use_only_those_before() {
+    let sources = engine();
+    let stage = |source: &Source| {
+        module(&source.path).get(1).filter(|_| source.path.contains("/stages/")).map(|s| s.to_string())
+    };
+    let stages: Vec<String> = sources.iter().filter_map(stage).collect();
+    assert!(stages.len() >= 5 && sources.len() > 30, "stages are found");
+    let mut problems = Vec::new();
+    for source in sources.iter().filter(|source| source.path != "engine/src/lib.rs") {
+        let own = module(&source.path);
+        let wrong = used(source).into_iter().filter_map(|path| {
+            problem(&own, &path, &stages).map(|problem| format!("{}: {}: {problem}", source.path, path.join("::")))
+        });
+        problems.extend(wrong);
+    }
+    assert!(problems.is_empty(), "\n{}", problems.join("\n"));
+}
+
+#[test]
+fn wrong_uses_are_found() {
+    let source = |path: &str, text: &str| Source { path: path.into(), text: text.into() };
+    let problems = |path: &str, text: &str| {
+        let stages = ["cluster".to_owned(), "fuse".to_owned()];
+        let found = used(&source(path, text));
+        found.iter().filter_map(|used| problem(&module(path), used, &stages)).count()
+    };
+    assert_eq!(problems("engine/src/gpu/run.rs", "use crate::{Error, ops::Linear, kernels::limits::A};"), 1);
+    assert_eq!(problems("engine/src/types/scene.rs", "use crate::kernels::ops::Add; use super::Image;"), 1);
+    assert_eq!(problems("engine/src/stages/fuse.rs", "use super::{ViewGrid, cluster::record};"), 1);
+    assert_eq!(
+        problems("engine/src/stages/fuse/a.rs", "use super::super::cluster; use super::b; use crate::stages::X;"),
+        1
+    );
+    assert_eq!(problems("engine/src/stages/mod.rs", "use crate::gpu::Tensor; use self::fuse::Fuse;"), 0);
+    assert_eq!(problems("engine/src/ops/norm.rs", "fn f() { crate::stages::cluster::record() }"), 1);
+}
+
+#[test]
+fn only_gpu_names_vulkan() {
+    for source in engine().iter().chain(&files("tools/src", "rs")) {
+        let vulkan = paths(&tokens(&source.text), &["vk", "ash", "gpu_allocator"]);
+        assert!(source.path.starts_with("engine/src/gpu/") || vulkan.is_empty(), "{} names {vulkan:?}", source.path);
+    }
+}
+
+#[test]
+fn unsafe_code_is_where_it_belongs() {
+    for source in engine().iter().chain(&files("tools/src", "rs")).chain(&files("tests", "rs")) {
+        let count = tokens(&source.text).iter().filter(|token| *token == "unsafe").count();
+        let allowed = match UNSAFE.iter().any(|(path, _)| *path == source.path) {
+            true => 1,
+            false if ["engine/src/gpu/", "engine/src/ffi/"].iter().any(|folder| source.path.starts_with(folder)) => {
+                count
+            }
+            false => 0,
+        };
+        assert_eq!(count, allowed, "unsafe in {}", source.path);
+    }
+}
+
+#[test]
+fn the_engine_and_its_tools_know_no_tests() {
+    for source in engine().iter().chain(&files("tools/src", "rs")) {
+        assert!(!tokens(&source.text).iter().any(|token| token == "zipsplat_tests"), "{}", source.path);
+    }
+}
+
+#[test]
+fn kernels_include_only_what_is_shared() {
+    let kernels: Vec<Source> = files("kernels", "comp").into_iter().chain(files("kernels", "glsl")).collect();
+    let includes = |source: &Source| -> Vec<String> {
+        let lines = source.text.lines().filter_map(|line| line.trim().strip_prefix("#include"));
+        lines.map(|name| name.trim().trim_matches('"').to_owned()).collect()
+    };
+    assert!(kernels.iter().any(|source| !includes(source).is_empty()), "includes are found");
+    for source in &kernels {
+        for name in includes(source) {
+            assert!(name.starts_with("shared/"), "{} includes {name}", source.path);
+        }
+    }
+}

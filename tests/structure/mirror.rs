@@ -1,0 +1,79 @@
+//! A kernel, its test and its reference share one relative name.
+
+use crate::source::files;
+use std::collections::BTreeSet;
+use zipsplat::kernels::MODULES;
+
+/// Kernels that are steps of one operation and mean something only together, with the name that they share.
+const STEPS: [(&str, &str); 6] = [
+    ("ops/scan_apply", "ops/scan"),
+    ("ops/scan_reduce", "ops/scan"),
+    ("ops/sort_count", "ops/sort"),
+    ("ops/sort_scatter", "ops/sort"),
+    ("render/tile_counts", "render/intersect"),
+    ("render/tile_offsets", "render/intersect"),
+];
+
+/// Names without a reference of ours, and what takes its place.
+const WITHOUT_REFERENCE: [(&str, &str); 3] = [
+    ("ops/scan", "a running sum on the host"),
+    ("ops/sort", "the stable sort of the standard library"),
+    ("render/intersect", "lists made on the host"),
+];
+
+/// Relative names of the files of one kind below a folder: `ops/add`.
+fn names(folder: &str, ext: &str) -> BTreeSet<String> {
+    let relative = |path: &str| path[folder.len() + 1..].trim_end_matches(&format!(".{ext}")).to_owned();
+    files(folder, ext).iter().map(|source| relative(&source.path)).collect()
+}
+
+/// The names that tests and references must have.
+fn shared_names() -> BTreeSet<String> {
+    let shared = |kernel: String| match STEPS.iter().find(|(step, _)| *step == kernel) {
+        Some((_, name)) => name.to_string(),
+        None => kernel,
+    };
+    names("kernels", "comp").into_iter().map(shared).collect()
+}
+
+#[test]
+fn every_kernel_has_its_test_and_its_reference() {
+    let (tests, references) = (names("tests/kernels", "rs"), names("tests/reference", "rs"));
+    let mut missing = Vec::new();
+    for name in shared_names() {
+        if !tests.contains(&name) {
+            missing.push(format!("tests/kernels/{name}.rs"));
+        }
+        let replaced = WITHOUT_REFERENCE.iter().any(|(other, _)| *other == name);
+        if replaced == references.contains(&name) {
+            missing.push(format!("tests/reference/{name}.rs (or its exception is out of date)"));
+        }
+    }
+    assert!(missing.is_empty(), "missing: {}", missing.join(", "));
+}
+
+#[test]
+fn every_test_has_its_kernel() {
+    let shared = shared_names();
+    let orphans: Vec<String> =
+        names("tests/kernels", "rs").into_iter().filter(|name| name.contains('/') && !shared.contains(name)).collect();
+    assert!(orphans.is_empty(), "tests of no kernel: {orphans:?}");
+}
+
+#[test]
+fn every_exception_is_of_use() {
+    let kernels = names("kernels", "comp");
+    for (kernel, name) in STEPS {
+        assert!(kernels.contains(kernel) && kernel != name, "{kernel}");
+    }
+}
+
+#[test]
+fn the_table_has_every_kernel_within_its_limits() {
+    let table: BTreeSet<String> = MODULES.iter().map(|module| module.name.to_owned()).collect();
+    assert_eq!(table, names("kernels", "comp"));
+    for module in MODULES {
+        assert!(module.push_bytes <= 64, "{}: {} bytes of push constants", module.name, module.push_bytes);
+        assert!(module.bindings.len() <= 12, "{}: {} bindings", module.name, module.bindings.len());
+    }
+}

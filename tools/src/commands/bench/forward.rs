@@ -1,0 +1,163 @@
+//! `zipsplat bench forward`: photos of noise to Gaussians.
+
+use super::{Group, Repeats, Spread, group, stage_of, timed_device};
+use crate::{
+    noise::Noise,
+    options::{Size, Weights, parse_ratio},
+    session::{Session, Stage},
+    table::{Table, bytes},
+};
+use clap::Args;
+use serde::Serialize;
+use std::time::Instant;
+use zipsplat::{
+    Result,
+    gpu::Profile,
+    reconstruct::{MAX_VIEWS, Model, Ratio, Request, Shape},
+    types::Image,
+};
+
+/// Time of the forward pass, by stage and kernel, and its memory
+#[derive(Args)]
+pub struct Forward {
+    #[command(flatten)]
+    weights: Weights,
+    /// Numbers of views
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "4")]
+    views: Vec<usize>,
+    /// Shares of the tokens that become Gaussians, or auto
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
+    ratio: Vec<Ratio>,
+    /// Pixels of each view
+    #[arg(long, value_name = "WxH", default_value = "252x252")]
+    size: Size,
+    #[command(flatten)]
+    repeats: Repeats,
+}
+
+/// Times of one shape, or of a part of it.
+#[derive(Serialize)]
+struct Row {
+    views: usize,
+    tokens: usize,
+    /// Share of all tokens that these are.
+    ratio: f64,
+    /// Empty for all stages.
+    stage: String,
+    /// Empty for all kernels.
+    kernel: String,
+    commands: u32,
+    ms: Spread,
+    gflop: f64,
+    gflop_per_s: f64,
+    peak_bytes: u64,
+    arena_bytes: u64,
+}
+
+impl Forward {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let checkpoint = self.weights.open()?;
+        let Size(width, height) = self.size;
+        let requests: Vec<(usize, Request)> = (self.views.iter())
+            .flat_map(|&views| self.ratio.iter().map(move |&ratio| (views, Request { ratio, ..Request::default() })))
+            .collect();
+        for (views, Request { ratio, selection, .. }) in &requests {
+            Shape::new(checkpoint.architecture(), *views, [width, height], (*ratio, selection), false)?;
+        }
+        let device = timed_device(session)?;
+        let (model, _) =
+            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
+        let mut noise = Noise(0);
+        let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
+
+        let (mut rows, mut text) = (Vec::new(), String::new());
+        for (views, request) in &requests {
+            let name = format!("{views} views");
+            let (measured, _) =
+                session.stage(&name, |stage| self.measure(&model, &images[..*views], request, stage))?;
+            text += &describe(&measured, &device.limits().name);
+            rows.extend(measured);
+        }
+        session.report(&rows, text)
+    }
+
+    fn measure(&self, model: &Model, images: &[Image], request: &Request, stage: &Stage<'_>) -> Result<Vec<Row>> {
+        let shape = model.shape(images, request)?;
+        let (plan, tensors) = model.record(shape, false)?;
+        let (flops, commands, arena_bytes) = (plan.flops(), plan.len(), plan.arena_bytes());
+        let mut run = model.run(plan)?;
+        let Repeats { warmup, repeats } = self.repeats;
+        let (mut totals, mut profiles): (Vec<_>, Vec<Profile>) = Default::default();
+        for i in 0..warmup + repeats {
+            let done = f64::from(i) / f64::from(warmup + repeats);
+            stage.reach(done)?;
+            model.write_inputs(&mut run, &tensors, shape, images, request)?;
+            let start = Instant::now();
+            run.execute_with(|_| stage.at(done))?;
+            if i >= warmup {
+                totals.push(start.elapsed());
+                model.write_inputs(&mut run, &tensors, shape, images, request)?;
+                profiles.push(run.profile()?);
+            }
+        }
+        let row = |stage: &str, kernel: &str, group: Group| Row {
+            views: images.len(),
+            tokens: shape.tokens,
+            ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
+            stage: stage.to_owned(),
+            kernel: kernel.to_owned(),
+            commands: group.count,
+            ms: group.ms,
+            gflop: group.flops as f64 / 1e9,
+            gflop_per_s: group.ms.rate(group.flops),
+            peak_bytes: model.weight_bytes() + arena_bytes,
+            arena_bytes,
+        };
+        let total = Group { name: String::new(), count: commands as u32, flops, ms: Spread::of(totals) };
+        let mut rows = vec![row("", "", total)];
+        for of_stage in group(&profiles, stage_of) {
+            let stage = of_stage.name.clone();
+            rows.push(row(&stage, "", of_stage));
+            let inside: Vec<Profile> = profiles.iter().map(|profile| only(profile, &stage)).collect();
+            for of_kernel in group(&inside, |row| row.kernel.clone()) {
+                let kernel = of_kernel.name.clone();
+                rows.push(row(&stage, &kernel, of_kernel));
+            }
+        }
+        Ok(rows)
+    }
+}
+
+/// The rows of one stage.
+fn only(profile: &Profile, stage: &str) -> Profile {
+    Profile { rows: profile.rows.iter().filter(|row| stage_of(row) == stage).cloned().collect() }
+}
+
+fn describe(rows: &[Row], device: &str) -> String {
+    let Some(total) = rows.first() else { return String::new() };
+    let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s"];
+    let mut table = Table::new(2, &headings);
+    for row in rows {
+        let stage = match (row.stage.as_str(), row.kernel.as_str()) {
+            ("", _) => "all, as the host sees it",
+            (stage, "") => stage,
+            _ => "",
+        };
+        table.row([
+            stage.to_owned(),
+            row.kernel.clone(),
+            row.commands.to_string(),
+            row.ms.to_string(),
+            format!("{:.3}", row.gflop),
+            format!("{:.1}", row.gflop_per_s),
+        ]);
+    }
+    format!(
+        "{} views, {} tokens on {device}: {} at most, {} of it the arena\n{table}\n",
+        total.views,
+        total.tokens,
+        bytes(total.peak_bytes),
+        bytes(total.arena_bytes)
+    )
+}

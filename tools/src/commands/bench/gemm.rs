@@ -1,0 +1,144 @@
+//! `zipsplat bench gemm`: the linear layer's kernel beside a matrix product on the host.
+
+use super::{Repeats, Spread, timed_device};
+use crate::{
+    noise::Noise,
+    session::{Session, Stage},
+    table::Table,
+};
+use clap::Args;
+use gemm::Parallelism;
+use serde::Serialize;
+use std::time::{Duration, Instant};
+use zipsplat::{
+    Result,
+    gpu::{Device, Recorder, Run},
+    ops::{Epilogue, Linear, pack_matrix},
+};
+
+/// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
+const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
+
+/// Time of ops/linear beside that of the `gemm` crate on the host, both f32
+#[derive(Args)]
+pub struct Gemm {
+    /// Threads of the host
+    #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: u16,
+    #[command(flatten)]
+    repeats: Repeats,
+}
+
+#[derive(Serialize)]
+struct Row {
+    rows: usize,
+    inner: usize,
+    columns: usize,
+    device_ms: Spread,
+    device_gflop_per_s: f64,
+    host_ms: Spread,
+    host_gflop_per_s: f64,
+    /// Rate of the device over that of the host.
+    ratio: f64,
+    /// Largest difference of the two products over the largest value.
+    difference: f32,
+}
+
+impl Gemm {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let device = timed_device(session)?;
+        let mut rows = Vec::new();
+        for shape in SHAPES {
+            let name = shape.map(|side| side.to_string()).join("x");
+            rows.push(session.stage(&name, |stage| self.measure(&device, shape, stage))?.0);
+        }
+        let device_column = format!("{}: ms", device.limits().name);
+        let host_column = format!("gemm, {} threads: ms", self.threads);
+        let mut table =
+            Table::new(1, &["shape", &device_column, "GFLOP/s", &host_column, "GFLOP/s", "ratio", "difference"]);
+        for row in &rows {
+            table.row([
+                format!("{}x{}x{}", row.rows, row.inner, row.columns),
+                row.device_ms.to_string(),
+                format!("{:.1}", row.device_gflop_per_s),
+                row.host_ms.to_string(),
+                format!("{:.1}", row.host_gflop_per_s),
+                format!("{:.2}", row.ratio),
+                format!("{:.0e}", row.difference),
+            ]);
+        }
+        session.report(&rows, table)
+    }
+
+    fn measure(&self, device: &Device, shape: [usize; 3], stage: &Stage<'_>) -> Result<Row> {
+        let [rows, inner, columns] = shape;
+        let mut noise = Noise(0);
+        let (a, b) = (noise.values(rows * inner), noise.values(inner * columns));
+        let Repeats { warmup, repeats } = self.repeats;
+        let (device_times, on_device) = on_device(device, shape, (&a, &b), warmup, repeats, stage)?;
+
+        let mut on_host = vec![0.0; rows * columns];
+        let mut host_times = Vec::new();
+        for i in 0..warmup + repeats {
+            stage.reach(0.5 + 0.5 * f64::from(i) / f64::from(warmup + repeats))?;
+            let start = Instant::now();
+            multiply(shape, &a, &b, &mut on_host, self.threads.into());
+            host_times.push(start.elapsed());
+        }
+        let largest = on_host.iter().fold(0f32, |most, value| most.max(value.abs()));
+        let apart = on_host.iter().zip(&on_device).fold(0f32, |most, (x, y)| most.max((x - y).abs()));
+        let flops = 2 * (rows * inner * columns) as u64;
+        let (device_ms, host_ms) = (Spread::of(device_times), Spread::of(host_times.split_off(warmup as usize)));
+        let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
+        let (ratio, difference) = (device_gflop_per_s / host_gflop_per_s, apart / largest);
+        Ok(Row { rows, inner, columns, device_ms, device_gflop_per_s, host_ms, host_gflop_per_s, ratio, difference })
+    }
+}
+
+/// Device times and the product `[rows, columns]`.
+fn on_device(
+    device: &Device,
+    [rows, inner, columns]: [usize; 3],
+    (a, b): (&[f32], &[f32]),
+    warmup: u32,
+    repeats: u32,
+    stage: &Stage<'_>,
+) -> Result<(Vec<Duration>, Vec<f32>)> {
+    let mut rec = Recorder::new(device.limits());
+    let input = rec.constant::<f32>("input", a.len());
+    let packed = pack_matrix(b, inner, columns);
+    let weight = rec.constant::<f32>("weight", packed.len());
+    let bias = rec.constant::<f32>("bias", columns);
+    let out = Linear { weight, bias, inner, columns }.apply(&mut rec, "out", input, rows, Epilogue::default());
+    rec.output(out);
+    let mut run = Run::new(device, rec.finish()?)?;
+    run.write(input, a)?;
+    run.write(weight, &packed)?;
+    run.write(bias, &vec![0f32; columns])?;
+    let mut times = Vec::new();
+    for i in 0..warmup + repeats {
+        stage.reach(0.5 * f64::from(i) / f64::from(warmup + repeats))?;
+        let (time, _) = run.profile()?.total("");
+        if i >= warmup {
+            times.push(time);
+        }
+    }
+    Ok((times, run.read(out)?))
+}
+
+/// `out` `[rows, columns]` = `a` `[rows, inner]` * `b` `[columns, inner]` transposed.
+#[rustfmt::skip]
+fn multiply([rows, inner, columns]: [usize; 3], a: &[f32], b: &[f32], out: &mut [f32], threads: usize) {
+    assert_eq!((a.len(), b.len(), out.len()), (rows * inner, inner * columns, rows * columns));
+    let (out_stride, stride) = (columns as isize, inner as isize);
+    let (out, a, b) = (out.as_mut_ptr(), a.as_ptr(), b.as_ptr());
+    let threads = Parallelism::Rayon(threads);
+    // SAFETY: strides, a column's before a row's, are those of matrices of the lengths asserted; `out` overlaps neither.
+    #[allow(unsafe_code)]
+    unsafe {
+        gemm::gemm(
+            rows, columns, inner, out, 1, out_stride, false, a, 1, stride, b, stride, 1, 0.0, 1.0, false, false, false,
+            threads,
+        );
+    }
+}

@@ -1,0 +1,137 @@
+//! `zipsplat bench`: times on a device, each the median of many with its least and greatest.
+
+mod forward;
+mod gemm;
+mod render;
+
+use crate::session::Session;
+use clap::{Args, Subcommand};
+use serde::Serialize;
+use std::{collections::HashMap, fmt, time::Duration};
+use zipsplat::{
+    Error, Result,
+    gpu::{Device, Profile, ProfileRow},
+};
+
+/// Times of the forward pass, of a matrix product, of drawing
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
+  zipsplat bench gemm
+  zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
+
+Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from
+overlapping; totals are the host's, without timestamps.")]
+pub struct Bench {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    Forward(forward::Forward),
+    Gemm(gemm::Gemm),
+    Render(render::Render),
+}
+
+/// Most runs of one benchmark.
+const MOST: i64 = 1_000_000;
+
+/// How often.
+#[derive(Args)]
+struct Repeats {
+    /// Runs before those that count
+    #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u32).range(..=MOST))]
+    warmup: u32,
+    /// Runs that count
+    #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..=MOST))]
+    repeats: u32,
+}
+
+impl Bench {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match &self.what {
+            What::Forward(bench) => bench.run(session),
+            What::Gemm(bench) => bench.run(session),
+            What::Render(bench) => bench.run(session),
+        }
+    }
+}
+
+/// Opens the device of a benchmark, which has to have timestamps.
+fn timed_device(session: &Session<'_>) -> Result<Device> {
+    let device = session.device()?;
+    if device.limits().timestamp_ns == 0.0 {
+        return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", device.limits().name)));
+    }
+    Ok(device)
+}
+
+/// Milliseconds of several runs.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Spread {
+    median: f64,
+    min: f64,
+    max: f64,
+}
+
+impl Spread {
+    /// Of at least one time. The median of an even number is the mean of the middle two.
+    fn of(times: impl IntoIterator<Item = Duration>) -> Self {
+        let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
+        ms.sort_by(f64::total_cmp);
+        let middle = |i: usize| ms.get(i).copied().unwrap_or(f64::NAN);
+        let median = (middle(ms.len().saturating_sub(1) / 2) + middle(ms.len() / 2)) / 2.0;
+        Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
+    }
+
+    /// GFLOP/s at the median.
+    fn rate(&self, flops: u64) -> f64 {
+        flops as f64 / (1e6 * self.median.max(1e-6))
+    }
+}
+
+impl fmt::Display for Spread {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.3} ({:.3}..{:.3})", self.median, self.min, self.max)
+    }
+}
+
+/// What some rows of every profile have in common.
+struct Group {
+    name: String,
+    /// Commands of one run.
+    count: u32,
+    /// Arithmetic of one run.
+    flops: u64,
+    ms: Spread,
+}
+
+/// Rows of the profiles of one plan, gathered by `name`, in the order of first use.
+fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
+    let mut order: Vec<String> = Vec::new();
+    let mut known: HashMap<String, (u32, u64, Vec<Duration>)> = HashMap::new();
+    for (run, profile) in profiles.iter().enumerate() {
+        for row in &profile.rows {
+            let (count, flops, times) = known.entry(name(row)).or_insert_with_key(|name| {
+                order.push(name.clone());
+                (0, 0, vec![Duration::ZERO; profiles.len()])
+            });
+            times[run] += row.time;
+            if run == 0 {
+                *count += row.count;
+                *flops += row.flops;
+            }
+        }
+    }
+    let finish = |name: String| {
+        let (count, flops, times) = known.remove(&name).unwrap_or_default();
+        Group { name, count, flops, ms: Spread::of(times) }
+    };
+    order.into_iter().map(finish).collect()
+}
+
+/// The outermost scope.
+fn stage_of(row: &ProfileRow) -> String {
+    row.scope.split('/').next().unwrap_or_default().to_owned()
+}

@@ -1,0 +1,159 @@
+//! `zipsplat info`: devices, checkpoints, scenes and plans.
+
+mod plan;
+
+use crate::{
+    options::{Quality, Weights},
+    session::Session,
+    table::{Table, bytes},
+};
+use clap::Args;
+use indicatif::HumanCount;
+use serde_json::json;
+use std::{
+    fmt::Write,
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
+use zipsplat::{
+    Error, Result,
+    gpu::list_devices,
+    types::{Scene, read_ply},
+    weights::Checkpoint,
+};
+
+/// Devices, or what is in a checkpoint or scene, or the memory that a reconstruction will take
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat info                                                every Vulkan device and whether it can be used
+  zipsplat info zipsplat.safetensors
+  zipsplat info scene.ply
+  zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto")]
+pub struct Info {
+    /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY)
+    file: Option<String>,
+    /// Show where every tensor of a reconstruction will lie; needs no device, but then assumes an ordinary one
+    #[arg(long, requires = "views", conflicts_with = "file")]
+    plan: bool,
+    #[command(flatten)]
+    weights: Weights,
+    /// Photos of the plan
+    #[arg(long, value_name = "N", requires = "plan")]
+    views: Option<usize>,
+    #[command(flatten)]
+    quality: Quality,
+    /// Plan for known cameras
+    #[arg(long, requires = "plan")]
+    poses: bool,
+    /// Show every tensor of the plan, by first use, not only the largest
+    #[arg(long, requires = "plan")]
+    all: bool,
+}
+
+impl Info {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match (&self.file, self.views) {
+            (Some(file), _) if is_ply(Path::new(file))? => scene(session, file),
+            (Some(file), _) => checkpoint(session, &self.weights.open_as(file)?),
+            (None, Some(views)) => plan::show(session, self, views),
+            (None, None) => devices(session),
+        }
+    }
+}
+
+/// PLY files say so in their first line. What cannot be opened is none, which [`Checkpoint::open`] then complains about.
+fn is_ply(path: &Path) -> Result<bool> {
+    let Ok(mut file) = File::open(path) else { return Ok(false) };
+    if path.is_dir() {
+        return Err(Error::argument("file", format!("the folder {}", path.display()), "a checkpoint or scene"));
+    }
+    let mut magic = [0; 3];
+    Ok(file.read_exact(&mut magic).is_ok() && magic == *b"ply")
+}
+
+fn devices(session: &mut Session<'_>) -> Result<()> {
+    let devices = list_devices()?;
+    let mut text = String::new();
+    for device in &devices {
+        let limits = &device.limits;
+        let kind = match (limits.cpu, limits.discrete) {
+            (true, _) => "CPU",
+            (_, true) => "discrete GPU",
+            _ => "integrated or virtual GPU",
+        };
+        let usable = match &device.missing[..] {
+            [] => "usable".to_owned(),
+            missing => format!("NOT usable: lacks {}", missing.join(", ")),
+        };
+        let [x, y, z] = limits.max_groups;
+        let rows = [
+            ("driver", limits.driver.clone()),
+            ("Vulkan", limits.api.clone()),
+            ("kind", kind.to_owned()),
+            ("memory", bytes(limits.memory_bytes)),
+            ("block", format!("{} in one allocation", bytes(limits.max_block_bytes))),
+            ("binding", format!("{} seen by a kernel at once", bytes(limits.max_binding_bytes))),
+            ("shared", bytes(limits.shared_bytes.into())),
+            ("subgroup", format!("{} invocations", limits.subgroup_size)),
+            ("workgroups", format!("{x} x {y} x {z}")),
+            (
+                "timestamps",
+                if limits.timestamp_ns > 0.0 { format!("{} ns", limits.timestamp_ns) } else { "none".into() },
+            ),
+        ];
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{}: {}, {usable}", device.index, limits.name);
+        for (name, value) in rows {
+            let _ = writeln!(text, "   {name:<11}{value}");
+        }
+    }
+    session.report(&devices, text)
+}
+
+fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> {
+    let architecture = checkpoint.architecture();
+    let json = json!({
+        "source": checkpoint.provenance(), "architecture": architecture, "tensors": checkpoint.parameters().len(),
+        "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(),
+    });
+    let mut text = format!(
+        "{}: {}, {} parameters in {} tensors, {}\n",
+        checkpoint.provenance(),
+        architecture.name,
+        HumanCount(architecture.parameter_count() as u64),
+        checkpoint.parameters().len(),
+        bytes(checkpoint.bytes())
+    );
+    let mut table = Table::new(2, &["architecture", ""]);
+    if let serde_json::Value::Object(fields) = &json["architecture"] {
+        for (field, value) in fields {
+            table.row([field.clone(), value.to_string()]);
+        }
+    }
+    text += &table.to_string();
+    session.report(&json, text)
+}
+
+fn scene(session: &mut Session<'_>, path: &str) -> Result<()> {
+    let (scene, _) = session.stage("read scene", |_| read_ply(PathBuf::from(path)))?;
+    let bounds = bounds(&scene);
+    let json = json!({ "path": path, "gaussians": scene.len(), "sh_degree": scene.sh_degree, "bounds": bounds });
+    let mut text = format!(
+        "{path}: {} Gaussians, spherical harmonics of degree {}\n",
+        HumanCount(scene.len() as u64),
+        scene.sh_degree
+    );
+    if let Some([low, high]) = bounds {
+        text += &format!("centres from {low:?} to {high:?}");
+    }
+    session.report(&json, text)
+}
+
+/// Least and greatest coordinates of the centres.
+fn bounds(scene: &Scene) -> Option<[[f32; 3]; 2]> {
+    let pick = |f: fn(f32, f32) -> f32| {
+        scene.means.iter().copied().reduce(|a, b| std::array::from_fn(|axis| f(a[axis], b[axis])))
+    };
+    Some([pick(f32::min)?, pick(f32::max)?])
+}

@@ -1,0 +1,36 @@
+//! The commands, one file each.
+
+mod bench;
+mod convert;
+mod info;
+mod reconstruct;
+mod render;
+mod scene;
+
+use crate::session::Session;
+use clap::Subcommand;
+use zipsplat::Result;
+
+/// What to do.
+#[derive(Subcommand)]
+pub enum Command {
+    Reconstruct(reconstruct::Reconstruct),
+    Render(render::Render),
+    Info(info::Info),
+    Convert(convert::Convert),
+    Bench(bench::Bench),
+    Scene(scene::Scene),
+}
+
+impl Command {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match self {
+            Command::Reconstruct(command) => command.run(session),
+            Command::Render(command) => command.run(session),
+            Command::Info(command) => command.run(session),
+            Command::Convert(command) => command.run(session),
+            Command::Bench(command) => command.run(session),
+            Command::Scene(command) => command.run(session),
+        }
+    }
+}

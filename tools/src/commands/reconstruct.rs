@@ -1,0 +1,107 @@
+//! `zipsplat reconstruct`: photos to a scene.
+
+use crate::{
+    cameras,
+    options::{Quality, Size, Weights},
+    outputs, photos,
+    session::Session,
+    table::{bytes, time},
+};
+use clap::Args;
+use indicatif::HumanCount;
+use serde_json::json;
+use std::{fmt::Write, path::PathBuf, time::Duration};
+use zipsplat::{
+    Result,
+    reconstruct::{MAX_VIEWS, Model, Request, Shape},
+    types::{poses::read_poses, write_ply},
+};
+
+/// Photos of one place to a scene of 3D Gaussians
+///
+/// The scene's world is the first photo's camera: x right, y down, z forward.
+#[derive(Args)]
+#[command(after_help = format!("Examples:
+  zipsplat reconstruct photos/ --weights zipsplat.safetensors -o scene.ply
+  zipsplat reconstruct a.jpg b.jpg --weights zipsplat.pt --variant vitg --ratio auto -o scene.ply
+  zipsplat reconstruct photos/ --poses transforms.json --weights zipsplat.safetensors -o scene.ply
+  zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
+
+seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
+pub struct Reconstruct {
+    /// Photos (PNG, JPEG, WebP), or folders of them, taken in natural order of their names
+    #[arg(required = true)]
+    photos: Vec<PathBuf>,
+    /// PLY file to write
+    #[arg(long, short, value_name = "PLY")]
+    output: PathBuf,
+    #[command(flatten)]
+    weights: Weights,
+    #[command(flatten)]
+    quality: Quality,
+    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name. Best in a unit near
+    /// the median distance of what the first photo sees
+    #[arg(long, value_name = "PATH")]
+    poses: Option<PathBuf>,
+}
+
+impl Reconstruct {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let Quality { ratio, select, size, precision: _ } = &self.quality;
+        // Whatever can be refused is refused before anything that takes time.
+        outputs::check_file(&self.output)?;
+        let checkpoint = self.weights.open()?;
+        let photos = photos::list(&self.photos)?;
+        let Size(width, height) = *size;
+        let chosen = (*ratio, select);
+        let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
+        let poses = self.poses.as_ref().map(read_poses).transpose()?;
+        let photo_cameras = poses.as_ref().map(|poses| poses.for_photos(&photos)).transpose()?;
+        poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
+        let device = session.device()?;
+
+        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, *size, stage))?;
+        let cameras = photo_cameras.map(|cameras| cameras::of_views(&cameras, &views)).transpose()?;
+        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (model, load_weights) =
+            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let request = Request { ratio: *ratio, selection: select.clone(), cameras };
+        let (result, _) = session.stage("reconstruct", |stage| {
+            model.reconstruct(&images, &request, |progress| {
+                stage.name(progress.scope);
+                stage.at(progress.fraction)
+            })
+        })?;
+        let (_, write) = session.stage("write", |_| write_ply(&result.scene, &self.output))?;
+
+        let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
+        times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
+        times.push(("write", write));
+        let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
+        let tokens = shape.grid.tokens();
+        let seconds: serde_json::Map<_, _> =
+            times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
+        let json = json!({
+            "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
+            "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
+            "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
+            "seconds": seconds,
+        });
+        let mut text = format!(
+            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, at most {} of {}\n",
+            self.output.display(),
+            HumanCount(result.scene.len() as u64),
+            images.len(),
+            HumanCount(result.tokens as u64),
+            HumanCount(tokens as u64),
+            bytes(result.peak_bytes),
+            device.limits().name,
+        );
+        for (stage, took) in &times {
+            let rate = if *stage == "load weights" { format!("  ({}/s)", bytes(rate)) } else { String::new() };
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
+        }
+        session.report(&json, text)
+    }
+}

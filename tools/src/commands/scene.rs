@@ -1,0 +1,142 @@
+//! `zipsplat scene`: procedural scenes for demos, tests and training.
+
+use crate::{
+    options::Size,
+    outputs,
+    procedural::{Options, Photos, Setup, shards, write_folder},
+    session::Session,
+};
+use clap::Args;
+use serde_json::json;
+use std::{
+    io::{BufWriter, ErrorKind, Write},
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    sync::atomic::Ordering,
+    time::Instant,
+};
+use zipsplat::{
+    Error, Result,
+    types::{write_atomic, write_ply},
+};
+
+/// Bytes that are handed to the operating system at once: a scene of 10 views at 126x126 has 0.8 MB.
+const BUFFER: usize = 1 << 20;
+
+/// Procedural scenes: photos with exact depth and poses, endless and seeded
+///
+/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json and scene.json. World: the first
+/// photo's camera, x right, y down, z forward; the median distance of what is seen from it is 1.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat scene --seed 7 --views 24 -o scene/
+  zipsplat scene --shards - --views 10 --size 126x126 --textures crops/ | python train.py
+  zipsplat scene --shards unseen.bin --first-seed 1000000 --scenes 100")]
+pub struct Scene {
+    /// Which scene; with --shards the first of them
+    #[arg(long, visible_alias = "first-seed", value_name = "N", default_value = "0")]
+    seed: u64,
+    /// Photos of a scene
+    #[arg(long, value_name = "N", default_value = "24")]
+    views: usize,
+    /// Size of the photos
+    #[arg(long, value_name = "WxH", default_value = "252x252")]
+    size: Size,
+    /// Square photo crops with a manifest.json; those of a permissive licence become surfaces
+    #[arg(long, value_name = "FOLDER")]
+    textures: Option<PathBuf>,
+    /// Four rays for every pixel; otherwise three at edges and one elsewhere
+    #[arg(long)]
+    supersample: bool,
+    /// Also write splats.ply: a Gaussian for every pixel that shows a surface, from its exact depth
+    #[arg(long, conflicts_with = "shards")]
+    splats: bool,
+    /// Folder to write to, made where it is missing
+    #[arg(long, short, value_name = "FOLDER", required_unless_present = "shards", conflicts_with = "shards")]
+    output: Option<PathBuf>,
+    /// Stream scenes as flat binary for training, to a file or with - to standard output
+    #[arg(long, value_name = "FILE|-")]
+    shards: Option<PathBuf>,
+    /// Scenes of the stream [default: until its reader has enough]
+    #[arg(long, value_name = "N", requires = "shards")]
+    scenes: Option<u64>,
+}
+
+impl Scene {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let options = Options {
+            views: self.views,
+            width: self.size.0,
+            height: self.size.1,
+            supersample: self.supersample,
+            random_first: self.shards.is_some(),
+        };
+        options.validate()?;
+        let photos = self.textures.as_deref().map_or_else(|| Ok(Photos::default()), Photos::open)?;
+        match (&self.shards, &self.output) {
+            (Some(path), _) => self.stream(path, &options, &photos, session),
+            (None, Some(folder)) => self.write(folder, &options, &photos, session),
+            (None, None) => Err(Error::argument("output", "nothing", "a folder or --shards")),
+        }
+    }
+
+    fn write(&self, folder: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
+        outputs::check_folder(folder)?;
+        let (capture, took) =
+            session.stage("take photos", |_| Ok(Setup::new(self.seed, options, photos)?.shoot(photos)))?;
+        session.stage("write", |_| {
+            write_folder(folder, &capture, photos.crops())?;
+            if self.splats { write_ply(&capture.splats(), folder.join("splats.ply")) } else { Ok(()) }
+        })?;
+        let seconds = took.as_secs_f64();
+        let json = json!({
+            "output": folder, "seed": self.seed, "family": capture.family, "path": capture.path,
+            "views": self.views, "seconds": seconds,
+        });
+        let text = format!(
+            "{}: {} photos of a {} on {}, {seconds:.2} s without writing",
+            folder.display(),
+            self.views,
+            capture.family,
+            capture.path
+        );
+        session.report(&json, text)
+    }
+
+    fn stream(&self, path: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
+        let to_stdout = path == Path::new("-");
+        // A pipe ends when its reader does; a file would fill the disk.
+        let is_pipe = to_stdout || path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
+        if self.scenes.is_none() && !is_pipe {
+            return Err(Error::argument("--scenes", "nothing", "a number, as the stream goes to a file"));
+        }
+        let end = self.scenes.map_or(u64::MAX, |scenes| self.seed.saturating_add(scenes));
+        let (started, cancelled, mut count) = (Instant::now(), session.cancelled(), 0);
+        let mut write = |out: &mut dyn Write| {
+            let written = |done| {
+                count = done;
+                if cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            };
+            shards::write(BufWriter::with_capacity(BUFFER, out), self.seed..end, options, photos, written)
+        };
+        let result = if to_stdout {
+            write(session.out()).map_err(|source| Error::io("standard output", source))
+        } else {
+            outputs::check_file(path)?;
+            write_atomic(path, write)
+        };
+        match result {
+            // A reader that closes its end has seen enough.
+            Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => {}
+            Err(Error::Io { source, .. }) if source.kind() == ErrorKind::Interrupted => return Err(Error::Cancelled),
+            other => other?,
+        }
+        let rate = count as f64 / started.elapsed().as_secs_f64();
+        let text = format!("{}: {count} scenes, {rate:.1} a second", path.display());
+        if to_stdout {
+            session.note(text);
+            return Ok(());
+        }
+        session.report(&json!({"output": path, "scenes": count, "scenes_per_second": rate}), text)
+    }
+}

@@ -1,0 +1,79 @@
+//! The `zipsplat` command as a library: [`run`] turns arguments into an exit code.
+//!
+//! Each command is one file of `commands`; it says what to do with the engine and how to show the result, no more.
+
+mod cameras;
+mod commands;
+mod noise;
+mod options;
+mod outputs;
+mod photos;
+pub mod procedural;
+mod session;
+mod table;
+
+use clap::Parser;
+use session::Session;
+use std::{
+    ffi::OsString,
+    io::{ErrorKind, Write},
+    sync::atomic::AtomicBool,
+};
+use zipsplat::Error;
+
+/// Where a command prints, and how it learns that it should stop.
+pub struct Terminal<'a> {
+    /// Results.
+    pub out: &'a mut dyn Write,
+    /// Errors and notes.
+    pub err: &'a mut dyn Write,
+    /// Whether progress bars may be drawn on the process' standard error, where that is a terminal.
+    pub progress: bool,
+    /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
+    pub cancelled: &'a AtomicBool,
+}
+
+/// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or
+/// argument that cannot be used, 4 no device or too little memory, 130 cancelled.
+pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
+    let options::Cli { global, command } = match options::Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            let stream = if error.use_stderr() { terminal.err } else { terminal.out };
+            // Nobody is left to tell where the stream is closed.
+            let _ = write!(stream, "{error}");
+            return error.exit_code() as u8;
+        }
+    };
+    let mut session = Session::new(global, terminal);
+    match command.run(&mut session) {
+        Ok(()) => 0,
+        Err(error) => {
+            let code = exit_code(&error);
+            if code != 0 {
+                session.complain(&error);
+            }
+            code
+        }
+    }
+}
+
+fn exit_code(error: &Error) -> u8 {
+    match error {
+        Error::Argument { .. } | Error::Format { .. } | Error::Weights { .. } => 3,
+        Error::Io { source, .. } => match source.kind() {
+            // Whoever read our output has seen enough.
+            ErrorKind::BrokenPipe => 0,
+            ErrorKind::NotFound
+            | ErrorKind::PermissionDenied
+            | ErrorKind::NotADirectory
+            | ErrorKind::IsADirectory
+            | ErrorKind::InvalidInput
+            | ErrorKind::InvalidFilename => 3,
+            _ => 1,
+        },
+        Error::NoDevice(_) | Error::Memory { .. } => 4,
+        Error::Cancelled => 130,
+        _ => 1,
+    }
+}

@@ -1,0 +1,136 @@
+//! The command line: global options, and those that several commands share.
+
+use crate::commands::Command;
+use clap::{Args, Parser, ValueEnum};
+use std::{fmt, str::FromStr};
+use zipsplat::{
+    Error, Result,
+    reconstruct::{Ratio, Selection},
+    weights::Checkpoint,
+};
+
+/// Photos without poses to a compact 3D Gaussian scene, on any Vulkan device.
+#[derive(Parser)]
+#[command(
+    name = "zipsplat",
+    version,
+    disable_help_subcommand = true,
+    after_help = "Examples:
+  zipsplat reconstruct photos/ --weights zipsplat.safetensors -o scene.ply
+  zipsplat render scene.ply --wiggle -o out/
+  zipsplat info
+
+Exit codes:
+  0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
+  4 no device or too little memory   130 cancelled"
+)]
+pub struct Cli {
+    #[command(flatten)]
+    pub global: Global,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Options of every command.
+#[derive(Args)]
+pub struct Global {
+    /// Vulkan device: its number in `zipsplat info` or a part of its name [default: the best]
+    #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
+    pub device: Option<String>,
+    /// Print the result as JSON
+    #[arg(long, global = true, help_heading = "Options of every command")]
+    pub json: bool,
+    /// Print neither result nor notes nor progress, only errors; --json still prints
+    #[arg(long, short, global = true, help_heading = "Options of every command")]
+    pub quiet: bool,
+}
+
+/// Which weights.
+#[derive(Args)]
+pub struct Weights {
+    /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers
+    #[arg(long, value_name = "PATH|seeded:VARIANT[:KEY]")]
+    weights: Option<String>,
+    /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
+    #[arg(long, value_name = "V")]
+    variant: Option<String>,
+}
+
+impl Weights {
+    /// Opens them.
+    pub fn open(&self) -> Result<Checkpoint> {
+        let Some(weights) = &self.weights else {
+            let expected =
+                "a checkpoint, as no model is built in yet; seeded:vits stands for random numbers, enough to try";
+            return Err(Error::argument("--weights", "nothing", expected));
+        };
+        self.open_as(weights)
+    }
+
+    /// Opens others, of the variant given.
+    pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
+        Checkpoint::parse(weights, self.variant.as_deref())
+    }
+}
+
+/// What is computed from photos and how.
+#[derive(Args)]
+pub struct Quality {
+    /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
+    #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
+    pub ratio: Ratio,
+    /// How those tokens are chosen: kmeans, stride or random[:SEED]
+    #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
+    pub select: Selection,
+    /// Pixels that the network sees of each photo: multiples of the patch (14)
+    #[arg(long, value_name = "WxH", default_value = "252x252")]
+    pub size: Size,
+    /// Arithmetic
+    #[arg(long, value_enum, default_value = "exact")]
+    pub precision: Precision,
+}
+
+/// Arithmetic of a reconstruction.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Precision {
+    /// f32 throughout
+    Exact,
+}
+
+/// Width and height in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size(pub u32, pub u32);
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once('x').and_then(|(w, h)| Some(Self(w.parse().ok()?, h.parse().ok()?)));
+        sides.ok_or_else(|| "expected WIDTHxHEIGHT in pixels, such as 252x252".into())
+    }
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.0, self.1)
+    }
+}
+
+/// A number, whose range the engine checks, or `auto`.
+pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
+    match text {
+        "auto" => Ok(Ratio::Auto),
+        number => number.parse().map(Ratio::Fixed).map_err(|_| "expected a number in (0, 1], or auto".into()),
+    }
+}
+
+fn parse_selection(text: &str) -> Result<Selection, String> {
+    let random = |seed: &str| seed.parse().map(Selection::Random).map_err(|_| format!("{seed} is no seed"));
+    match text.split_once(':') {
+        None if text == "kmeans" => Ok(Selection::Kmeans),
+        None if text == "stride" => Ok(Selection::Stride),
+        None if text == "random" => Ok(Selection::Random(0)),
+        Some(("random", seed)) => random(seed),
+        _ => Err("expected kmeans, stride or random[:SEED]".into()),
+    }
+}

@@ -1,0 +1,52 @@
+//! Where results go: checked before any work, written whole or not at all.
+
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use std::path::Path;
+use zipsplat::{Error, Result, types::write_atomic};
+
+/// Levels of a depth picture for one world unit.
+pub const DEPTH_LEVELS: f32 = 1000.0;
+
+/// Checks that a file can be written at `path`, before anything is computed for it.
+pub fn check_file(path: &Path) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if path.is_dir() || path.file_name().is_none() {
+        return Err(Error::argument("output", format!("the folder {}", path.display()), "a file"));
+    }
+    match folder {
+        Some(folder) if !folder.is_dir() => Err(Error::argument("output folder", folder.display(), "one that exists")),
+        _ => Ok(()),
+    }
+}
+
+/// Checks that a folder can be at `path`, before anything is computed for it.
+pub fn check_folder(path: &Path) -> Result<()> {
+    if path.exists() && !path.is_dir() {
+        return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
+    }
+    Ok(())
+}
+
+/// Makes a folder for files, where there is none.
+pub fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(|error| Error::io(path, error))
+}
+
+/// Writes alpha in 0..1 as 8-bit grey.
+pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
+    let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    save_grey(path, [width, height], &levels, ExtendedColorType::L8)
+}
+
+/// Writes depth in world units as 16-bit grey, [`DEPTH_LEVELS`] a unit; what is farther than that holds is the brightest.
+pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
+    // Casting saturates. The encoder takes native endianness and stores what PNG asks for.
+    let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * DEPTH_LEVELS).round() as u16).to_ne_bytes()).collect();
+    save_grey(path, [width, height], &levels, ExtendedColorType::L16)
+}
+
+fn save_grey(path: &Path, [width, height]: [u32; 2], levels: &[u8], color: ExtendedColorType) -> Result<()> {
+    write_atomic(path, |out| {
+        PngEncoder::new(out).write_image(levels, width, height, color).map_err(std::io::Error::other)
+    })
+}

@@ -1,0 +1,272 @@
+//! From a seed to pictures.
+
+use glam::{DMat3, DVec3, Vec3A};
+use rayon::prelude::*;
+use zipsplat::types::{Camera, Image, Intrinsics, Pose};
+use zipsplat::{Error, Result};
+
+use super::families::Family;
+use super::path::{PathKind, View};
+use super::photos::Photos;
+use super::rng::Rng;
+use super::survey::{self, Lens};
+use super::tone::Development;
+use super::world::{Seen, World};
+
+/// Paths that are tried in one place before another is built.
+const PATHS: usize = 12;
+/// Views with less contrast (standard deviation of brightness, 0..1) are not worth taking.
+const LEAST_CONTRAST: f32 = 0.05;
+const BRIGHTNESS: [f32; 2] = [0.15, 0.85];
+/// Field of view of the longer side, degrees.
+const FIELD_OF_VIEW: [f32; 2] = [35.0, 80.0];
+
+/// Four rays of a pixel: edges along rows and columns get four steps.
+const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
+/// Two rays that with the one through the centre give such edges three steps.
+const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
+
+/// What is asked of every scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Pictures a scene.
+    pub views: usize,
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Four rays for every pixel, not for those at edges only.
+    pub supersample: bool,
+    /// Begin at any view of the path and take the ones before it last; otherwise views are in the path's order.
+    pub random_first: bool,
+}
+
+/// A place and where photos of it are taken from, in metres, before any is taken.
+pub struct Setup {
+    /// What it was made from.
+    pub seed: u64,
+    /// The kind of place.
+    pub family: Family,
+    /// The kind of path.
+    pub path: PathKind,
+    /// What is there.
+    pub world: World,
+    lens: Lens,
+    views: Vec<View>,
+    overlap: Vec<f32>,
+    development: Development,
+    supersample: bool,
+}
+
+/// The photos of a scene. The world is the first view's camera; the median distance of all pixels' points to it is 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Capture {
+    /// What it was made from.
+    pub seed: u64,
+    /// The kind of place.
+    pub family: Family,
+    /// The kind of path.
+    pub path: PathKind,
+    /// Metres per unit of length.
+    pub metres: f64,
+    /// One for each view.
+    pub cameras: Vec<Camera>,
+    /// One for each view.
+    pub images: Vec<Image>,
+    /// `[views][height][width]` z along the camera's axis at pixel centres; 0 where there is only sky.
+    pub depths: Vec<Vec<f32>>,
+    /// `[views][views]`: the share of the first view's surfaces that the second sees, by a grid of rays.
+    pub overlap: Vec<f32>,
+}
+
+impl Options {
+    /// # Errors
+    /// [`Error::Argument`] when there are no views or a side is empty or beyond 4096 pixels.
+    pub fn validate(&self) -> Result<()> {
+        if !(1..=1024).contains(&self.views) {
+            return Err(Error::argument("views", self.views, "1 to 1024"));
+        }
+        if !(1..=4096).contains(&self.width) || !(1..=4096).contains(&self.height) {
+            return Err(Error::argument(
+                "size",
+                format!("{}x{}", self.width, self.height),
+                "sides of 1 to 4096 pixels",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl Setup {
+    /// Builds places and proposes paths until one is worth its photos.
+    ///
+    /// # Errors
+    /// As [`Options::validate`].
+    pub fn new(seed: u64, options: &Options, photos: &Photos) -> Result<Self> {
+        options.validate()?;
+        let place = |place| Self::try_place(seed, place, options, photos);
+        let found = (0..u64::MAX).find_map(place);
+        found.ok_or_else(|| Error::argument("seed", seed, "one that gives a scene"))
+    }
+
+    fn try_place(seed: u64, place: u64, options: &Options, photos: &Photos) -> Option<Self> {
+        let mut rng = Rng::new(seed, 2 * place);
+        // Drawn from the seed alone, so that what is hard to photograph is not rarer.
+        let family = Rng::new(seed, u64::MAX).pick(&Family::ALL);
+        let (world, stage) = family.build(Rng::new(seed, 2 * place + 1), photos);
+        for attempt in 0..PATHS {
+            let span = 1.0 - 0.8 * attempt as f32 / PATHS as f32;
+            let path = rng.pick(stage.paths);
+            let half_angle = rng.range(FIELD_OF_VIEW[0], FIELD_OF_VIEW[1]).to_radians() / 2.0;
+            let focal = 0.5 * options.width.max(options.height) as f32 / half_angle.tan();
+            let lens = Lens { width: options.width as usize, height: options.height as usize, focal };
+            let reach = (27.5f32.to_radians().tan() / half_angle.tan()).clamp(0.7, 1.4);
+            let mut views = stage.path(path, options.views, span, reach, &mut rng);
+            if options.random_first {
+                views.rotate_left(rng.count(0, options.views - 1));
+            }
+            let Some(overlap) = survey::overlap(&world, lens, &views) else { continue };
+            let Some(development) = expose(&world, lens, &views, photos, &mut rng) else { continue };
+            let supersample = options.supersample;
+            return Some(Self { seed, family, path, world, lens, views, overlap, development, supersample });
+        }
+        None
+    }
+
+    /// Where cameras stand and their axes (OpenCV, camera-to-world), in metres.
+    pub fn poses(&self) -> Vec<Pose> {
+        let pose = |view: &View| {
+            let cols = [view.rotation.x_axis, view.rotation.y_axis, view.rotation.z_axis].map(|axis| axis.as_dvec3());
+            Pose { rotation: DMat3::from_cols(cols[0], cols[1], cols[2]), translation: view.eye.as_dvec3() }
+        };
+        self.views.iter().map(pose).collect()
+    }
+
+    /// Takes the photos.
+    pub fn shoot(&self, photos: &Photos) -> Capture {
+        let Lens { width, height, focal } = self.lens;
+        let frames: Vec<Frame> = self.views.par_iter().map(|view| self.frame(*view, photos)).collect();
+        let poses = self.poses();
+        let metres = self.median_distance(&frames);
+        let intrinsics = Intrinsics {
+            width: width as u32,
+            height: height as u32,
+            fx: f64::from(focal),
+            fy: f64::from(focal),
+            cx: 0.5 * width as f64,
+            cy: 0.5 * height as f64,
+        };
+        let camera = |pose: &Pose| {
+            let mut pose = pose.relative_to(&poses[0]);
+            pose.translation /= metres;
+            Camera { intrinsics, pose }
+        };
+        let cameras = poses.iter().map(camera).collect();
+        let (lights, depths): (Vec<_>, Vec<_>) = frames.into_iter().map(|frame| (frame.light, frame.depth)).unzip();
+        let develop = |(i, light)| Image {
+            width: width as u32,
+            height: height as u32,
+            rgb: self.development.develop(i, width, light),
+        };
+        let scaled = |depth: Vec<f32>| depth.into_iter().map(|z| z / metres as f32).collect();
+        Capture {
+            seed: self.seed,
+            family: self.family,
+            path: self.path,
+            metres,
+            cameras,
+            images: lights.into_par_iter().enumerate().map(develop).collect(),
+            depths: depths.into_iter().map(scaled).collect(),
+            overlap: self.overlap.clone(),
+        }
+    }
+
+    /// Of all views' points from the first camera, metres.
+    fn median_distance(&self, frames: &[Frame]) -> f64 {
+        let Lens { width, .. } = self.lens;
+        let first = self.views[0].eye;
+        let points = self.views.iter().zip(frames).flat_map(|(view, frame)| {
+            let surfaces = frame.depth.iter().enumerate().filter(|(_, z)| **z > 0.0);
+            surfaces.map(move |(i, z)| {
+                let ray = self.lens.ray((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
+                (view.eye + view.rotation * ray * *z).distance(first)
+            })
+        });
+        let mut distances: Vec<f32> = points.collect();
+        let middle = distances.len() / 2;
+        f64::from(*distances.select_nth_unstable_by(middle, f32::total_cmp).1)
+    }
+
+    fn frame(&self, view: View, photos: &Photos) -> Frame {
+        let Lens { width, height, .. } = self.lens;
+        let look = |x: f32, y: f32, pixel: f32| self.look(view, x, y, pixel, photos);
+        let centres = |y: usize| (0..width).map(move |x| (x as f32 + 0.5, y as f32 + 0.5));
+        let rows: Vec<Vec<(Seen, f32)>> =
+            (0..height).into_par_iter().map(|y| centres(y).map(|(x, y)| look(x, y, 1.0)).collect()).collect();
+        let region = |x: usize, y: usize| rows[y][x].0.region;
+        let is_edge = |x: usize, y: usize| {
+            let here = region(x, y);
+            let (left, right) = (x.saturating_sub(1), (x + 1).min(width - 1));
+            let (above, below) = (y.saturating_sub(1), (y + 1).min(height - 1));
+            [region(left, y), region(right, y), region(x, above), region(x, below)].iter().any(|other| *other != here)
+        };
+        let around = |x: usize, y: usize, offsets: &[(f32, f32)]| {
+            let light = |(dx, dy): &(f32, f32)| look(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy, 0.5).0.light;
+            offsets.iter().map(light).sum::<Vec3A>()
+        };
+        let pixel = |x: usize, y: usize| match rows[y][x].0.light {
+            _ if self.supersample => around(x, y, &ROTATED_GRID) / 4.0,
+            centre if is_edge(x, y) => (centre + around(x, y, &BESIDE_CENTRE)) / 3.0,
+            centre => centre,
+        };
+        let light =
+            (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| pixel(x, y));
+        Frame { light: light.collect(), depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() }
+    }
+
+    /// What a point of the picture shows, and its z; `pixel` is the width that is averaged, in pixels.
+    fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
+        let ray = self.lens.ray(x, y);
+        let length = ray.length();
+        let seen = self.world.look(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
+        let depth = seen.distance.map_or(0.0, |t| t / length);
+        (seen, depth)
+    }
+}
+
+struct Frame {
+    light: Vec<Vec3A>,
+    depth: Vec<f32>,
+}
+
+/// One development for all views, from a few rays each. None when a view would be dull, dark or washed out.
+fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
+    let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
+    let look = |view: &View| {
+        lens.grid(*view).map(|direction| world.look(view.eye, direction, pixel, photos).light).collect::<Vec<_>>()
+    };
+    let lights: Vec<Vec<Vec3A>> = views.iter().map(look).collect();
+    let all = lights.iter().flatten();
+    let luminance =
+        all.map(|light| light.element_sum() / 3.0).sum::<f32>() / (views.len() * survey::GRID.pow(2)) as f32;
+    let development = Development::new(rng, luminance);
+    let worth = |lights: &Vec<Vec3A>| {
+        let brightness: Vec<f32> = lights.iter().map(|light| development.brightness(*light)).collect();
+        let count = brightness.len() as f32;
+        let mean = brightness.iter().sum::<f32>() / count;
+        let variance = brightness.iter().map(|b| (b - mean).powi(2)).sum::<f32>() / count;
+        variance.sqrt() >= LEAST_CONTRAST && mean >= BRIGHTNESS[0] && mean <= BRIGHTNESS[1]
+    };
+    lights.iter().all(worth).then_some(development)
+}
+
+/// The frame of a world point's camera, for those who hold a [`Capture`].
+impl Capture {
+    /// The world point that a pixel of a view shows; none in the sky.
+    pub fn point(&self, view: usize, x: u32, y: u32) -> Option<DVec3> {
+        let Camera { intrinsics: i, pose } = &self.cameras[view];
+        let z = f64::from(self.depths[view][(y * i.width + x) as usize]);
+        let ray = DVec3::new((f64::from(x) + 0.5 - i.cx) / i.fx, (f64::from(y) + 0.5 - i.cy) / i.fy, 1.0);
+        (z > 0.0).then(|| pose.transform(ray * z))
+    }
+}

@@ -1,0 +1,131 @@
+//! Kinds of places. Each builds its primitives and says from where photos of it are taken.
+
+mod clutter;
+mod facade;
+mod room;
+mod table;
+mod terrain;
+
+use std::f32::consts::PI;
+use std::fmt;
+
+use glam::{Vec2, Vec3A};
+
+use super::builder::Builder;
+use super::material::{Palette, Role};
+use super::path::Stage;
+use super::photos::Photos;
+use super::rng::Rng;
+use super::world::{Key, Light, Room, Sky, World};
+
+/// A kind of place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Family {
+    /// A furnished room from inside.
+    Room,
+    /// Things on a table.
+    Table,
+    /// The front of a house.
+    Facade,
+    /// Hills with trees, rocks and houses.
+    Terrain,
+    /// Primitives of all kinds in a heap, outdoors or between walls.
+    Clutter,
+}
+
+impl fmt::Display for Family {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Room => "room",
+            Self::Table => "table",
+            Self::Facade => "facade",
+            Self::Terrain => "terrain",
+            Self::Clutter => "heap",
+        })
+    }
+}
+
+impl Family {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Room, Self::Table, Self::Facade, Self::Terrain, Self::Clutter];
+
+    pub(super) fn build(self, rng: Rng, photos: &Photos) -> (World, Stage) {
+        let mut b = Builder { rng, palette: Palette { photos, detail: 1.0, photo_share: 0.4 }, primitives: Vec::new() };
+        let Setting { light, sky, room, stage } = match self {
+            Self::Room => room::build(&mut b),
+            Self::Table => table::build(&mut b),
+            Self::Facade => facade::build(&mut b),
+            Self::Terrain => terrain::build(&mut b),
+            Self::Clutter => clutter::build(&mut b),
+        };
+        (World::new(b.primitives, light, sky, room), stage)
+    }
+}
+
+/// What a family adds to its primitives.
+struct Setting {
+    light: Light,
+    sky: Sky,
+    room: Option<Room>,
+    stage: Stage,
+}
+
+/// A sun above the horizon, and skylight from white to blue.
+fn daylight(rng: &mut Rng) -> (Light, Sky) {
+    let (azimuth, elevation) = (rng.angle(), rng.range(0.35, 1.25));
+    let sun = Vec3A::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+    let low = 1.0 - elevation / 1.25;
+    let strength = rng.range(0.5, 2.0);
+    let colour = strength * Vec3A::new(1.0, 0.95 - 0.12 * low, 0.85 - 0.3 * low);
+    let blue = rng.range(0.0, 1.0);
+    let zenith = rng.range(0.6, 1.0) * Vec3A::new(0.85 - 0.62 * blue, 0.9 - 0.43 * blue, 1.0);
+    let horizon = rng.range(0.8, 1.1) * Vec3A::new(0.95 - 0.2 * blue, 0.97 - 0.1 * blue, 1.0);
+    let ambient = [rng.range(0.35, 0.7) * zenith, rng.range(0.12, 0.3) * Vec3A::new(1.0, 0.95, 0.85)];
+    let sky = Sky {
+        zenith,
+        horizon,
+        clouds: rng.unit(),
+        offset: 10.0 * Vec3A::splat(rng.unit()),
+        haze: rng.scale(150.0, 3000.0),
+    };
+    (Light { key: Key::Sun(sun), colour, ambient }, sky)
+}
+
+/// A lamp in a room, and light from its walls. No sky is seen.
+fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
+    let warmth = rng.range(0.0, 0.3);
+    let colour = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
+    let ambient = [rng.range(0.35, 0.6), rng.range(0.25, 0.45)].map(|level| level * Vec3A::new(1.0, 0.98, 0.95));
+    let grey = Vec3A::splat(0.5);
+    let sky = Sky { zenith: grey, horizon: grey, clouds: 0.0, offset: Vec3A::ZERO, haze: 1e5 };
+    (Light { key: Key::Lamp(lamp, reference), colour, ambient }, sky)
+}
+
+/// Up to `count` places in a disc that keep `gap` from each other.
+fn scatter(rng: &mut Rng, count: usize, radius: f32, gap: f32) -> Vec<Vec2> {
+    let mut places: Vec<Vec2> = Vec::new();
+    for _ in 0..8 * count {
+        let place = radius * rng.unit().sqrt() * Vec2::from_angle(PI * rng.signed());
+        if places.len() < count && places.iter().all(|other| other.distance(place) > gap) {
+            places.push(place);
+        }
+    }
+    places
+}
+
+/// Pictures or shelves with things along a wall: `origin` is the middle of its foot, `normal` points into the room.
+fn hang(b: &mut Builder, origin: Vec3A, normal: Vec3A, half_width: f32, height: f32) {
+    let along = Vec3A::Z.cross(normal);
+    let axes = super::builder::facing(normal);
+    for _ in 0..b.rng.count(1, 3) {
+        let half = Vec3A::new(b.rng.range(0.2, 0.6), b.rng.range(0.2, 0.5), 0.02);
+        let room = (half_width - half.x).max(0.0);
+        let centre =
+            origin + along * (room * b.rng.signed()) + Vec3A::Z * (height * b.rng.range(0.5, 0.7)) + normal * 0.02;
+        let picture = b.draw(Role::Picture);
+        let (frame, depth) = (b.draw(Role::Wood), b.rng.range(0.02, 0.05));
+        b.put(super::shape::Shape::Box { half: half + Vec3A::new(0.04, 0.04, 0.0) }, centre, axes, frame);
+        b.put(super::shape::Shape::Box { half: half.with_z(depth) }, centre, axes, picture);
+    }
+}

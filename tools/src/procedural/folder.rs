@@ -1,0 +1,50 @@
+//! A capture as a folder: photos, depth and cameras as nerfstudio lays them out.
+
+use std::path::Path;
+
+use serde_json::json;
+use zipsplat::types::{poses::write_transforms, write_atomic};
+use zipsplat::{Error, Result};
+
+use super::{Capture, Crop, VERSION};
+
+/// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z in the unit of the cameras, 0 in the
+/// sky), `transforms.json`, and `scene.json`: what it was made from and the overlap of the views.
+///
+/// # Errors
+/// [`Error::Io`] when the folder or a file cannot be written.
+pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<()> {
+    for sub in ["images", "depth"] {
+        let path = folder.join(sub);
+        std::fs::create_dir_all(&path).map_err(|source| Error::io(&path, source))?;
+    }
+    let names: Vec<String> = (0..capture.images.len()).map(|i| format!("images/{i:03}.png")).collect();
+    for (i, (image, depth)) in capture.images.iter().zip(&capture.depths).enumerate() {
+        image.save_png(folder.join(&names[i]))?;
+        let path = folder.join(format!("depth/{i:03}.npy"));
+        write_atomic(&path, |out| out.write_all(&npy([image.height, image.width], depth)))?;
+    }
+    write_transforms(folder.join("transforms.json"), &capture.cameras, &names)?;
+    let scene = json!({
+        "generator_version": VERSION,
+        "seed": capture.seed,
+        "family": capture.family,
+        "path": capture.path,
+        "metres_per_unit": capture.metres,
+        "overlap": capture.overlap.chunks(capture.images.len()).collect::<Vec<_>>(),
+        "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "licence": crop.licence})).collect::<Vec<_>>(),
+    });
+    write_atomic(&folder.join("scene.json"), |out| {
+        serde_json::to_writer_pretty(&mut *out, &scene)?;
+        writeln!(out)
+    })
+}
+
+/// NumPy's format 1.0: a header padded to 128 bytes, then little-endian values.
+fn npy([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}), }}");
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    bytes.extend(format!("{header:<117}\n").bytes());
+    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    bytes
+}

@@ -1,0 +1,230 @@
+//! What surfaces are made of, drawn at random for what they are.
+
+use glam::{Vec3, Vec3A};
+
+use super::photos::Photos;
+use super::rng::Rng;
+use super::texture::{Pattern, Texture};
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Material {
+    pub texture: Texture,
+    /// Strength of the highlight.
+    pub specular: f32,
+    /// Blinn-Phong's exponent.
+    pub shininess: f32,
+    /// Light that it gives off, times albedo.
+    pub glow: f32,
+}
+
+/// What a surface is, which decides what it may look like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Role {
+    /// Earth, grass, gravel, paving.
+    Ground,
+    /// Floors indoors.
+    Floor,
+    /// Walls indoors.
+    Wall,
+    /// Masonry and render outdoors.
+    Facade,
+    Wood,
+    Foliage,
+    Fabric,
+    Stone,
+    Metal,
+    /// Window panes.
+    Glass,
+    /// A picture on a wall.
+    Picture,
+    Anything,
+}
+
+/// Draws materials. `detail` scales all patterns: metres per typical feature.
+pub(super) struct Palette<'a> {
+    pub photos: &'a Photos,
+    pub detail: f32,
+    /// Share of the surfaces that show a photo, where there are any.
+    pub photo_share: f32,
+}
+
+impl Palette<'_> {
+    pub fn draw(&self, rng: &mut Rng, role: Role) -> Material {
+        let (specular, shininess) = self.finish(rng, role);
+        Material { texture: self.texture(rng, role), specular, shininess, glow: 0.0 }
+    }
+
+    fn finish(&self, rng: &mut Rng, role: Role) -> (f32, f32) {
+        match role {
+            Role::Metal | Role::Glass => (rng.range(0.3, 0.9), rng.scale(20.0, 120.0)),
+            Role::Ground | Role::Foliage | Role::Fabric | Role::Facade | Role::Stone => (0.0, 8.0),
+            Role::Wood | Role::Floor => (rng.range(0.0, 0.25), rng.scale(10.0, 50.0)),
+            Role::Wall | Role::Picture => (rng.range(0.0, 0.05), 10.0),
+            Role::Anything if rng.chance(0.5) => (rng.range(0.05, 0.6), rng.scale(10.0, 90.0)),
+            Role::Anything => (0.0, 8.0),
+        }
+    }
+
+    fn texture(&self, rng: &mut Rng, role: Role) -> Texture {
+        if let Some(texture) = self.photo(rng, role) {
+            return texture;
+        }
+        let colours = colours(rng, role);
+        let (pattern, period) = self.pattern(rng, role);
+        let period = period * self.detail * rng.scale(0.6, 1.6);
+        let stain = (rng.range(0.1, 0.6), period * rng.scale(0.15, 3.0));
+        Texture { pattern, period, offset: offset(rng), colours, stain }
+    }
+
+    fn photo(&self, rng: &mut Rng, role: Role) -> Option<Texture> {
+        let share = match role {
+            Role::Picture => 1.0,
+            Role::Glass | Role::Wood | Role::Metal => 0.0,
+            Role::Wall | Role::Floor => 0.5 * self.photo_share,
+            _ => self.photo_share,
+        };
+        let crops = self.photos.crops().len();
+        if crops == 0 || !rng.chance(share) {
+            return None;
+        }
+        let wide = matches!(role, Role::Ground | Role::Floor | Role::Wall | Role::Facade);
+        let period = self.detail * if wide { rng.scale(1.5, 6.0) } else { rng.scale(0.8, 4.0) };
+        let stain = (rng.range(0.05, 0.4), period * rng.scale(0.03, 0.5));
+        let tint = Vec3A::ONE + 0.15 * Vec3A::new(rng.signed(), rng.signed(), rng.signed());
+        let pattern = Pattern::Photo(rng.count(0, crops - 1));
+        Some(Texture { pattern, period, offset: offset(rng), colours: [tint; 3], stain })
+    }
+
+    /// A pattern and its period in units of `detail`.
+    fn pattern(&self, rng: &mut Rng, role: Role) -> (Pattern, f32) {
+        let noise = |octaves, stretch: [f32; 3]| Pattern::Noise { octaves, stretch: Vec3::from(stretch) };
+        let bricks = |rng: &mut Rng| {
+            let (aspect, mortar) = (rng.range(1.8, 3.5), rng.range(0.06, 0.16));
+            (Pattern::Bricks { aspect, mortar, shift: 0.5 }, 0.25)
+        };
+        let tiles =
+            |rng: &mut Rng| (Pattern::Bricks { aspect: rng.pick(&[1.0, 1.0, 2.0]), mortar: 0.05, shift: 0.0 }, 0.7);
+        let cobbles = (Pattern::Voronoi { border: 0.06 }, 0.35);
+        let speckle = (noise(5, [1.0; 3]), 0.25);
+        let clouds = (noise(5, [1.0; 3]), 1.5);
+        let planks = |rng: &mut Rng| (Pattern::Planks(rng.range(5.0, 14.0)), 0.25);
+        match role {
+            Role::Ground => match rng.count(0, 5) {
+                0 => cobbles,
+                1 => tiles(rng),
+                2 => bricks(rng),
+                3 => clouds,
+                _ => (noise(5, [1.0; 3]), 0.35),
+            },
+            Role::Floor => match rng.count(0, 4) {
+                0 => (Pattern::Checker, 0.8),
+                1 => tiles(rng),
+                2 => speckle,
+                _ => planks(rng),
+            },
+            Role::Wall => match rng.count(0, 5) {
+                0 => bricks(rng),
+                1 => (Pattern::Stripes(rng.range(0.3, 0.7)), 0.5),
+                2 => (Pattern::Spots(rng.range(0.15, 0.35)), 0.5),
+                3 => speckle,
+                _ => (noise(5, [1.0; 3]), 0.8),
+            },
+            Role::Facade => match rng.count(0, 3) {
+                0 => tiles(rng),
+                1 => (noise(5, [1.0, 1.0, 0.6]), 0.7),
+                _ => bricks(rng),
+            },
+            Role::Wood => {
+                if rng.chance(0.5) {
+                    planks(rng)
+                } else {
+                    (Pattern::Rings, 0.3)
+                }
+            }
+            Role::Foliage => (noise(5, [1.0; 3]), 0.18),
+            Role::Fabric => match rng.count(0, 4) {
+                0 => (Pattern::Stripes(rng.range(0.2, 0.8)), 0.3),
+                1 => (Pattern::Spots(rng.range(0.2, 0.4)), 0.3),
+                2 => (Pattern::Checker, 0.25),
+                _ => speckle,
+            },
+            Role::Stone => {
+                if rng.chance(0.5) {
+                    (noise(5, [1.0, 1.0, 2.5]), 0.8)
+                } else {
+                    (Pattern::Marble, 0.8)
+                }
+            }
+            Role::Metal => (noise(3, [1.0, 1.0, 6.0]), 0.6),
+            Role::Glass => (noise(2, [1.0; 3]), 2.0),
+            Role::Picture | Role::Anything => match rng.count(0, 10) {
+                0 => (Pattern::Checker, 0.3),
+                1 => (Pattern::Stripes(rng.range(0.2, 0.8)), 0.3),
+                2 => bricks(rng),
+                3 => (Pattern::Marble, 0.7),
+                4 => (Pattern::Rings, 0.3),
+                5 => (Pattern::Spots(rng.range(0.15, 0.45)), 0.35),
+                6 => (Pattern::Gradient, 1.0),
+                7 => cobbles,
+                8 => speckle,
+                _ => clouds,
+            },
+        }
+    }
+
+    /// Grass or earth where it is level, rock where it is steep.
+    pub fn terrain(&self, rng: &mut Rng) -> Material {
+        let crops = self.photos.crops().len();
+        let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
+        let colours = [colours(rng, Role::Ground)[0], colours(rng, Role::Foliage)[1], colours(rng, Role::Stone)[1]];
+        let texture = Texture {
+            pattern: Pattern::Slope { photo },
+            period: self.detail * rng.scale(2.0, 6.0),
+            offset: offset(rng),
+            colours,
+            stain: (rng.range(0.2, 0.7), self.detail * rng.scale(2.0, 8.0)),
+        };
+        Material { texture, specular: 0.0, shininess: 8.0, glow: 0.0 }
+    }
+}
+
+fn offset(rng: &mut Rng) -> Vec3A {
+    20.0 * Vec3A::new(rng.unit(), rng.unit(), rng.unit())
+}
+
+/// Three colours that go together, linear.
+fn colours(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
+    let (hues, saturation, value) = match role {
+        Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),
+        Role::Floor | Role::Wood => ([0.04, 0.11], [0.25, 0.7], [0.3, 0.8]),
+        Role::Wall => ([0.0, 1.0], [0.0, 0.3], [0.55, 0.95]),
+        Role::Facade => ([0.0, 0.14], [0.1, 0.6], [0.4, 0.9]),
+        Role::Foliage => ([0.16, 0.36], [0.3, 0.75], [0.25, 0.8]),
+        Role::Stone => ([0.0, 1.0], [0.0, 0.2], [0.35, 0.85]),
+        Role::Metal => ([0.0, 1.0], [0.0, 0.3], [0.3, 0.7]),
+        Role::Glass => ([0.5, 0.65], [0.1, 0.4], [0.1, 0.35]),
+        Role::Fabric | Role::Picture | Role::Anything => ([0.0, 1.0], [0.1, 0.85], [0.25, 0.95]),
+    };
+    let hue = rng.range(hues[0], hues[1]);
+    let contrasting = role == Role::Anything || role == Role::Fabric || role == Role::Picture;
+    let mut colour = |shift: f32, low: f32, high: f32| {
+        let saturation = rng.range(saturation[0], saturation[1]);
+        let brightness = value[0] + (value[1] - value[0]) * rng.range(low, high);
+        from_hsv(hue + shift * rng.signed(), saturation, brightness)
+    };
+    let shift = if contrasting { 0.3 } else { 0.04 };
+    let mut three = [colour(0.02, 0.0, 0.4), colour(shift, 0.4, 0.8), colour(shift, 0.7, 1.0)];
+    if contrasting && rng.chance(0.5) {
+        three.swap(0, 2);
+    }
+    three
+}
+
+/// Linear RGB of hue, saturation and brightness in 0..1 (as sRGB).
+fn from_hsv(hue: f32, saturation: f32, value: f32) -> Vec3A {
+    let channel = |shift: f32| {
+        let k = (6.0 * hue.rem_euclid(1.0) + shift) % 6.0;
+        value * (1.0 - saturation * k.min(4.0 - k).clamp(0.0, 1.0))
+    };
+    super::tone::srgb_to_linear(Vec3A::new(channel(5.0), channel(3.0), channel(1.0)))
+}

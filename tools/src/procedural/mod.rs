@@ -1,0 +1,36 @@
+//! Endless procedural scenes: primitives with procedural or photographed surfaces, seen along paths as people take
+//! photos, with exact depth and poses. A seed gives the same bytes on any number of threads.
+//!
+//! That procedural data alone transfers to photos: LRM-Zero (Xie et al. 2024) and MegaSynth (Jiang et al. 2025).
+
+mod builder;
+mod bvh;
+mod capture;
+mod families;
+mod folder;
+mod height_field;
+mod material;
+mod noise;
+mod path;
+mod photos;
+mod rng;
+mod shape;
+pub mod shards;
+mod splats;
+mod survey;
+mod texture;
+mod tone;
+mod world;
+
+pub use capture::{Capture, Options, Setup};
+pub use families::Family;
+pub use folder::write_folder;
+pub use height_field::HeightField;
+pub use path::PathKind;
+pub use photos::{Crop, Photos};
+pub use shape::{Primitive, Shape};
+pub use survey::{LEAST_OVERLAP, WITNESSES};
+pub use world::World;
+
+/// Counts changes of what a seed gives.
+pub const VERSION: u32 = 1;

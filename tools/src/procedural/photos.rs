@@ -1,0 +1,135 @@
+//! Photo crops as textures.
+
+use std::path::Path;
+
+use glam::{Vec2, Vec3A};
+use rayon::prelude::*;
+use serde::Deserialize;
+use zipsplat::{Error, Result, types::Image};
+
+use super::tone::srgb_to_linear;
+
+/// The only licence class whose crops may colour what is trained on and shipped.
+const PERMISSIVE: &str = "permissive";
+
+/// One entry of a texture folder's `manifest.json`; other fields are the folder's own.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Crop {
+    /// Name in the folder.
+    pub file: String,
+    /// Where it comes from.
+    pub repo: String,
+    /// Its licence, in words.
+    pub licence: String,
+    /// `permissive` for those that are used.
+    pub licence_class: String,
+}
+
+/// Photo crops with their pyramids of halved sizes.
+#[derive(Default)]
+pub struct Photos {
+    crops: Vec<Crop>,
+    pyramids: Vec<Pyramid>,
+}
+
+/// Levels from the full size to one pixel.
+struct Pyramid {
+    levels: Vec<Level>,
+}
+
+/// A square of sRGB pixels.
+struct Level {
+    side: usize,
+    rgb: Vec<[u8; 3]>,
+}
+
+impl Photos {
+    /// Reads the crops with a permissive licence from a folder with a `manifest.json`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::Format`] for the manifest and the pictures; [`Error::Format`] when none is permissive or
+    /// one is not square.
+    pub fn open(folder: &Path) -> Result<Self> {
+        let manifest = folder.join("manifest.json");
+        let bytes = std::fs::read(&manifest).map_err(|source| Error::io(&manifest, source))?;
+        let mut crops: Vec<Crop> =
+            serde_json::from_slice(&bytes).map_err(|error| Error::format(&manifest, None, error.to_string()))?;
+        crops.retain(|crop| crop.licence_class == PERMISSIVE);
+        if crops.is_empty() {
+            return Err(Error::format(&manifest, None, format!("found no crop of licence_class {PERMISSIVE}")));
+        }
+        let read = |crop: &Crop| {
+            let path = folder.join(&crop.file);
+            let image = Image::open(&path)?;
+            if image.width != image.height {
+                return Err(Error::format(&path, None, format!("found {image:?}, expected a square")));
+            }
+            Ok(Pyramid::new(&image))
+        };
+        let pyramids = crops.par_iter().map(read).collect::<Result<_>>()?;
+        Ok(Self { crops, pyramids })
+    }
+
+    /// What was read, in the manifest's order.
+    pub fn crops(&self) -> &[Crop] {
+        &self.crops
+    }
+
+    /// Linear RGB of a photo that fills the unit square and is mirrored beyond it; `width` is the pixel's.
+    pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
+        let Pyramid { levels } = &self.pyramids[photo];
+        let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);
+        let fine = levels[level as usize].sample(uv);
+        let rest = level.fract();
+        if rest < 0.05 {
+            return srgb_to_linear(fine);
+        }
+        srgb_to_linear(fine.lerp(levels[level as usize + 1].sample(uv), rest))
+    }
+
+    /// Along the axes that the normal is nearest to, blended where two are.
+    pub(super) fn sample_projected(&self, photo: usize, p: Vec3A, normal: Vec3A, width: f32) -> Vec3A {
+        let weights = (normal.abs() - 0.45).max(Vec3A::ZERO);
+        let weights = weights / weights.element_sum();
+        let sides =
+            [(weights.x, Vec2::new(p.y, -p.z)), (weights.y, Vec2::new(p.x, -p.z)), (weights.z, Vec2::new(p.x, p.y))];
+        let seen = sides.into_iter().filter(|(weight, _)| *weight > 0.0);
+        seen.map(|(weight, uv)| weight * self.sample(photo, uv, width)).sum()
+    }
+}
+
+impl Pyramid {
+    fn new(image: &Image) -> Self {
+        let rgb = image.rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+        let mut levels = vec![Level { side: image.width as usize, rgb }];
+        while let Some(level) = levels.last().filter(|level| level.side > 1) {
+            levels.push(level.halved());
+        }
+        Self { levels }
+    }
+}
+
+impl Level {
+    fn halved(&self) -> Self {
+        let side = self.side / 2;
+        let pixel = |i: usize| {
+            let at = 2 * (i / side) * self.side + 2 * (i % side);
+            let block = [at, at + 1, at + self.side, at + self.side + 1].map(|k| self.rgb[k]);
+            [0, 1, 2].map(|c| (block.iter().map(|rgb| u32::from(rgb[c])).sum::<u32>() / 4) as u8)
+        };
+        Self { side, rgb: (0..side * side).map(pixel).collect() }
+    }
+
+    /// Bilinear, sRGB 0..1.
+    fn sample(&self, uv: Vec2) -> Vec3A {
+        let last = self.side - 1;
+        // Mirrored: up through the unit square, then back.
+        let fold = |x: f32| 1.0 - (x.rem_euclid(2.0) - 1.0).abs();
+        let at = (Vec2::new(fold(uv.x), fold(uv.y)) * self.side as f32 - 0.5).max(Vec2::ZERO);
+        let (x, y) = ((at.x as usize).min(last), (at.y as usize).min(last));
+        let (x1, y1) = ((x + 1).min(last), (y + 1).min(last));
+        let pixel = |x: usize, y: usize| Vec3A::from_array(self.rgb[y * self.side + x].map(f32::from));
+        let f = at - at.floor();
+        pixel(x, y).lerp(pixel(x1, y), f.x).lerp(pixel(x, y1).lerp(pixel(x1, y1), f.x), f.y) / 255.0
+    }
+}

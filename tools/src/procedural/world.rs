@@ -1,0 +1,192 @@
+//! What is there to see: primitives, light and sky, and the colour along a ray.
+
+use glam::{Vec3A, Vec3Swizzles};
+
+use super::bvh::Bvh;
+use super::material::Material;
+use super::noise::{fbm, smoothstep};
+use super::photos::Photos;
+use super::shape::{Primitive, Shape};
+use super::texture::Place;
+
+/// No surface is farther away, in metres.
+const FAR: f32 = 1e4;
+
+/// The light that casts shadows.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Key {
+    /// Towards it.
+    Sun(Vec3A),
+    /// A lamp here; its light is given at the reference distance in metres.
+    Lamp(Vec3A, f32),
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Light {
+    pub key: Key,
+    pub colour: Vec3A,
+    /// Ambient light from above and from below.
+    pub ambient: [Vec3A; 2],
+}
+
+/// What is behind everything.
+#[derive(Clone, Debug)]
+pub(super) struct Sky {
+    pub zenith: Vec3A,
+    pub horizon: Vec3A,
+    /// Share of the sky that is clouded.
+    pub clouds: f32,
+    pub offset: Vec3A,
+    /// Metres at which haze hides two thirds of a surface.
+    pub haze: f32,
+}
+
+/// The inside of a room. Its corners get less ambient light.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Room {
+    pub low: Vec3A,
+    pub high: Vec3A,
+}
+
+/// A scene in metres, z up.
+pub struct World {
+    primitives: Vec<Primitive>,
+    bvh: Bvh,
+    light: Light,
+    sky: Sky,
+    room: Option<Room>,
+}
+
+/// What a ray sees.
+pub(super) struct Seen {
+    /// Linear light.
+    pub light: Vec3A,
+    /// Distance to the surface; none where there is only sky.
+    pub distance: Option<f32>,
+    /// Differs between surfaces, faces and shadow edges: where neighbours differ there is an edge to smooth.
+    pub region: u32,
+}
+
+impl World {
+    pub(super) fn new(primitives: Vec<Primitive>, light: Light, sky: Sky, room: Option<Room>) -> Self {
+        Self { bvh: Bvh::new(&primitives), primitives, light, sky, room }
+    }
+
+    /// Everything that has a surface.
+    pub fn primitives(&self) -> &[Primitive] {
+        &self.primitives
+    }
+
+    /// Distance along a unit direction to the nearest surface, metres.
+    pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
+        self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
+    }
+
+    /// Whether a point is inside something solid.
+    pub fn contains(&self, point: Vec3A) -> bool {
+        self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
+    }
+
+    /// Whether a surface lies between two points, except within `slack` metres of the second.
+    pub(super) fn blocked(&self, from: Vec3A, to: Vec3A, slack: f32) -> bool {
+        let length = (to - from).length();
+        self.bvh.occluded(&self.primitives, from, (to - from) / length, length - slack)
+    }
+
+    /// Light along a unit direction; `pixel` is the angle that one pixel covers.
+    pub(super) fn look(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Seen {
+        let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
+            return Seen { light: self.sky.colour(direction), distance: None, region: u32::MAX };
+        };
+        let primitive = &self.primitives[index];
+        let point = origin + direction * t;
+        let local = primitive.to_local * (point - primitive.centre);
+        let local_normal = primitive.shape.normal(local);
+        let outward = primitive.rotation * local_normal;
+        let facing = -outward.dot(direction);
+        let normal = if facing < 0.0 { -outward } else { outward };
+        let place = Place {
+            position: local,
+            normal: local_normal,
+            uv: primitive.shape.surface_coordinates(local, local_normal),
+            footprint: t * pixel / facing.abs().max(0.1).sqrt(),
+        };
+        let albedo = primitive.material.texture.colour(&place, photos);
+        let surface = Surface { point, normal, direction, material: &primitive.material, reach: 2e-4 + 2e-4 * t };
+        let (light, lit) = self.shade(&surface, albedo);
+        let haze = 1.0 - (-t / self.sky.haze).exp();
+        let light = light.lerp(self.sky.horizon, haze);
+        let face =
+            if matches!(primitive.shape, Shape::Box { .. } | Shape::Cylinder { .. }) { face(local_normal) } else { 0 };
+        Seen { light, distance: Some(t), region: (index as u32) << 4 | face << 1 | u32::from(lit) }
+    }
+
+    /// Lambert and Blinn-Phong, with one shadow ray; also whether the key light arrives.
+    fn shade(&self, surface: &Surface, albedo: Vec3A) -> (Vec3A, bool) {
+        let Surface { point, normal, direction, material, reach } = *surface;
+        let [above, below] = self.light.ambient;
+        let ambient = below.lerp(above, 0.5 + 0.5 * normal.z) * self.corner_shade(point, normal);
+        let (to_light, distance, falloff) = match self.light.key {
+            Key::Sun(towards) => (towards, FAR, 1.0),
+            Key::Lamp(position, reference) => {
+                let offset = position - point;
+                let squared = offset.length_squared();
+                let near = reference * reference;
+                (offset / squared.sqrt(), squared.sqrt(), 1.3 * near / (squared + 0.3 * near))
+            }
+        };
+        let cosine = normal.dot(to_light);
+        let start = point + normal * reach;
+        let lit = cosine > 0.0 && !self.bvh.occluded(&self.primitives, start, to_light, distance - 2.0 * reach);
+        let mut light = albedo * (ambient + material.glow);
+        if lit {
+            let half = (to_light - direction).normalize_or(normal);
+            let highlight = match material.specular {
+                0.0 => 0.0,
+                strength => strength * normal.dot(half).max(0.0).powf(material.shininess),
+            };
+            light += self.light.colour * falloff * cosine * (albedo + highlight);
+        }
+        (light, lit)
+    }
+
+    /// Less ambient light near the walls, floor and ceiling of a room that a surface does not belong to.
+    fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
+        let Some(Room { low, high }) = self.room else { return 1.0 };
+        let gaps = (point - low).min(high - point).max(Vec3A::ZERO);
+        let side = |axis: usize| {
+            let gap = gaps[axis];
+            1.0 - 0.45 * (1.0 - normal[axis].abs()) * (-gap / 0.35).exp()
+        };
+        side(0) * side(1) * side(2)
+    }
+}
+
+struct Surface<'a> {
+    point: Vec3A,
+    normal: Vec3A,
+    direction: Vec3A,
+    material: &'a Material,
+    /// How far from the surface shadow rays start.
+    reach: f32,
+}
+
+fn face(normal: Vec3A) -> u32 {
+    let size = normal.abs();
+    let axis = if size.z > 0.9 { 2 } else { u32::from(size.y > size.x) };
+    2 * axis + u32::from(normal[axis as usize] > 0.0)
+}
+
+impl Sky {
+    fn colour(&self, direction: Vec3A) -> Vec3A {
+        let up = direction.z;
+        let clear = self.horizon.lerp(self.zenith, smoothstep(-0.05, 0.6, up));
+        if up <= 0.0 || self.clouds <= 0.0 {
+            return clear;
+        }
+        let plane = (direction.xy() / (up + 0.15)).extend(0.0);
+        let cover = fbm(Vec3A::from(plane) * 1.5 + self.offset, 4, 0.02);
+        let cloud = smoothstep(0.75 - 0.6 * self.clouds, 1.0 - 0.5 * self.clouds, cover) * smoothstep(0.0, 0.15, up);
+        clear.lerp(Vec3A::splat(1.1 * self.horizon.max_element()), cloud)
+    }
+}

@@ -1,0 +1,147 @@
+//! One run of a command: its device, its output, its stages with their progress, and cancelling.
+
+use crate::{Terminal, options::Global};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::Serialize;
+use std::{
+    fmt::Display,
+    io::Write,
+    ops::ControlFlow,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        mpsc::{RecvTimeoutError, channel},
+    },
+    time::{Duration, Instant},
+};
+use zipsplat::{
+    Error, Result,
+    gpu::{Device, DeviceOptions},
+};
+
+/// What takes no longer than this shows no progress.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Steps of a progress bar.
+const STEPS: u64 = 1000;
+
+/// The global options and the terminal of a command.
+pub struct Session<'a> {
+    global: Global,
+    terminal: Terminal<'a>,
+}
+
+/// A part of a command that may take long.
+pub struct Stage<'a> {
+    bar: ProgressBar,
+    cancelled: &'a AtomicBool,
+}
+
+impl<'a> Session<'a> {
+    pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
+        Self { global, terminal }
+    }
+
+    /// Opens the device that `--device` names, or the best one.
+    pub fn device(&self) -> Result<Device> {
+        Device::open(&DeviceOptions { selector: self.global.device.clone(), ..DeviceOptions::default() })
+    }
+
+    /// Whether the user named a device.
+    pub fn names_device(&self) -> bool {
+        self.global.device.is_some()
+    }
+
+    /// Runs `body`, with a progress bar where it takes long, and returns its result and time.
+    ///
+    /// # Errors
+    /// The body's, and [`Error::Cancelled`].
+    pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
+        let bar =
+            ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::hidden()).with_message(name.to_owned());
+        let style = ProgressStyle::with_template("{spinner} {msg:16} [{bar:32}] {percent:>3} % {elapsed}");
+        bar.set_style(style.expect("the template is valid"));
+        let stage = Stage { bar, cancelled: self.terminal.cancelled };
+        stage.check()?;
+        let start = Instant::now();
+        let visible = self.terminal.progress && !self.global.quiet;
+        let result = std::thread::scope(|scope| {
+            // Dropped when the body is done, also by a panic: that ends the wait.
+            let (_done, done) = channel::<()>();
+            let bar = &stage.bar;
+            if visible {
+                scope.spawn(move || {
+                    if done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+                        bar.set_draw_target(ProgressDrawTarget::stderr());
+                        bar.enable_steady_tick(Duration::from_millis(100));
+                    }
+                });
+            }
+            body(&stage)
+        });
+        stage.bar.finish_and_clear();
+        let value = result?;
+        stage.check()?;
+        Ok((value, start.elapsed()))
+    }
+
+    /// Prints a command's result: `value` with `--json`, else `text` unless `--quiet`.
+    pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
+        let printed = match (self.global.json, self.global.quiet) {
+            (true, _) => serde_json::to_writer_pretty(&mut *self.terminal.out, value)
+                .map_err(std::io::Error::from)
+                .and_then(|()| writeln!(self.terminal.out)),
+            (false, false) => writeln!(self.terminal.out, "{}", text.to_string().trim_end()),
+            (false, true) => Ok(()),
+        };
+        printed.and_then(|()| self.terminal.out.flush()).map_err(|error| Error::io("standard output", error))
+    }
+
+    /// Where results go, for those that are no text.
+    pub fn out(&mut self) -> &mut dyn Write {
+        self.terminal.out
+    }
+
+    /// Set when the command should stop.
+    pub fn cancelled(&self) -> &'a AtomicBool {
+        self.terminal.cancelled
+    }
+
+    /// Says something worth knowing that is no result.
+    pub fn note(&mut self, text: impl Display) {
+        if !self.global.quiet {
+            // A note that cannot be printed is no reason to stop.
+            let _ = writeln!(self.terminal.err, "note: {text}");
+        }
+    }
+
+    /// Prints an error as one line.
+    pub fn complain(&mut self, error: &Error) {
+        let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
+        // The exit code says it all the same.
+        let _ = writeln!(self.terminal.err, "error: {}", lines.join("; "));
+    }
+}
+
+impl Stage<'_> {
+    /// Moves the progress to `fraction` of all; `Break` where the command should stop.
+    pub fn at(&self, fraction: f64) -> ControlFlow<()> {
+        self.bar.set_position((fraction * STEPS as f64) as u64);
+        if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// Changes the name that is shown.
+    pub fn name(&self, name: &str) {
+        self.bar.set_message(name.to_owned());
+    }
+
+    /// As [`Stage::at`], with stopping as an error.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn reach(&self, fraction: f64) -> Result<()> {
+        if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,49 @@
+//! Aligned text: tables, sizes and times.
+
+use indicatif::HumanBytes;
+use std::{fmt, time::Duration};
+
+/// Rows under headings. The first columns are aligned to the left, the others to the right.
+pub struct Table {
+    left: usize,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// An empty table, `left` of whose columns are aligned to the left.
+    pub fn new(left: usize, headings: &[&str]) -> Self {
+        Self { left, rows: vec![headings.iter().map(ToString::to_string).collect()] }
+    }
+
+    /// Adds a row with a cell for each heading.
+    pub fn row<const N: usize>(&mut self, cells: [String; N]) {
+        self.rows.push(cells.into());
+    }
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let headings = &self.rows[0];
+        let width = |column: usize| self.rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+        let widths: Vec<_> = (0..headings.len()).map(width).collect();
+        for row in &self.rows {
+            let mut line = String::new();
+            for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
+                line += &if column < self.left { format!("{cell:<width$}  ") } else { format!("{cell:>width$}  ") };
+            }
+            writeln!(f, "{}", line.trim_end())?;
+        }
+        Ok(())
+    }
+}
+
+/// `1.20 GiB`.
+pub fn bytes(count: u64) -> String {
+    HumanBytes(count).to_string()
+}
+
+/// `1.234 s`, `12.3 ms`.
+pub fn time(duration: Duration) -> String {
+    let seconds = duration.as_secs_f64();
+    if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.3} s") }
+}
