@@ -5,6 +5,7 @@ import subprocess
 import threading
 import time
 from collections import namedtuple
+from functools import cache
 
 import numpy as np
 import torch
@@ -192,7 +193,7 @@ def batch(rows, context, targets, points, cells, patch):
     seen = cloud.isfinite().all(-1)
     cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
 
-    centres = cell_centres(depth.shape[1:], cells, patch).to(depth.device)
+    centres = cell_centres(*depth.shape[1:], *cells, patch, depth.device)
     bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
     return Batch(
         pick(rows["colours"], context).movedim(-1, 2).float() / 255,
@@ -209,12 +210,12 @@ def batch(rows, context, targets, points, cells, patch):
     )
 
 
-def cell_centres(shape, cells, patch):
+@cache
+def cell_centres(views, height, width, rows, columns, patch, device):
     """Pixel indices [V * T * cells] of the centres of a grid of cells in every patch of V pictures, patch by patch."""
-    views, height, width = shape
     pixels = torch.arange(views * height * width).view(views, height // patch, patch, width // patch, patch)
-    y, x = (((torch.arange(count) + 0.5) * patch / count).long() for count in cells)
-    return pixels[:, :, y][..., x].permute(0, 1, 3, 2, 4).flatten()
+    y, x = (((torch.arange(count) + 0.5) * patch / count).long() for count in (rows, columns))
+    return pixels[:, :, y][..., x].permute(0, 1, 3, 2, 4).flatten().to(device)
 
 
 def unproject(depth, intrinsics, poses, index):

@@ -4,6 +4,7 @@ Shapes: B scenes, V views, T patches a view, n = T + 1 tokens a view, D width, K
 """
 
 import math
+from functools import cache
 
 import torch
 import torch.nn.functional as F
@@ -60,13 +61,20 @@ def rotate(x, rope):
     return x * cos + turned * sin
 
 
-def rope_table(positions, head_dim, like):
-    """cos and sin [n, head_dim] for (y, x) positions [n, 2]: the first half of a head turns with y, the other with x."""
+@cache
+def rope_table(rows, columns, views, head_dim, dtype, device):
+    """cos and sin [n, head_dim] of a local block (`views` 0), or of a global one, where all patches are at (1, 1).
+
+    The first half of a head turns with y, the other with x.
+    """
+    y, x = torch.meshgrid(torch.arange(rows) + 1, torch.arange(columns) + 1, indexing="ij")
+    patches = torch.stack((y, x), -1).flatten(0, 1)
+    patches = torch.ones_like(patches) if views else patches
+    positions = torch.cat((torch.zeros(1, 2), patches)).repeat(max(views, 1), 1).double()
     quarter = head_dim // 4
     frequency = 100.0 ** (-torch.arange(quarter, dtype=torch.float64) / quarter)
-    angles = positions.double()[:, :, None, None] * frequency
-    angles = angles.expand(-1, 2, 2, quarter).flatten(1)
-    return angles.cos().to(like), angles.sin().to(like)
+    angles = (positions[:, :, None, None] * frequency).expand(-1, 2, 2, quarter).flatten(1)
+    return angles.cos().to(device, dtype), angles.sin().to(device, dtype)
 
 
 class Attention(nn.Module):
@@ -160,7 +168,7 @@ class VisionTransformer(nn.Module):
         learned = self.pos_embed[:, 1:]
         if (rows, columns) == (grid, grid):
             return learned
-        y, x = (cubic_weights(size, grid).to(learned) for size in (rows, columns))
+        y, x = (cubic_weights(size, grid, learned.dtype, learned.device) for size in (rows, columns))
         return torch.einsum("ip,jq,pqd->ijd", y, x, learned[0].unflatten(0, (grid, grid))).flatten(0, 1)[None]
 
     def forward(self, images, camera_tokens, taps):
@@ -176,7 +184,8 @@ class VisionTransformer(nn.Module):
         x = torch.cat((cls, patches), 1).unflatten(0, (b, v))
         if camera_tokens is None:
             camera_tokens = self.learned_camera_tokens(b, v)
-        ropes = {is_global: self.rope(rows, columns, v if is_global else 0, x) for is_global in (False, True)}
+        table = (a.width // a.heads, x.dtype, x.device)
+        ropes = {is_global: rope_table(rows, columns, v if is_global else 0, *table) for is_global in (False, True)}
         taps["bb/tokens0"] = x
         taps["bb/cam_token"] = camera_tokens
         features, local = [], None
@@ -196,17 +205,10 @@ class VisionTransformer(nn.Module):
         first, others = self.camera_token[:, :1], self.camera_token[:, 1:]
         return torch.cat((first, others.expand(-1, views - 1, -1)), 1).expand(scenes, -1, -1)
 
-    def rope(self, rows, columns, views, like):
-        """Rotary tables of a local block (`views` 0), or of a global one, where all patches are at (1, 1)."""
-        y, x = torch.meshgrid(torch.arange(rows) + 1, torch.arange(columns) + 1, indexing="ij")
-        patches = torch.stack((y, x), -1).flatten(0, 1)
-        patches = torch.ones_like(patches) if views else patches
-        positions = torch.cat((torch.zeros(1, 2), patches)).repeat(max(views, 1), 1)
-        return rope_table(positions, self.architecture.width // self.architecture.heads, like)
 
-
-def cubic_weights(size, grid):
-    """[size, grid] f64 weights that resample `grid` points to `size` (cubic convolution, A = -0.75)."""
+@cache
+def cubic_weights(size, grid, dtype, device):
+    """[size, grid] weights that resample `grid` points to `size` (cubic convolution, A = -0.75)."""
     a = -0.75
     source = (torch.arange(size, dtype=torch.float64) + 0.5) / ((size + 0.1) / grid) - 0.5
     base = source.floor()
@@ -217,7 +219,7 @@ def cubic_weights(size, grid):
         far = ((a * u - 5 * a) * u + 8 * a) * u - 4 * a
         index = (base + tap).clamp(0, grid - 1).long()
         weights.scatter_add_(1, index[:, None], torch.where(u <= 1, near, far)[:, None])
-    return weights
+    return weights.to(device, dtype)
 
 
 def quats_from_matrices(m):
@@ -284,15 +286,21 @@ class GaussianHead(nn.Module):
         return self.gaussian_head(x)
 
 
+@cache
+def first_tokens(n, count, device):
+    """Evenly spread over n; on the CPU in f32, whose rounding is part of the definition."""
+    return torch.linspace(0, n - 1, count).round().long().to(device)
+
+
 @torch.no_grad()
 def nearest_tokens(tokens, count, iterations=5):
     """k-means over [B, N, D]: the token nearest to each of `count` final centroids, [B, count]."""
     tokens = tokens.float()
     n = tokens.shape[1]
-    start = torch.linspace(0, n - 1, count).round().long().to(tokens.device)
-    centroids = tokens[:, start]
+    clusters = torch.arange(count, device=tokens.device)
+    centroids = tokens[:, first_tokens(n, count, tokens.device)]
     for _ in range(iterations):
-        assigned = F.one_hot(squared_distances(tokens, centroids).argmin(-1), count).to(tokens)
+        assigned = (squared_distances(tokens, centroids).argmin(-1, keepdim=True) == clusters).to(tokens)
         members = assigned.sum(1)[..., None]
         centroids = (assigned.transpose(1, 2) @ tokens) / members.clamp_min(1)
     return squared_distances(centroids, tokens).argmin(-1)

@@ -148,6 +148,7 @@ class Trainer:
         import model as network
         import rasterise as drawing
 
+        torch._dynamo.config.recompile_limit = 64
         for kind in (network.Block, network.CrossBlock):
             kind.forward = torch.compile(kind.forward, dynamic=True)
         drawing.project = torch.compile(drawing.project, dynamic=True)
@@ -198,10 +199,20 @@ class Trainer:
                 **{name: value.detach() for name, value in parts.items()},
             }
 
+    def warm_up(self):
+        """Compiles what is compiled at first use, before the clock starts."""
+        self.pool.fill(min(self.config["batch_views"], self.pool.capacity))
+        for views, ratio in zip(self.config["views"], (1.0, 0.5)):
+            data = self.pool.sample(max(self.config["batch_views"] // views, 1), views, self.config["targets"], *self.geometry())
+            gaussians, tokens, pictures = self.forward(self.model, data, ratio, torch.ones(len(data.images), device=self.device) > 0)
+            losses.total(gaussians, tokens, pictures, data, self.config["losses"], 64, self.perceptual)[0].backward()
+        self.optimiser.zero_grad(set_to_none=True)
+        self.evaluate()
+        self.pool.waited = 0.0
+
     def run(self):
         config, end = self.config, 60 * min(self.args.minutes, self.elapsed / 60 + self.args.stop_after)
-        self.pool.fill(min(config["batch_views"], self.pool.capacity))
-        self.pool.waited = 0.0
+        self.warm_up()
         print(f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.2f} M parameters, {self.device}, "
               f"{self.pool.filled()} scenes to start with, pool of {self.pool.capacity}")  # fmt: skip
         started, before = time.perf_counter(), self.elapsed
