@@ -1,6 +1,6 @@
 """Blending against the golden pictures and gradients, and each implementation against the plain one.
 
-    python tests/train/rasterise.py GOLDEN_FOLDER
+python tests/train/rasterise.py GOLDEN_FOLDER
 """
 
 import os
@@ -56,7 +56,11 @@ def main(folder):
         for name, (blend, dtype, limit, _) in IMPLEMENTATIONS.items():
             view = rasterise(packed(golden, dtype), *cameras(golden, dtype), degree, blend)
             for plane in ("rgb", "alpha"):
-                expect(f"{scene} {name} {plane}", worst(getattr(view, plane)[0], golden[f"v153/classic/{plane}"], stable), limit)
+                expect(
+                    f"{scene} {name} {plane}",
+                    worst(getattr(view, plane)[0], golden[f"v153/classic/{plane}"], stable),
+                    limit,
+                )
             depth = golden["v153/classic/D"]
             expect(f"{scene} {name} depth", worst(view.depth[0], depth, stable), limit * max(1, depth.max().item()))
 

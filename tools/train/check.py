@@ -1,7 +1,7 @@
 """Compares the network with golden data, or dumps a small golden of given weights for the engine's tests.
 
-    python tools/train/check.py goldens FOLDER                   # golden/FORMAT.md of the engine's tests
-    python tools/train/check.py dump WEIGHTS OUT.safetensors     # images_u8, camera, pose, and gauss for each ratio
+python tools/train/check.py goldens FOLDER                   # golden/FORMAT.md of the engine's tests
+python tools/train/check.py dump WEIGHTS OUT.safetensors     # images_u8, camera, pose, and gauss for each ratio
 """
 
 import argparse

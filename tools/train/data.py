@@ -1,4 +1,4 @@
-"""Procedural scenes from the generator (`zipsplat scene --shards`), kept in a pool on the device and refilled while training."""
+"""Procedural scenes from the generator (`zipsplat scene --shards`), in a pool on the device that is kept filled."""
 
 import queue
 import subprocess
@@ -34,8 +34,9 @@ class Shards:
             raise RuntimeError(f"{' '.join(command)}: found {header}, expected a stream of scenes of format {FORMAT}")
         v, h, w = self.shape = header["vhw"][0].tolist()
         self.record = np.dtype(
-            [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (v, 4)), ("poses", "<f4", (v, 3, 4)),
-             ("overlap", "<f4", (v, v)), ("colours", "u1", (v, h, w, 3)), ("depths", "<f2", (v, h, w))]
+            [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (v, 4)),
+             ("poses", "<f4", (v, 3, 4)), ("overlap", "<f4", (v, v)), ("colours", "u1", (v, h, w, 3)),
+             ("depths", "<f2", (v, h, w))]
         )  # fmt: skip
 
     def read_into(self, buffer):
@@ -138,8 +139,8 @@ class Pool:
     def split(self, chosen, views, targets):
         """Rows, and for each of them its context views [B, V] and targets [B, C], at random.
 
-        Views that overlap with the first are likelier in the context, views that two of the context cover likelier among
-        the targets.
+        Views that overlap with the first are likelier in the context, views that two of the context cover likelier
+        among the targets.
         """
         rows = {name: value[chosen] for name, value in self.rows.items()}
         overlap = rows["overlap"]
@@ -179,7 +180,7 @@ def inverse(poses):
 
 
 def batch(rows, context, targets, points, cells, patch):
-    """Moves scenes into the frame of their first context view and to a median distance of 1 of what the context sees."""
+    """Moves scenes into the frame of their first context view, where the median distance of what is seen becomes 1."""
     poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
     poses[:, :, :3] = rows["poses"]
     relative = inverse(pick(poses, context[:, :1])) @ poses

@@ -31,7 +31,7 @@ def gradient_difference(a, b, scales=3):
 
 
 class VggDistance(nn.Module):
-    """LPIPS with equal weights of channels: distance of unit features of VGG16 (Zhang et al. 2018, its uncalibrated form).
+    """LPIPS with equal weights of channels: distance of unit features of VGG16 (Zhang et al. 2018, uncalibrated).
 
     `path` is torchvision's state_dict of VGG16.
     """

@@ -429,7 +429,7 @@ def initialise(model, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
 
 
 def wave_grid(side, width):
-    """[side^2, width] smooth embeddings of a grid: sines and cosines of y and x, periods from four grids down to four cells."""
+    """[side^2, width] smooth embeddings of a grid: waves along y and x, periods from four grids down to four cells."""
     quarter = width // 4
     frequency = 2 * math.pi / (4 * side * (1 / side) ** (torch.arange(quarter) / max(quarter - 1, 1)))
     waves = torch.arange(side)[:, None] * frequency

@@ -1,4 +1,4 @@
-"""Differentiable pictures of batches of Gaussians, by the rules of gsplat 1.5.3 (classic mode), as the engine draws them.
+"""Differentiable pictures of batches of Gaussians by the rules of gsplat 1.5.3 (classic mode), which are the engine's.
 
 The projection is PyTorch everywhere. Blending has three implementations of one formula: Triton on GPUs, numba on CPUs,
 and plain PyTorch (every Gaussian at every pixel) as the truth that the others are tested against.
@@ -44,7 +44,7 @@ def default_blend(device):
 
 
 def project(gaussians, viewmats, intrinsics, size, sh_degree):
-    """Splats [B, C, N, 10] and the pixels that they can touch, bounds [B, C, N, 4] i32 (x0, y0, x1, y1), x1 exclusive."""
+    """Splats [B, C, N, 10] and the pixels that they can touch: bounds [B, C, N, 4] i32, x0, y0, x1, y1 (exclusive)."""
     height, width = size
     means, scales, quats, opacity, sh = gaussians.split((3, 3, 4, 1, gaussians.shape[-1] - 11), -1)
     rotation, translation = viewmats[..., :3, :3], viewmats[..., :3, 3]

@@ -48,7 +48,17 @@ class Blend(torch.autograd.Function):
         grad_splats = torch.zeros_like(splats)
         grid = (counts.shape[1], counts.shape[0])
         backward_kernel[grid](
-            splats, lists, counts, planes, grad.contiguous(), grad_splats, splats.shape[1], height, width, CHUNK, num_warps=1
+            splats,
+            lists,
+            counts,
+            planes,
+            grad.contiguous(),
+            grad_splats,
+            splats.shape[1],
+            height,
+            width,
+            CHUNK,
+            num_warps=1,
         )
         return grad_splats, None, None
 

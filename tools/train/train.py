@@ -59,7 +59,8 @@ class Schedule:
     def rate(self, elapsed):
         """Linear warm-up, then a cosine to zero."""
         warmup, done = self.config["warmup"], min(elapsed / self.seconds, 1)
-        return self.config["learning_rate"] * min(done / warmup, 1, 0.5 * (1 + math.cos(math.pi * max(done - warmup, 0) / (1 - warmup))))
+        falling = 0.5 * (1 + math.cos(math.pi * max(done - warmup, 0) / (1 - warmup)))
+        return self.config["learning_rate"] * min(done / warmup, falling)
 
     def draw(self, elapsed, rng):
         """Views and ratio of a step: from the least views and ratio 1 to their full ranges over the first half."""
@@ -140,7 +141,10 @@ class Trainer:
     def make_optimiser(self):
         matrices = [p for p in self.model.parameters() if p.ndim > 1]
         vectors = [p for p in self.model.parameters() if p.ndim <= 1]
-        groups = [{"params": matrices, "weight_decay": self.config["weight_decay"]}, {"params": vectors, "weight_decay": 0.0}]
+        groups = [
+            {"params": matrices, "weight_decay": self.config["weight_decay"]},
+            {"params": vectors, "weight_decay": 0.0},
+        ]
         return torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.95), fused=True)
 
     def compile(self):
@@ -203,8 +207,12 @@ class Trainer:
         """Compiles what is compiled at first use, before the clock starts."""
         self.pool.fill(min(self.config["batch_views"], self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
-            data = self.pool.sample(max(self.config["batch_views"] // views, 1), views, self.config["targets"], *self.geometry())
-            gaussians, tokens, pictures = self.forward(self.model, data, ratio, torch.ones(len(data.images), device=self.device) > 0)
+            data = self.pool.sample(
+                max(self.config["batch_views"] // views, 1), views, self.config["targets"], *self.geometry()
+            )
+            gaussians, tokens, pictures = self.forward(
+                self.model, data, ratio, torch.ones(len(data.images), device=self.device) > 0
+            )
             losses.total(gaussians, tokens, pictures, data, self.config["losses"], 64, self.perceptual)[0].backward()
         self.optimiser.zero_grad(set_to_none=True)
         self.evaluate()
@@ -238,8 +246,16 @@ class Trainer:
         self.shards.close()
 
     def report(self, row, rate, waited):
-        row = {"step": self.step, "seconds": round(self.elapsed, 1), "samples": self.samples, "samples_per_second": rate,
-               "scenes": self.pool.taken, "waited": waited, "rate": self.schedule.rate(self.elapsed), **row}  # fmt: skip
+        row = {
+            "step": self.step,
+            "seconds": round(self.elapsed, 1),
+            "samples": self.samples,
+            "samples_per_second": rate,
+            "scenes": self.pool.taken,
+            "waited": waited,
+            "learning_rate": self.schedule.rate(self.elapsed),
+            **row,
+        }
         self.log.append(row)
         shown = ("loss", "psnr", "l1", "anchor", "chamfer", "depth", "reached", "median_scale", "norm")
         print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
@@ -272,7 +288,7 @@ class Trainer:
         return scores
 
     def picture(self, data, grid):
-        """A row a scene: two inputs, then for two targets the truth, with priors, without, and the depth with priors."""
+        """A row a scene: two inputs; for two targets the truth, with priors, without, and the depth with priors."""
         (given, depth), (plain, _) = grid
         nearness = (1 / (1 + depth))[..., None].expand_as(given)
         lines = []
@@ -286,10 +302,17 @@ class Trainer:
 
     def save(self):
         scores = self.evaluate()
-        print(("learned" if self.config["scenes"] else "unseen") + " PSNR: " + "  ".join(f"{name} {value:.2f}" for name, value in scores.items()), flush=True)
+        print(
+            ("learned" if self.config["scenes"] else "unseen")
+            + " PSNR: "
+            + "  ".join(f"{name} {value:.2f}" for name, value in scores.items()),
+            flush=True,
+        )
         if self.log:
             self.log[-1].update(scores)
-        counters = {name: getattr(self, name) for name in ("step", "samples", "elapsed", "steps_before", "seconds_before")}
+        counters = {
+            name: getattr(self, name) for name in ("step", "samples", "elapsed", "steps_before", "seconds_before")
+        }
         counters["first_seed"] = max(self.first_seed, self.pool.last_seed + 1)
         state = {"model": self.model.state_dict(), "average": self.average.state_dict(),
                  "optimiser": self.optimiser.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
@@ -336,12 +359,16 @@ def main():
     parser.add_argument("--config", required=True)
     parser.add_argument("--out", required=True)
     parser.add_argument("--minutes", type=float, required=True, help="the time box of the whole schedule")
-    parser.add_argument("--stop-after", type=float, default=math.inf, help="minutes after which this call saves and ends")
+    parser.add_argument(
+        "--stop-after", type=float, default=math.inf, help="minutes after which this call saves and ends"
+    )
     parser.add_argument("--resume", help="the folder of a run, or weights")
     parser.add_argument("--zipsplat", default="target/release/zipsplat", help="the command that generates scenes")
     parser.add_argument("--textures", help="folder of photo crops for the generator")
     parser.add_argument("--vgg", help="torchvision's weights of VGG16, for the perceptual loss")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
+    )
     args = parser.parse_args()
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     sys.stdout.reconfigure(line_buffering=True)
