@@ -6,8 +6,9 @@ use super::shape::Primitive;
 
 /// Primitives per leaf at which splitting stops paying.
 const LEAF: usize = 2;
-/// Deep enough for any scene: a leaf holds at least one primitive and splits halve at worst one by one.
-const STACK: usize = 64;
+/// Below this depth nodes are halved, so that no tree of up to 2^11 primitives is deeper than the stack.
+const DEEP: usize = 20;
+const STACK: usize = 32;
 
 #[derive(Clone, Copy)]
 struct Aabb {
@@ -58,12 +59,12 @@ impl Bvh {
         let boxes: Vec<Aabb> = primitives.iter().map(bounds).collect();
         let mut bvh = Self { nodes: Vec::new(), items: (0..primitives.len() as u32).collect() };
         if !boxes.is_empty() {
-            bvh.build(&boxes, 0, boxes.len());
+            bvh.build(&boxes, 0, boxes.len(), 0);
         }
         bvh
     }
 
-    fn build(&mut self, boxes: &[Aabb], start: usize, end: usize) {
+    fn build(&mut self, boxes: &[Aabb], start: usize, end: usize, depth: usize) {
         let of = |item: &u32| boxes[*item as usize];
         let bounds = self.items[start..end].iter().map(of).fold(Aabb::EMPTY, Aabb::union);
         let node = self.nodes.len();
@@ -75,10 +76,11 @@ impl Bvh {
             .map(|axis| self.best_split(boxes, start, end, axis))
             .fold((f32::INFINITY, 0, 1), |best, split| if split.0 < best.0 { split } else { best });
         sort_along(&mut self.items[start..end], boxes, axis);
-        self.build(boxes, start, start + left);
+        let left = if depth < DEEP { left } else { (end - start) / 2 };
+        self.build(boxes, start, start + left, depth + 1);
         self.nodes[node].first = self.nodes.len() as u32;
         self.nodes[node].count = 0;
-        self.build(boxes, start + left, end);
+        self.build(boxes, start + left, end, depth + 1);
     }
 
     /// Cost, axis, and items in the first half of the cheapest split along an axis.

@@ -22,9 +22,12 @@ pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
+/// Widths, in features, at which a pattern begins to fade and is gone.
+const FADE: [f32; 2] = [0.3, 1.1];
+
 /// How much of a pattern with features of size 1 is left when a pixel covers `width` of it.
 pub(super) fn fade(width: f32) -> f32 {
-    1.0 - smoothstep(0.3, 1.1, width)
+    1.0 - smoothstep(FADE[0], FADE[1], width)
 }
 
 /// Side of the table of lattice values; a power of two. Patterns repeat after this many periods, which octaves of
@@ -68,14 +71,14 @@ pub(super) fn value_noise(p: Vec3A) -> f32 {
 pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     let (mut sum, mut weight, mut frequency) = (0.5, 0.5, 1.0);
     for octave in 0..octaves {
-        let visible = fade(width * frequency);
+        let visible = if width * frequency < FADE[0] { 1.0 } else { fade(width * frequency) };
         if visible <= 0.0 {
             break;
         }
         // The offset keeps lattices of different octaves from lining up.
         sum += weight * visible * (value_noise(p * frequency + 17.3 * octave as f32) - 0.5);
         frequency *= 2.03;
-        weight *= 0.55;
+        weight *= 0.6;
     }
     sum
 }

@@ -19,7 +19,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
     let half_side = b.rng.range(18.0, 40.0);
     let (relief, hill) = (b.rng.range(1.0, 9.0), b.rng.range(8.0, 20.0));
     let offset = 100.0 * Vec2::new(b.rng.unit(), b.rng.unit());
-    let height = |p: Vec2| relief * (fbm(Vec3A::from(((p + offset) / hill).extend(0.0)), 5, 0.0) - 0.5) * 2.0;
+    let height = |p: Vec2| relief * (fbm(Vec3A::from(((p + offset) / hill).extend(0.0)), 4, 0.0) - 0.5) * 2.0;
     let field = Arc::new(HeightField::new(half_side, CELLS, height));
     b.palette.detail = b.rng.scale(0.8, 2.5);
     let (cover, plain) = (b.palette.terrain(&mut b.rng), b.draw(Role::Ground));
