@@ -6,4 +6,5 @@ mod images;
 mod poses;
 mod references;
 mod scene_files;
+mod scene_formats;
 mod weights;

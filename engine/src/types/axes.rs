@@ -1,17 +1,38 @@
-//! Between the engine's axes (x right, y down, z forward) and those of formats with y up (x right, y up, z backward,
-//! as SPZ, glTF cameras and OpenGL have them): half a turn about x, which is its own inverse. Standard deviations stay.
+//! Between the engine's axes (x right, y down, z forward) and those of formats with y up. Either way is half a turn, which
+//! is its own inverse: about x to x right, y up, z backward (SPZ, OpenGL); about z to x left, y up, z forward (glTF).
+//! Standard deviations stay as they are.
 
-/// A point or direction after the half turn.
-pub fn turned_point([x, y, z]: [f32; 3]) -> [f32; 3] {
-    [x, -y, -z]
+/// Half a turn about an axis.
+#[derive(Clone, Copy)]
+pub enum HalfTurn {
+    AboutX,
+    AboutZ,
 }
 
-/// A rotation `wxyz` after the half turn: both frames that it maps between turn.
-pub fn turned_quat([w, x, y, z]: [f32; 4]) -> [f32; 4] {
-    [w, x, -y, -z]
-}
+impl HalfTurn {
+    /// A point or direction after the turn.
+    pub fn point(self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+        match self {
+            Self::AboutX => [x, -y, -z],
+            Self::AboutZ => [-x, -y, z],
+        }
+    }
 
-/// What each coefficient of spherical harmonics up to degree 3 is multiplied with. Negating y negates the harmonics of
-/// negative order m, negating z those of odd l + m.
-pub const TURNED_SH: [f32; 16] =
-    [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
+    /// A rotation `wxyz` after both frames that it maps between have turned: its axis turns.
+    pub fn quat(self, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
+        let [x, y, z] = self.point([x, y, z]);
+        [w, x, y, z]
+    }
+
+    /// What coefficient `k` of real spherical harmonics is multiplied with. With `k = l (l + 1) + m`, negating y negates
+    /// harmonics of negative m, negating z those of odd l + m, and half a turn about z those of odd m.
+    pub fn sh(self, k: usize) -> f32 {
+        let l = k.isqrt();
+        let (order, negative) = (k.abs_diff(l * (l + 1)), k < l * (l + 1));
+        let negates = match self {
+            Self::AboutX => negative != ((l + order) % 2 == 1),
+            Self::AboutZ => order % 2 == 1,
+        };
+        if negates { -1.0 } else { 1.0 }
+    }
+}

@@ -3,6 +3,7 @@
 mod axes;
 mod camera;
 mod file;
+mod gltf;
 mod image;
 mod ply;
 pub mod poses;
@@ -10,12 +11,14 @@ pub mod preprocess;
 pub mod resample;
 mod scene;
 mod scene_file;
+mod sh_rotation;
 mod splat;
 mod spz;
 mod trajectory;
 
 pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
 pub use file::write_atomic;
+pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
 pub use ply::{read_ply, write_ply};
 pub use scene::Scene;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Scene, read_ply, read_splat, read_spz, write_ply, write_splat, write_spz};
+use super::{Scene, read_gltf, read_ply, read_splat, read_spz, write_gltf, write_ply, write_splat, write_spz};
 use crate::{Error, Result};
 
 /// What a scene file is.
@@ -16,6 +16,10 @@ pub enum SceneFormat {
     Spz,
     /// antimatter15's 32 bytes a Gaussian.
     Splat,
+    /// glTF 2.0 with KHR_gaussian_splatting, as JSON.
+    Gltf,
+    /// The same in one binary file.
+    Glb,
 }
 
 /// How a scene is written where its format leaves a choice.
@@ -33,7 +37,7 @@ impl Default for WriteOptions {
 
 impl SceneFormat {
     /// Extensions of the formats, for messages.
-    pub const EXTENSIONS: &str = ".ply, .spz or .splat";
+    pub const EXTENSIONS: &str = ".ply, .spz, .splat, .glb or .gltf";
 
     /// By the path's extension, in any case.
     pub fn of_extension(path: impl AsRef<Path>) -> Option<Self> {
@@ -41,12 +45,14 @@ impl SceneFormat {
             "ply" => Some(Self::Ply),
             "spz" => Some(Self::Spz),
             "splat" => Some(Self::Splat),
+            "gltf" => Some(Self::Gltf),
+            "glb" => Some(Self::Glb),
             _ => None,
         }
     }
 
-    /// By a file's first bytes, else by its extension; none where neither is a scene's. A `.splat` has no mark and goes by
-    /// its extension alone.
+    /// By a file's first bytes, else by its extension; none where neither is a scene's. A `.splat` and a `.gltf` have
+    /// no mark and go by their extension alone.
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read.
@@ -57,9 +63,10 @@ impl SceneFormat {
         let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
         read.map_err(|source| Error::io(path, source))?;
         Ok(match (by_extension, &start[..]) {
-            (Some(Self::Splat), _) => by_extension,
+            (Some(Self::Splat | Self::Gltf), _) => by_extension,
             (_, [b'p', b'l', b'y', ..]) => Some(Self::Ply),
             (_, [0x1f, 0x8b, ..] | b"NGSP") => Some(Self::Spz),
+            (_, b"glTF") => Some(Self::Glb),
             _ => by_extension,
         })
     }
@@ -81,6 +88,7 @@ pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
         Some(SceneFormat::Ply) => read_ply(path),
         Some(SceneFormat::Spz) => read_spz(path),
         Some(SceneFormat::Splat) => read_splat(path),
+        Some(SceneFormat::Gltf | SceneFormat::Glb) => read_gltf(path),
         None => Err(Error::format(path, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))),
     }
 }
@@ -97,6 +105,8 @@ pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions
         Some(SceneFormat::Ply) => write_ply(scene, path),
         Some(SceneFormat::Spz) => write_spz(scene, path, options.spz_version),
         Some(SceneFormat::Splat) => write_splat(scene, path),
+        Some(SceneFormat::Gltf) => write_gltf(scene, path, false),
+        Some(SceneFormat::Glb) => write_gltf(scene, path, true),
         None => Err(Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS)),
     }
 }

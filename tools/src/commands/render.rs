@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use zipsplat::{
     Result,
     stages::render::{Depth, Frame, RenderRequest, Renderer},
-    types::{Camera, Image, Scene, contact_sheet, read_ply, resample::resize_lanczos},
+    types::{Camera, Image, Scene, contact_sheet, read_scene, resample::resize_lanczos},
 };
 
 /// Longest side of a contact sheet: pictures are made smaller to fit.
@@ -35,7 +35,7 @@ const BATCH: usize = 8;
   zipsplat render scene.ply --cameras transforms.json --relative-to images/000.jpg --depth --alpha -o out/"
 )]
 pub struct Render {
-    /// Scene: a 3D Gaussian Splatting PLY
+    /// Scene: PLY, SPZ, .splat or glTF
     scene: PathBuf,
     /// Cameras to draw: transforms.json, or a COLMAP model's folder
     #[arg(long, value_name = "PATH")]
@@ -86,7 +86,7 @@ fn parse_color(text: &str) -> Result<[f32; 3], String> {
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         outputs::check_folder(&self.output)?;
-        let (scene, _) = session.stage("read scene", |_| read_ply(&self.scene))?;
+        let (scene, _) = session.stage("read scene", |_| read_scene(&self.scene))?;
         let cameras = self.cameras(session, &scene)?;
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;

@@ -2,10 +2,7 @@
 
 use std::f32::consts::FRAC_1_SQRT_2;
 
-use crate::types::{
-    Scene,
-    axes::{TURNED_SH, turned_point, turned_quat},
-};
+use crate::types::{Scene, axes::HalfTurn::AboutX};
 use crate::{Error, Result};
 
 /// Bits of a position's magnitude: 24 with the sign.
@@ -67,21 +64,21 @@ impl Layout {
         let k = scene.sh_coeffs_per_gaussian();
         let one = (1u32 << self.fractional_bits) as f32;
         let fixed = |value: f32| ((value * one).round() as i32).to_le_bytes().into_iter().take(3);
-        let positions = scene.means.iter().flat_map(|&mean| turned_point(mean)).flat_map(fixed);
+        let positions = scene.means.iter().flat_map(|&mean| AboutX.point(mean)).flat_map(fixed);
         write(&positions.collect::<Vec<u8>>())?;
         write(&scene.opacities.iter().map(|opacity| byte(255.0 * opacity)).collect::<Vec<u8>>())?;
         let colors = scene.sh_coeffs.iter().step_by(k).flatten();
         write(&colors.map(|dc| byte(255.0 * (COLOR_SCALE * dc + 0.5))).collect::<Vec<u8>>())?;
         let scales = scene.scales.iter().flatten();
         write(&scales.map(|scale| byte(LOG_SCALE_LEVELS * (scale.ln() - MIN_LOG_SCALE))).collect::<Vec<u8>>())?;
-        let rotations = scene.quats.iter().map(|&quat| normalised(turned_quat(quat)));
+        let rotations = scene.quats.iter().map(|&quat| normalised(AboutX.quat(quat)));
         if self.version == 2 {
             write(&rotations.flat_map(first_three).collect::<Vec<u8>>())?;
         } else {
             write(&rotations.flat_map(smallest_three).collect::<Vec<u8>>())?;
         }
         let rest = scene.sh_coeffs.iter().enumerate().filter(|(i, _)| i % k != 0);
-        let level = |(i, rgb): (usize, &[f32; 3])| rgb.map(|value| sh_level(TURNED_SH[i % k] * value, i % k));
+        let level = |(i, rgb): (usize, &[f32; 3])| rgb.map(|value| sh_level(AboutX.sh(i % k) * value, i % k));
         write(&rest.flat_map(level).collect::<Vec<u8>>())
     }
 
@@ -100,23 +97,24 @@ impl Layout {
         let fixed = |b: &[u8; 3]| (i32::from_le_bytes([0, b[0], b[1], b[2]]) >> 8) as f32 / one;
         let triples = |bytes| <[u8]>::as_chunks::<3>(bytes).0;
         let quats = if self.version == 2 {
-            triples(rotations).iter().map(from_first_three).map(turned_quat).collect()
+            triples(rotations).iter().map(from_first_three).map(|quat| AboutX.quat(quat)).collect()
         } else {
-            rotations.as_chunks().0.iter().map(from_smallest_three).map(turned_quat).collect()
+            rotations.as_chunks().0.iter().map(from_smallest_three).map(|quat| AboutX.quat(quat)).collect()
         };
         let mut sh_coeffs = Vec::with_capacity(count * (self.rest() + 1));
         for (i, color) in triples(colors).iter().enumerate() {
             sh_coeffs.push(color.map(|level| (f32::from(level) / 255.0 - 0.5) / COLOR_SCALE));
             let levels = &triples(sh)[i * self.rest()..][..self.rest()];
-            let coeff = |(level, sign): (&[u8; 3], &f32)| level.map(|level| sign * (f32::from(level) - 128.0) / 128.0);
-            sh_coeffs.extend(levels.iter().zip(&TURNED_SH[1..]).map(coeff));
+            let coeff =
+                |(k, rgb): (usize, &[u8; 3])| rgb.map(|level| AboutX.sh(k + 1) * (f32::from(level) - 128.0) / 128.0);
+            sh_coeffs.extend(levels.iter().enumerate().map(coeff));
         }
         Scene {
             means: triples(positions)
                 .as_chunks()
                 .0
                 .iter()
-                .map(|point| turned_point(point.each_ref().map(fixed)))
+                .map(|point| AboutX.point(point.each_ref().map(fixed)))
                 .collect(),
             scales: (triples(scales).iter())
                 .map(|levels| levels.map(|level| (f32::from(level) / LOG_SCALE_LEVELS + MIN_LOG_SCALE).exp()))
