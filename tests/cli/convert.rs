@@ -1,7 +1,9 @@
 //! `zipsplat convert`.
 
 use crate::Folder;
+use zipsplat::types::{read_scene, write_ply};
 use zipsplat::weights::Checkpoint;
+use zipsplat_tests::scenes;
 
 #[test]
 fn a_round_trip_keeps_every_value() {
@@ -25,4 +27,54 @@ fn json_tells_what_was_written() {
     let json = folder.run("convert @/micro.safetensors @/out.safetensors --dtype bf16 --json").json();
     assert_eq!(json["bytes"].as_u64(), Some(folder.path("out.safetensors").metadata().expect("a file").len()));
     assert_eq!((&json["dtype"], &json["architecture"]["width"]), (&"bf16".into(), &64.into()));
+}
+
+#[test]
+fn scenes_go_from_format_to_format() {
+    let folder = Folder::new();
+    let truth = scenes::random_scene(30, 1, 0.1);
+    write_ply(&truth, folder.path("a.ply")).expect("a scene can be written");
+    for (from, to, degree) in [
+        ("a.ply", "b.spz", 1),
+        ("b.spz", "c.glb", 1),
+        ("c.glb", "d.gltf", 1),
+        ("d.gltf", "e.splat", 0),
+        ("e.splat", "f.ply", 0),
+    ] {
+        let outcome = folder.run(&format!("convert @/{from} @/{to} --json"));
+        assert_eq!(outcome.err.contains("one colour"), to == "e.splat", "{}", outcome.err);
+        let json = outcome.json();
+        assert_eq!(json["bytes"].as_u64(), Some(folder.path(to).metadata().expect("a file").len()), "{to}");
+        let scene = read_scene(folder.path(to)).expect("a scene");
+        assert_eq!((scene.len(), scene.sh_degree), (30, degree), "{to}");
+        let info = folder.run(&format!("info @/{to} --json")).json();
+        assert_eq!((&info["gaussians"], &info["sh_degree"]), (&30.into(), &degree.into()));
+    }
+    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
+    folder.run("convert @/a.ply @/two.spz --spz-version 2").success();
+    assert!(bytes("two.spz").len() < bytes("b.spz").len());
+    let mut found = read_scene(folder.path("f.ply")).expect("a scene").means;
+    let mut means = truth.means;
+    found.sort_by(|a, b| a[2].total_cmp(&b[2]));
+    means.sort_by(|a, b| a[2].total_cmp(&b[2]));
+    let close = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).all(|c| (a[c] - b[c]).abs() < 1e-4);
+    assert!(found.iter().zip(&means).all(close));
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(3, 0, 0.1), folder.path("a.ply")).expect("a scene can be written");
+    let before = folder.names();
+    for (line, words) in [
+        ("@/a.ply @/b.safetensors", ["output of a scene", ".spz"]),
+        ("@/micro.safetensors @/b.ply", ["micro.safetensors", "no scene"]),
+        ("@/a.ply @/b.spz --dtype f16", ["--dtype", "scene"]),
+        ("@/a.ply @/b.ply --spz-version 3", ["--spz-version", "SPZ"]),
+        ("@/micro.safetensors @/b.safetensors --spz-version 3", ["--spz-version", "checkpoint"]),
+        ("@/absent.ply @/b.spz", ["absent.ply", "No such file"]),
+    ] {
+        folder.run(&format!("convert {line}")).fails(3, &words);
+    }
+    assert_eq!(folder.names(), before);
 }

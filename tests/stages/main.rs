@@ -6,5 +6,6 @@ mod images;
 mod poses;
 mod references;
 mod scene_files;
+mod scene_formats;
 mod trajectories;
 mod weights;

@@ -1,41 +1,80 @@
-//! `zipsplat convert`: checkpoints to safetensors.
+//! `zipsplat convert`: checkpoints to safetensors, scenes to other formats.
 
 use crate::{outputs, session::Session, table::bytes};
 use clap::Args;
 use indicatif::HumanCount;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
+    types::{SceneFormat, WriteOptions, read_scene, write_scene},
     weights::{Checkpoint, Dtype},
 };
 
-/// A checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
+/// A scene to another format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
+///
+/// A scene's format is read from its first bytes (of a .splat or .gltf, its name) and written as the output's name says. Cameras
+/// stay where they are: no format holds them, and a transforms.json beside the scene still fits after converting.
 #[derive(Args)]
 #[command(after_help = "Examples:
+  zipsplat convert scene.ply scene.spz
+  zipsplat convert scene.spz scene.glb
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
   zipsplat convert tensors.safetensors named.safetensors --variant vitb
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Checkpoint, or seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint, or seeded:VARIANT[:KEY]
     input: String,
     /// File to write
     output: PathBuf,
-    /// Numbers: f32, f16 or bf16
-    #[arg(long, value_name = "TYPE", default_value = "f32")]
-    dtype: String,
+    /// Numbers of a checkpoint: f32, f16 or bf16 [default: f32]
+    #[arg(long, value_name = "TYPE")]
+    dtype: Option<String>,
     /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
     #[arg(long, value_name = "V")]
     variant: Option<String>,
+    /// Version of an SPZ: 2 for older readers, or 3 [default: 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=3))]
+    spz_version: Option<u32>,
 }
 
 impl Convert {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let dtype: Dtype = self.dtype.parse()?;
         outputs::check_file(&self.output)?;
+        // What cannot be opened is no scene, which opening the checkpoint then complains about.
+        let input = SceneFormat::of_file(Path::new(&self.input)).unwrap_or(None);
+        match (SceneFormat::of_extension(&self.output), input) {
+            (Some(output), _) => self.scene(session, output),
+            (None, Some(_)) => {
+                Err(Error::argument("output of a scene", self.output.display(), SceneFormat::EXTENSIONS))
+            }
+            (None, None) => self.checkpoint(session),
+        }
+    }
+
+    fn scene(&self, session: &mut Session<'_>, output: SceneFormat) -> Result<()> {
+        Self::refuse("--dtype", self.dtype.is_some(), "none for a scene")?;
+        Self::refuse("--variant", self.variant.is_some(), "none for a scene")?;
+        Self::refuse("--spz-version", self.spz_version.is_some() && output != SceneFormat::Spz, "an SPZ as output")?;
+        let (scene, _) = session.stage("read scene", |_| read_scene(&self.input))?;
+        if scene.sh_degree > 0 && !output.keeps_view_dependence() {
+            session.note("a .splat keeps one colour a Gaussian: how it changes with the direction is left out");
+        }
+        let options = WriteOptions { spz_version: self.spz_version.unwrap_or(WriteOptions::default().spz_version) };
+        session.stage("write scene", |_| write_scene(&self.output, &scene, &options))?;
+        let written = self.written()?;
+        let json = json!({ "output": self.output, "gaussians": scene.len(), "bytes": written });
+        let text =
+            format!("{}: {} Gaussians, {}", self.output.display(), HumanCount(scene.len() as u64), bytes(written));
+        session.report(&json, text)
+    }
+
+    fn checkpoint(&self, session: &mut Session<'_>) -> Result<()> {
+        Self::refuse("--spz-version", self.spz_version.is_some(), "none for a checkpoint")?;
+        let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         let checkpoint = Checkpoint::parse(&self.input, self.variant.as_deref())?;
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
-        let written = self.output.metadata().map_err(|error| Error::io(&self.output, error))?.len();
+        let written = self.written()?;
         let architecture = checkpoint.architecture();
         let json = json!({
             "output": self.output, "architecture": architecture, "parameters": architecture.parameter_count(),
@@ -50,5 +89,14 @@ impl Convert {
             bytes(written)
         );
         session.report(&json, text)
+    }
+
+    /// Refuses an option that would have no effect.
+    fn refuse(option: &str, given: bool, expected: &str) -> Result<()> {
+        if given { Err(Error::argument(option, "a value", expected)) } else { Ok(()) }
+    }
+
+    fn written(&self) -> Result<u64> {
+        Ok(self.output.metadata().map_err(|error| Error::io(&self.output, error))?.len())
     }
 }

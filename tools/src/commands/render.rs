@@ -18,7 +18,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     stages::render::{Depth, Frame, RenderRequest, Renderer},
-    types::{Camera, Image, contact_sheet, read_ply, resample::resize_lanczos},
+    types::{Camera, Image, contact_sheet, read_scene, resample::resize_lanczos},
 };
 
 /// Longest side of a contact sheet: pictures are made smaller to fit.
@@ -43,7 +43,7 @@ const BATCH_PIXELS: u64 = 1 << 24;
   zipsplat render scene.ply --dolly --dolly-zoom -o - | ffplay -f rawvideo -pixel_format rgb24 -video_size 252x252 -"
 )]
 pub struct Render {
-    /// Scene: a 3D Gaussian Splatting PLY
+    /// Scene: PLY, SPZ, .splat or glTF
     scene: PathBuf,
     #[command(flatten)]
     path: CameraArgs,
@@ -95,7 +95,7 @@ fn parse_color(text: &str) -> Result<[f32; 3], String> {
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let mut sinks = self.sinks()?;
-        let (scene, _) = session.stage("read scene", |_| read_ply(&self.scene))?;
+        let (scene, _) = session.stage("read scene", |_| read_scene(&self.scene))?;
         let (cameras, notes) = self.path.cameras(&scene)?;
         notes.iter().for_each(|note| session.note(note));
         for (i, camera) in cameras.iter().enumerate() {

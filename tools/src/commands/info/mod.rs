@@ -10,16 +10,11 @@ use crate::{
 use clap::Args;
 use indicatif::HumanCount;
 use serde_json::json;
-use std::{
-    fmt::Write,
-    fs::File,
-    io::Read,
-    path::{Path, PathBuf},
-};
+use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
     gpu::list_devices,
-    types::{Scene, read_ply},
+    types::{Scene, SceneFormat, read_scene},
     weights::Checkpoint,
 };
 
@@ -31,7 +26,7 @@ use zipsplat::{
   zipsplat info scene.ply
   zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto")]
 pub struct Info {
-    /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY)
+    /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
     file: Option<String>,
     /// Show where every tensor of a reconstruction will lie; needs no device, but then assumes an ordinary one
     #[arg(long, requires = "views", conflicts_with = "file")]
@@ -54,7 +49,7 @@ pub struct Info {
 impl Info {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match (&self.file, self.views) {
-            (Some(file), _) if is_ply(Path::new(file))? => scene(session, file),
+            (Some(file), _) if is_scene(Path::new(file))? => scene(session, file),
             (Some(file), _) => checkpoint(session, &self.weights.open_as(file)?),
             (None, Some(views)) => plan::show(session, self, views),
             (None, None) => devices(session),
@@ -62,14 +57,12 @@ impl Info {
     }
 }
 
-/// PLY files say so in their first line. What cannot be opened is none, which [`Checkpoint::open`] then complains about.
-fn is_ply(path: &Path) -> Result<bool> {
-    let Ok(mut file) = File::open(path) else { return Ok(false) };
+/// What cannot be opened is none, which [`Checkpoint::open`] then complains about.
+fn is_scene(path: &Path) -> Result<bool> {
     if path.is_dir() {
         return Err(Error::argument("file", format!("the folder {}", path.display()), "a checkpoint or scene"));
     }
-    let mut magic = [0; 3];
-    Ok(file.read_exact(&mut magic).is_ok() && magic == *b"ply")
+    Ok(matches!(SceneFormat::of_file(path), Ok(Some(_))))
 }
 
 fn devices(session: &mut Session<'_>) -> Result<()> {
@@ -136,7 +129,7 @@ fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> 
 }
 
 fn scene(session: &mut Session<'_>, path: &str) -> Result<()> {
-    let (scene, _) = session.stage("read scene", |_| read_ply(PathBuf::from(path)))?;
+    let (scene, _) = session.stage("read scene", |_| read_scene(path))?;
     let bounds = bounds(&scene);
     let json = json!({ "path": path, "gaussians": scene.len(), "sh_degree": scene.sh_degree, "bounds": bounds });
     let mut text = format!(

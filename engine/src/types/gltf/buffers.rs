@@ -1,0 +1,156 @@
+//! The bytes of a glTF's buffers, and the numbers that accessors see in them.
+
+use std::borrow::Cow;
+use std::path::{Component, Path, PathBuf};
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+
+use super::{Document, Parsed, document::Buffer};
+use crate::{Error, Result};
+
+/// One byte slice a buffer.
+pub(super) struct Buffers<'a>(Vec<Cow<'a, [u8]>>);
+
+impl<'a> Buffers<'a> {
+    /// Bytes of all buffers.
+    pub(super) fn len(&self) -> usize {
+        self.0.iter().map(|buffer| buffer.len()).sum()
+    }
+
+    /// `binary` is the container's chunk, the content of a buffer without an address. Files are looked for beside `path`
+    /// and below, nowhere else.
+    pub(super) fn open(buffers: &[Buffer], binary: Option<&'a [u8]>, path: &Path) -> Result<Self> {
+        let fail = |i: usize, reason: String| Error::format(path, None, format!("buffer {i}: {reason}"));
+        let mut opened = Vec::new();
+        for (i, buffer) in buffers.iter().enumerate() {
+            let bytes = match (&buffer.uri, binary) {
+                (None, Some(binary)) if i == 0 => Cow::Borrowed(binary),
+                (None, _) => return Err(fail(i, "no address and no binary chunk".into())),
+                (Some(uri), _) if uri.starts_with("data:") => Cow::Owned(embedded(uri).map_err(|e| fail(i, e))?),
+                (Some(uri), _) => {
+                    let name = beside(uri).ok_or_else(|| {
+                        fail(i, format!("found the address {uri:?}, expected a file in the folder or base64 data"))
+                    })?;
+                    let file = path.parent().unwrap_or(Path::new("")).join(name);
+                    Cow::Owned(std::fs::read(&file).map_err(|source| Error::io(&file, source))?)
+                }
+            };
+            if bytes.len() < buffer.byte_length {
+                return Err(fail(
+                    i,
+                    format!("truncated: found {} bytes, expected {}", bytes.len(), buffer.byte_length),
+                ));
+            }
+            opened.push(bytes);
+        }
+        Ok(Self(opened))
+    }
+
+    /// The values of an accessor of `N` components, as floats. Lengths are checked before anything is allocated.
+    pub(super) fn values<const N: usize>(&self, document: &Document, index: usize) -> Parsed<Vec<[f32; N]>> {
+        let fail = |reason: String| format!("accessor {index}: {reason}");
+        let accessor = document.accessors.get(index).ok_or_else(|| fail("there is none".into()))?;
+        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1];
+        if accessor.shape != shape || accessor.sparse.is_some() {
+            let sparse = if accessor.sparse.is_some() { "sparse " } else { "" };
+            return Err(fail(format!("found {sparse}{}, expected {shape}, not sparse", accessor.shape)).into());
+        }
+        let scalar = Scalar::of(accessor.component_type).ok_or_else(|| {
+            fail(format!("found component type {}, expected 5120 to 5123 or 5126", accessor.component_type))
+        })?;
+        let view = accessor.buffer_view.and_then(|view| document.buffer_views.get(view));
+        let view = view.ok_or_else(|| fail("no such buffer view".into()))?;
+        let size = N * scalar.size();
+        let stride = view.byte_stride.unwrap_or(size);
+        let bytes = self.0.get(view.buffer).and_then(|buffer| buffer.get(view.byte_offset..)?.get(..view.byte_length));
+        let bytes = bytes.and_then(|bytes| bytes.get(accessor.byte_offset..)).unwrap_or_default();
+        let needed = accessor.count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
+        if stride < size || needed.is_none_or(|needed| needed > bytes.len()) {
+            let found = format!("{} values of {size} bytes every {stride}", accessor.count);
+            return Err(fail(format!("found {found}, expected what fits the {} bytes of its view", bytes.len())).into());
+        }
+        let value = |i: usize| {
+            let value = &bytes[i * stride..][..size];
+            std::array::from_fn(|c| scalar.read(&value[c * scalar.size()..], accessor.normalized))
+        };
+        Ok((0..accessor.count).map(value).collect())
+    }
+}
+
+/// The bytes of a `data:` address.
+fn embedded(uri: &str) -> std::result::Result<Vec<u8>, String> {
+    let (_, data) = uri.split_once(";base64,").ok_or("found a data address without base64")?;
+    STANDARD.decode(data).map_err(|error| format!("base64: {error}"))
+}
+
+/// A relative address as a path that does not leave the folder.
+fn beside(uri: &str) -> Option<PathBuf> {
+    let mut bytes = Vec::new();
+    let mut rest = uri.as_bytes();
+    while let [first, after @ ..] = rest {
+        let (byte, after) = match (first, after) {
+            (b'%', [a, b, after @ ..]) => (u8::from_str_radix(std::str::from_utf8(&[*a, *b]).ok()?, 16).ok()?, after),
+            _ => (*first, after),
+        };
+        bytes.push(byte);
+        rest = after;
+    }
+    let path = PathBuf::from(String::from_utf8(bytes).ok()?);
+    let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
+    (!uri.contains(':') && path.components().all(inside) && path.file_name().is_some()).then_some(path)
+}
+
+/// The component types that attributes of Gaussians may have.
+#[derive(Clone, Copy)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    F32,
+}
+
+impl Scalar {
+    fn of(code: u32) -> Option<Self> {
+        Some(match code {
+            5120 => Self::I8,
+            5121 => Self::U8,
+            5122 => Self::I16,
+            5123 => Self::U16,
+            5126 => Self::F32,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::F32 => 4,
+        }
+    }
+
+    /// What a normalised integer of 1 is; the lowest of a signed type is clamped to -1.
+    fn one(self) -> f32 {
+        match self {
+            Self::I8 => f32::from(i8::MAX),
+            Self::U8 => f32::from(u8::MAX),
+            Self::I16 => f32::from(i16::MAX),
+            Self::U16 => f32::from(u16::MAX),
+            Self::F32 => 1.0,
+        }
+    }
+
+    /// The value at the start of `bytes`, which are at least its size.
+    fn read(self, bytes: &[u8], normalized: bool) -> f32 {
+        let two = || [bytes[0], bytes[1]];
+        let value = match self {
+            Self::I8 => f32::from(bytes[0] as i8),
+            Self::U8 => f32::from(bytes[0]),
+            Self::I16 => f32::from(i16::from_le_bytes(two())),
+            Self::U16 => f32::from(u16::from_le_bytes(two())),
+            Self::F32 => return f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]),
+        };
+        if normalized { (value / self.one()).max(-1.0) } else { value }
+    }
+}

@@ -1,0 +1,172 @@
+//! glTF 2.0 with KHR_gaussian_splatting: a mesh primitive of points with an accessor an attribute, scales and opacities
+//! linear, as in the extension's release candidate. Axes: x left, y up, z forward; reading and writing turn positions,
+//! rotations and spherical harmonics.
+
+mod buffers;
+mod document;
+mod write;
+
+use std::path::Path;
+
+use glam::{DMat3, DMat4, DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::{Scene, axes::HalfTurn::AboutZ, sh_rotation::sh_rotation};
+use crate::{Error, Result};
+use buffers::Buffers;
+use document::{Document, Primitive, unpack};
+
+pub use write::write_gltf;
+
+/// The extension, and the prefix of its attributes.
+const EXTENSION: &str = "KHR_gaussian_splatting";
+/// How much the lengths of a node's axes may differ, and the axes lean, relatively.
+const SHEAR_TOLERANCE: f64 = 1e-4;
+
+/// What is wrong and where in the file, where that is known.
+struct Fault {
+    offset: Option<usize>,
+    reason: String,
+}
+
+impl From<String> for Fault {
+    fn from(reason: String) -> Self {
+        Self { offset: None, reason }
+    }
+}
+
+type Parsed<T> = std::result::Result<T, Fault>;
+
+/// Reads every Gaussian that the default scene of a `.gltf` or `.glb` shows, where the nodes put it. Buffers may be in the
+/// file, embedded as base64 or files in the folder beside it. The degree is the highest of all primitives.
+///
+/// # Errors
+/// [`Error::Io`] when a file cannot be read; [`Error::Format`] when it is damaged, shows no Gaussians, needs an extension
+/// that is not known (compressed Gaussians among them), or a node stretches its axes differently.
+pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
+    let path = path.as_ref();
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
+    let (json, binary) = unpack(&bytes).map_err(fail)?;
+    let document = Document::parse(json).map_err(fail)?;
+    let buffers = Buffers::open(&document.buffers, binary, path)?;
+    let mut parts = Vec::new();
+    let mut count = 0;
+    for (primitive, to_world) in document.primitives().map_err(fail)? {
+        let part =
+            read_primitive(&document, &buffers, primitive).and_then(|part| place(part, &to_world)).map_err(fail)?;
+        count += part.len();
+        // Nodes may share a mesh, and a small file could ask for any number.
+        if count > buffers.len() {
+            let reason =
+                format!("nodes show {count} Gaussians from {} bytes, expected fewer than bytes", buffers.len());
+            return Err(Error::format(path, None, reason));
+        }
+        parts.push(part);
+    }
+    if parts.is_empty() {
+        return Err(Error::format(path, None, format!("the default scene shows no primitive with {EXTENSION}")));
+    }
+    let scene = joined(parts);
+    scene.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
+    Ok(scene)
+}
+
+/// The Gaussians of a primitive in its own frame.
+fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive) -> Parsed<Scene> {
+    let attribute = |name: &str| {
+        let accessor = primitive.attributes.get(name);
+        accessor.copied().ok_or_else(|| Fault::from(format!("a primitive with {EXTENSION} lacks attribute {name}")))
+    };
+    let own = |name: &str| attribute(&format!("{EXTENSION}:{name}"));
+    let means = buffers.values::<3>(document, attribute("POSITION")?)?;
+    let count = means.len();
+    let checked = |name: &str, found: usize| match found == count {
+        true => Ok(()),
+        false => Err(Fault::from(format!("{name} has {found} values, expected {count} as POSITION has"))),
+    };
+    let quats = buffers.values::<4>(document, own("ROTATION")?)?;
+    let scales = buffers.values::<3>(document, own("SCALE")?)?;
+    let opacities = buffers.values::<1>(document, own("OPACITY")?)?;
+    checked("ROTATION", quats.len())?;
+    checked("SCALE", scales.len())?;
+    checked("OPACITY", opacities.len())?;
+    let has = |degree: &u32| primitive.attributes.contains_key(&format!("{EXTENSION}:SH_DEGREE_{degree}_COEF_0"));
+    let sh_degree = (1..=Scene::MAX_SH_DEGREE).rev().find(has).unwrap_or(0);
+    let k = (sh_degree as usize + 1).pow(2);
+    let mut columns = Vec::new();
+    for (degree, order) in (0..=sh_degree).flat_map(|degree| (0..=2 * degree).map(move |order| (degree, order))) {
+        let name = format!("SH_DEGREE_{degree}_COEF_{order}");
+        columns.push(buffers.values::<3>(document, own(&name)?)?);
+        checked(&name, columns[columns.len() - 1].len())?;
+    }
+    let mut sh_coeffs = vec![[0.0; 3]; count * k];
+    sh_coeffs.par_chunks_exact_mut(k).enumerate().for_each(|(i, row)| {
+        row.iter_mut().zip(&columns).for_each(|(coeff, column)| *coeff = column[i]);
+    });
+    let quats = quats.into_iter().map(|[x, y, z, w]| [w, x, y, z]).collect();
+    Ok(Scene { means, scales, quats, opacities: opacities.into_flattened(), sh_coeffs, sh_degree })
+}
+
+/// Moves Gaussians to the world and from there to the engine's axes.
+fn place(mut part: Scene, to_world: &DMat4) -> Parsed<Scene> {
+    if *to_world != DMat4::IDENTITY {
+        transform(&mut part, to_world)?;
+    }
+    let k = part.sh_coeffs_per_gaussian();
+    part.means.par_iter_mut().for_each(|mean| *mean = AboutZ.point(*mean));
+    part.quats.par_iter_mut().for_each(|quat| *quat = AboutZ.quat(*quat));
+    part.sh_coeffs.par_iter_mut().enumerate().for_each(|(i, rgb)| *rgb = rgb.map(|value| AboutZ.sh(i % k) * value));
+    Ok(part)
+}
+
+fn transform(part: &mut Scene, to_world: &DMat4) -> Parsed<()> {
+    let (scales, rotation, translation) = to_world.to_scale_rotation_translation();
+    let scale = scales.x;
+    let rigid = DMat4::from_scale_rotation_translation(DVec3::splat(scale), rotation, translation);
+    if !(scale > 0.0 && rigid.is_finite() && rigid.abs_diff_eq(*to_world, SHEAR_TOLERANCE * scale)) {
+        let reason =
+            format!("a node's transform is {to_world}, expected a rotation, one positive scale and a translation");
+        return Err(reason.into());
+    }
+    let matrix = sh_rotation(&DMat3::from_quat(rotation));
+    for mean in &mut part.means {
+        *mean = to_world.transform_point3(DVec3::from(mean.map(f64::from))).as_vec3().to_array();
+    }
+    part.scales.iter_mut().flatten().for_each(|value| *value = (f64::from(*value) * scale) as f32);
+    for quat in &mut part.quats {
+        let [w, x, y, z] = quat.map(f64::from);
+        let [x, y, z, w] = (rotation * DQuat::from_xyzw(x, y, z, w)).to_array();
+        *quat = [w, x, y, z].map(|value| value as f32);
+    }
+    let k = part.sh_coeffs_per_gaussian();
+    part.sh_coeffs.par_chunks_exact_mut(k).for_each(|coeffs| {
+        let before = coeffs.to_vec();
+        for (coeff, row) in coeffs.iter_mut().zip(&matrix) {
+            let sum = |c: usize| before.iter().zip(row).map(|(rgb, factor)| factor * f64::from(rgb[c])).sum::<f64>();
+            *coeff = std::array::from_fn(|c| sum(c) as f32);
+        }
+    });
+    Ok(())
+}
+
+/// One scene of all parts, of the highest degree among them.
+fn joined(mut parts: Vec<Scene>) -> Scene {
+    if parts.len() == 1 {
+        return parts.remove(0);
+    }
+    let sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
+    let mut scene = Scene { sh_degree, ..Scene::default() };
+    for part in parts {
+        let missing = scene.sh_coeffs_per_gaussian() - part.sh_coeffs_per_gaussian();
+        for coeffs in part.sh_coeffs.chunks_exact(part.sh_coeffs_per_gaussian()) {
+            scene.sh_coeffs.extend_from_slice(coeffs);
+            scene.sh_coeffs.extend(std::iter::repeat_n([0.0; 3], missing));
+        }
+        scene.means.extend(part.means);
+        scene.scales.extend(part.scales);
+        scene.quats.extend(part.quats);
+        scene.opacities.extend(part.opacities);
+    }
+    scene
+}

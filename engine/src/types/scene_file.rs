@@ -1,0 +1,112 @@
+//! Scene files of every format that is known.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::{Scene, read_gltf, read_ply, read_splat, read_spz, write_gltf, write_ply, write_splat, write_spz};
+use crate::{Error, Result};
+
+/// What a scene file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SceneFormat {
+    /// 3D Gaussian Splatting PLY.
+    Ply,
+    /// Niantic's SPZ.
+    Spz,
+    /// antimatter15's 32 bytes a Gaussian.
+    Splat,
+    /// glTF 2.0 with KHR_gaussian_splatting, as JSON.
+    Gltf,
+    /// The same in one binary file.
+    Glb,
+}
+
+/// How a scene is written where its format leaves a choice.
+#[derive(Clone, Copy, Debug)]
+pub struct WriteOptions {
+    /// Version of an SPZ: 3, or 2 for older readers.
+    pub spz_version: u32,
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self { spz_version: 3 }
+    }
+}
+
+impl SceneFormat {
+    /// Extensions of the formats, for messages.
+    pub const EXTENSIONS: &str = ".ply, .spz, .splat, .glb or .gltf";
+
+    /// By the path's extension, in any case.
+    pub fn of_extension(path: impl AsRef<Path>) -> Option<Self> {
+        match path.as_ref().extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "ply" => Some(Self::Ply),
+            "spz" => Some(Self::Spz),
+            "splat" => Some(Self::Splat),
+            "gltf" => Some(Self::Gltf),
+            "glb" => Some(Self::Glb),
+            _ => None,
+        }
+    }
+
+    /// By a file's first bytes, else by its extension; none where neither is a scene's. A `.splat` and a `.gltf` have
+    /// no mark and go by their extension alone.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read.
+    pub fn of_file(path: impl AsRef<Path>) -> Result<Option<Self>> {
+        let path = path.as_ref();
+        let by_extension = Self::of_extension(path);
+        let mut start = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+        read.map_err(|source| Error::io(path, source))?;
+        Ok(match (by_extension, &start[..]) {
+            (Some(Self::Splat | Self::Gltf), _) => by_extension,
+            (_, [b'p', b'l', b'y', ..]) => Some(Self::Ply),
+            (_, [0x1f, 0x8b, ..] | b"NGSP") => Some(Self::Spz),
+            (_, b"glTF") => Some(Self::Glb),
+            _ => by_extension,
+        })
+    }
+
+    /// Whether it keeps spherical harmonics above degree 0.
+    pub fn keeps_view_dependence(self) -> bool {
+        self != Self::Splat
+    }
+}
+
+/// Reads a scene of any format, told apart as [`SceneFormat::of_file`] does. Whatever axes the format has, the scene has
+/// x right, y down, z forward.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no scene or damaged.
+pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
+    let path = path.as_ref();
+    match SceneFormat::of_file(path)? {
+        Some(SceneFormat::Ply) => read_ply(path),
+        Some(SceneFormat::Spz) => read_spz(path),
+        Some(SceneFormat::Splat) => read_splat(path),
+        Some(SceneFormat::Gltf | SceneFormat::Glb) => read_gltf(path),
+        None => Err(Error::format(path, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))),
+    }
+}
+
+/// Writes a scene in the format of the path's extension; the file appears whole or not at all. Cameras are not part of
+/// any of the formats: [`write_transforms`](super::poses::write_transforms) keeps them beside the scene.
+///
+/// # Errors
+/// [`Error::Argument`] when the extension is no scene's, the scene is not valid or the format cannot hold it;
+/// [`Error::Io`] when the file cannot be written.
+pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
+    let path = path.as_ref();
+    match SceneFormat::of_extension(path) {
+        Some(SceneFormat::Ply) => write_ply(scene, path),
+        Some(SceneFormat::Spz) => write_spz(scene, path, options.spz_version),
+        Some(SceneFormat::Splat) => write_splat(scene, path),
+        Some(SceneFormat::Gltf) => write_gltf(scene, path, false),
+        Some(SceneFormat::Glb) => write_gltf(scene, path, true),
+        None => Err(Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS)),
+    }
+}

@@ -1,0 +1,78 @@
+//! The `.splat` layout of antimatter15's viewer: 32 bytes a Gaussian and nothing else. Mean 3 f32, standard deviations
+//! 3 f32, colour and opacity RGBA8, rotation wxyz 4 u8 about 128; axes as in PLY files. It keeps the colour that
+//! degree 0 gives, clamped to 0..1, and no view dependence.
+
+use std::f32::consts::FRAC_1_PI;
+use std::path::Path;
+
+use super::{Scene, file::write_atomic};
+use crate::{Error, Result};
+
+/// Bytes a Gaussian.
+const ROW: usize = 32;
+
+/// The harmonic of degree 0: `1 / (2 sqrt(pi))`.
+fn sh_constant() -> f32 {
+    0.5 * FRAC_1_PI.sqrt()
+}
+
+/// Writes a `.splat`, the largest and most opaque Gaussians first, as viewers show a part before all is loaded. The file
+/// appears whole or not at all.
+///
+/// # Errors
+/// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
+pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
+    scene.validate()?;
+    let importance = |i: usize| scene.scales[i].map(f64::from).iter().product::<f64>() * f64::from(scene.opacities[i]);
+    let mut order: Vec<usize> = (0..scene.len()).collect();
+    order.sort_by(|&a, &b| importance(b).total_cmp(&importance(a)));
+    write_atomic(path.as_ref(), |out| order.iter().try_for_each(|&i| out.write_all(&encode(scene, i))))
+}
+
+fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
+    // Casting saturates.
+    let level = |value: f32| (255.0 * value).round() as u8;
+    let [r, g, b] = scene.sh_coeffs[i * scene.sh_coeffs_per_gaussian()].map(|dc| level(0.5 + sh_constant() * dc));
+    let length = scene.quats[i].iter().map(|q| q * q).sum::<f32>().sqrt();
+    let rotation = scene.quats[i].map(|q| (128.0 * q / length + 128.0).round() as u8);
+    let mut row = [0; ROW];
+    row[..12].copy_from_slice(bytemuck::cast_slice(&scene.means[i].map(f32::to_le_bytes)));
+    row[12..24].copy_from_slice(bytemuck::cast_slice(&scene.scales[i].map(f32::to_le_bytes)));
+    row[24..28].copy_from_slice(&[r, g, b, level(scene.opacities[i])]);
+    row[28..].copy_from_slice(&rotation);
+    row
+}
+
+/// Reads a `.splat`, of degree 0. Quaternions keep the length they were rounded to.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no whole number of Gaussians or one of them
+/// has values that are not finite, a negative standard deviation or no rotation.
+pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
+    let path = path.as_ref();
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let (rows, rest) = bytes.as_chunks::<ROW>();
+    if !rest.is_empty() {
+        let reason = format!("{} bytes remain of a Gaussian, expected {ROW} for each", rest.len());
+        return Err(Error::format(path, Some((bytes.len() - rest.len()) as u64), reason));
+    }
+    let mut scene = Scene::default();
+    for (i, row) in rows.iter().enumerate() {
+        let floats: [f32; 6] =
+            std::array::from_fn(|j| f32::from_le_bytes(std::array::from_fn(|byte| row[4 * j + byte])));
+        let [x, y, z, sx, sy, sz] = floats;
+        let quat: [f32; 4] = std::array::from_fn(|j| (f32::from(row[28 + j]) - 128.0) / 128.0);
+        let (valid, turns) = (floats.iter().all(|value| value.is_finite()), quat != [0.0; 4]);
+        if !valid || !turns || [sx, sy, sz].iter().any(|&scale| scale < 0.0) {
+            let expected = "finite numbers, no negative scale and a rotation that is not 0";
+            let reason = format!("Gaussian {i}: found {floats:?} and rotation {quat:?}, expected {expected}");
+            return Err(Error::format(path, Some((ROW * i) as u64), reason));
+        }
+        scene.means.push([x, y, z]);
+        scene.scales.push([sx, sy, sz]);
+        scene.quats.push(quat);
+        scene.opacities.push(f32::from(row[27]) / 255.0);
+        scene.sh_coeffs.push(std::array::from_fn(|c| (f32::from(row[24 + c]) / 255.0 - 0.5) / sh_constant()));
+    }
+    Ok(scene)
+}

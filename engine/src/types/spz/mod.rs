@@ -1,0 +1,119 @@
+//! SPZ of Niantic, versions 2 and 3: a gzip stream of a 16-byte header and one section an attribute, a byte or a few for
+//! each value. Axes: x right, y up, z backward; reading and writing turn positions, rotations and spherical harmonics.
+
+mod codec;
+
+use std::io::{Read, Write};
+use std::path::Path;
+
+use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+
+use super::{Scene, file::write_atomic};
+use crate::{Error, Result};
+use codec::Layout;
+
+/// "NGSP" in the file, then the version, the count, and the bytes degree, fractional bits, flags and reserved.
+const MAGIC: u32 = 0x5053_474e;
+const HEADER: usize = 16;
+/// Flag of records that follow the attributes. They say nothing about how these are stored and are skipped.
+const HAS_EXTENSIONS: u8 = 2;
+/// Most records that are read over.
+const MAX_EXTENSIONS: u64 = 1 << 20;
+/// Deflate turns a byte into no more than this many.
+const MAX_INFLATION: u64 = 1032;
+
+/// Writes an SPZ of `version` 2 or 3; the file appears whole or not at all. Kept are positions to 2⁻¹⁷ of a unit, coarser
+/// only where the scene reaches beyond 128 units; scales from e⁻¹⁰ to e⁵·⁹ to 3.2 %; opacities to 1/510; coefficients of
+/// degree 0 in ±3.33 to 0.014, of degree 1 in ±1 to 9/256, of higher ones to 17/256; rotations by three bytes in
+/// version 2, to 0.0007 a component in version 3. What lies beyond these ranges is clamped.
+///
+/// # Errors
+/// [`Error::Argument`] when the scene is not valid, a position is beyond 2²³ or the version is another; [`Error::Io`]
+/// when the file cannot be written.
+pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
+    scene.validate()?;
+    if !matches!(version, 2 | 3) {
+        return Err(Error::argument("SPZ version", version, "2 or 3"));
+    }
+    let count = u32::try_from(scene.len())
+        .map_err(|_| Error::argument("scene", format!("{} Gaussians", scene.len()), "fewer than 2^32 in an SPZ"))?;
+    let layout = Layout { version, sh_degree: scene.sh_degree, fractional_bits: codec::fractional_bits(scene)? };
+    write_atomic(path.as_ref(), |out| {
+        let mut out = GzEncoder::new(out, Compression::default());
+        for word in [MAGIC, version, count] {
+            out.write_all(&word.to_le_bytes())?;
+        }
+        out.write_all(&[scene.sh_degree as u8, layout.fractional_bits as u8, 0, 0])?;
+        layout.encode(scene, |section| out.write_all(section))?;
+        out.finish().map(|_| ())
+    })
+}
+
+/// Reads an SPZ of version 2 or 3 with spherical harmonics of degree 0 to 3.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is damaged, truncated, of another version or
+/// degree, or longer than its header says. Offsets count bytes of the inflated stream.
+pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
+    let path = path.as_ref();
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let scene =
+        decode(&bytes).map_err(|Fault { offset, reason }| Error::format(path, offset.map(|at| at as u64), reason))?;
+    scene.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
+    Ok(scene)
+}
+
+/// What is wrong and where in the inflated stream.
+struct Fault {
+    offset: Option<usize>,
+    reason: String,
+}
+
+fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
+    let fault = |offset: usize, reason: String| Fault { offset: Some(offset), reason };
+    if bytes.starts_with(&MAGIC.to_le_bytes()) {
+        return Err(fault(0, "found an SPZ that is not a gzip stream (version 4), expected version 2 or 3".into()));
+    }
+    let mut stream = GzDecoder::new(bytes);
+    let gzip = |error: std::io::Error| Fault { offset: None, reason: format!("gzip: {error}") };
+    let mut header = [0; HEADER];
+    stream.read_exact(&mut header).map_err(gzip)?;
+    let word = |i: usize| u32::from_le_bytes(std::array::from_fn(|byte| header[4 * i + byte]));
+    let [sh_degree, fractional_bits, flags] = [header[12], header[13], header[14]];
+    if word(0) != MAGIC {
+        return Err(fault(0, format!("found magic {:#010x}, expected {MAGIC:#010x} (\"NGSP\")", word(0))));
+    }
+    if !matches!(word(1), 2 | 3) {
+        return Err(fault(4, format!("found version {}, expected 2 or 3", word(1))));
+    }
+    if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
+        return Err(fault(12, format!("found degree {sh_degree}, expected 0 to {}", Scene::MAX_SH_DEGREE)));
+    }
+    if u32::from(fractional_bits) > codec::POSITION_BITS {
+        return Err(fault(
+            13,
+            format!("found {fractional_bits} fractional bits, expected 0 to {}", codec::POSITION_BITS),
+        ));
+    }
+    let layout = Layout { version: word(1), sh_degree: sh_degree.into(), fractional_bits: fractional_bits.into() };
+    let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
+    // Before anything is allocated by the count.
+    if expected > MAX_INFLATION * bytes.len() as u64 {
+        let reason = format!("found {} Gaussians, which take more than {} bytes can inflate to", word(2), bytes.len());
+        return Err(fault(8, reason));
+    }
+    let mut body = Vec::with_capacity(expected as usize);
+    stream.by_ref().take(expected).read_to_end(&mut body).map_err(gzip)?;
+    if body.len() as u64 != expected {
+        let reason = format!("truncated: {} Gaussians take {expected} bytes, found {}", word(2), body.len());
+        return Err(fault(HEADER + body.len(), reason));
+    }
+    // To the end, where the checksum is.
+    let most = if flags & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
+    let rest = std::io::copy(&mut stream.take(most + 1), &mut std::io::sink()).map_err(gzip)?;
+    if rest > most {
+        let reason = format!("found more than {most} bytes after {} Gaussians, expected the end", word(2));
+        return Err(fault(HEADER + body.len(), reason));
+    }
+    Ok(layout.decode(&body, word(2) as usize))
+}

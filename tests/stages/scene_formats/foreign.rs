@@ -1,0 +1,69 @@
+//! Files that other programs wrote from `gaussians_deg2.ply`.
+
+use super::{assert_rotations, assert_within, coefficient};
+use glam::DMat3;
+use zipsplat::types::{Scene, matrix_from_quaternion, read_ply, read_scene};
+use zipsplat_tests::golden;
+
+/// What the file holds, and what it was made from.
+fn pair(name: &str) -> (Scene, Scene) {
+    let read = |name: &str| golden::find(name).unwrap();
+    (read_scene(read(name)).unwrap(), read_ply(read("gaussians_deg2.ply")).unwrap())
+}
+
+#[test]
+fn spz() {
+    for (version, rotation) in [(2, 4.0 * 3f64.sqrt() / 255.0), (3, 0.01)] {
+        let (found, truth) = pair(&format!("scenes/v{version}.spz"));
+        assert_eq!((found.len(), found.sh_degree), (7, 2));
+        // Both wrote 12 fractional bits.
+        assert_within("mean", found.means.as_flattened(), truth.means.as_flattened(), |_| 0.501 / 4096.0);
+        let scales: Vec<f32> = truth.scales.iter().flatten().map(|scale| scale.max((-10f32).exp())).collect();
+        let step = (1.001 / 32.0f32).exp() - 1.0;
+        assert_within("scale", found.scales.as_flattened(), &scales, |truth| step * truth);
+        assert_within("opacity", &found.opacities, &truth.opacities, |_| 1.001 / 510.0);
+        assert_within("colour", &coefficient(&found, 0), &coefficient(&truth, 0), |_| 1.001 / (510.0 * 0.15));
+        assert_rotations(&found.quats, &truth.quats, rotation);
+        for k in 1..9 {
+            // One of the writers rounds down to a bucket. On our axes the end of the range may be either one.
+            let levels = if k < 4 { 8.5 } else { 16.5 };
+            let clamped: Vec<f32> = coefficient(&truth, k).iter().map(|value| value.clamp(-1.0, 1.0)).collect();
+            assert_within(&format!("sh {k}"), &coefficient(&found, k), &clamped, |_| levels / 128.0);
+        }
+    }
+}
+
+#[test]
+fn splat() {
+    let (found, truth) = pair("scenes/scene.splat");
+    assert_eq!((&found.means, found.sh_degree), (&truth.means, 0));
+    assert_within("scale", found.scales.as_flattened(), truth.scales.as_flattened(), |truth| 1e-6 * truth);
+    // This writer truncates.
+    assert_within("opacity", &found.opacities, &truth.opacities, |_| 1.001 / 255.0);
+    assert_rotations(&found.quats, &truth.quats, 4.0 / 128.0);
+    let colour = |dc: &f32| (0.5 + 0.282_094_8 * dc).clamp(0.0, 1.0);
+    let colours = |scene: &Scene| coefficient(scene, 0).iter().map(colour).collect::<Vec<f32>>();
+    assert_within("colour", &colours(&found), &colours(&truth), |_| 1.001 / 255.0);
+}
+
+#[test]
+fn glb() {
+    let (found, truth) = pair("scenes/scene.glb");
+    assert_eq!((&found.means, &found.sh_coeffs, found.sh_degree), (&truth.means, &truth.sh_coeffs, 2));
+    assert_within("scale", found.scales.as_flattened(), truth.scales.as_flattened(), |truth| 1e-6 * truth);
+    assert_within("opacity", &found.opacities, &truth.opacities, |_| 1e-6);
+    // This writer turns the world about a Gaussian's axes, ours the axes too: the same Gaussians.
+    let (found, truth) = (covariances(&found), covariances(&truth));
+    assert!(
+        found.iter().zip(&truth).all(|(found, truth)| found.abs_diff_eq(*truth, 1e-6 * (1.0 + truth.x_axis.length())))
+    );
+}
+
+/// `R S Sᵀ Rᵀ`: what a Gaussian is, whichever way its axes are named.
+fn covariances(scene: &Scene) -> Vec<DMat3> {
+    let covariance = |(quat, scales): (&[f32; 4], &[f32; 3])| {
+        let rotation = matrix_from_quaternion(quat.map(f64::from));
+        rotation * DMat3::from_diagonal(scales.map(|scale| f64::from(scale).powi(2)).into()) * rotation.transpose()
+    };
+    scene.quats.iter().zip(&scene.scales).map(covariance).collect()
+}
