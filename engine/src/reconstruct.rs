@@ -1,66 +1,23 @@
-//! Photos to a scene: one line a stage.
+//! Photos to a scene: a model on a device, and what a reconstruction is asked for and gives.
+
+mod network;
+mod request;
+
+pub use network::{Network, Tensors};
+pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
 use crate::{
     Error, Result,
-    gpu::{Device, Limits, Plan, Progress, Recorder, Resident, Run, StageTimes, Tensor},
-    ops::ParameterLayout,
+    gpu::{Device, Plan, Progress, Recorder, Resident, Run, StageTimes},
     stages::{
-        ViewGrid,
-        backbone::{Backbone, BackboneInputs, POSE_VALUES, interpolate_positions, rotary_tables},
-        cluster::{self, auto_ratio, cluster_count, even_indices, random_indices},
-        fuse::Fuse,
-        gaussians::{GaussianTensors, Gaussians},
+        backbone::{POSE_VALUES, interpolate_positions, rotary_tables},
+        cluster::{even_indices, random_indices},
     },
-    types::{Camera, Image, Scene, prior_encoding},
+    types::{Image, Scene, prior_encoding},
     weights::{Architecture, Checkpoint},
 };
+use request::check_cameras;
 use std::{ops::ControlFlow, sync::Arc};
-
-/// Most views of one reconstruction.
-pub const MAX_VIEWS: usize = 192;
-
-/// Most patches of all views: what kernels count of each fits 32 bits.
-pub const MAX_PATCHES: usize = 1 << 20;
-
-/// Share of the tokens that are kept.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Ratio {
-    /// A number in (0, 1]; at 1 every token is kept and nothing is clustered.
-    Fixed(f64),
-    /// 0.5 sqrt(2 / views), the paper's.
-    Auto,
-}
-
-/// How the kept tokens are chosen.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Selection {
-    /// The nearest token of each centroid of k-means.
-    Kmeans,
-    /// Evenly spread.
-    Stride,
-    /// Random ones, the same for the same seed.
-    Random(u64),
-    /// These.
-    Given(Vec<u32>),
-}
-
-/// What to reconstruct.
-#[derive(Clone, Debug)]
-pub struct Request {
-    /// Share of tokens kept.
-    pub ratio: Ratio,
-    /// How they are chosen.
-    pub selection: Selection,
-    /// Known cameras of all views, of the images' own size, or none.
-    pub cameras: Option<Vec<Camera>>,
-}
-
-impl Default for Request {
-    /// Every token, no cameras.
-    fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::Kmeans, cameras: None }
-    }
-}
 
 /// A scene and how it came about.
 #[derive(Clone, Debug)]
@@ -73,120 +30,6 @@ pub struct Reconstruction {
     pub times: StageTimes,
     /// Bytes of the arena and of the weights.
     pub peak_bytes: u64,
-}
-
-/// A network's parameters, laid out for a device.
-pub struct Network {
-    architecture: Architecture,
-    parameters: ParameterLayout,
-    backbone: Backbone,
-    fuse: Fuse,
-    gaussians: Gaussians,
-}
-
-/// Everything that decides a plan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
-    /// Views and their patches.
-    pub grid: ViewGrid,
-    /// Tokens kept; all where equal to the grid's.
-    pub tokens: usize,
-    /// Whether they are found by k-means, not given.
-    pub kmeans: bool,
-    /// Whether cameras are given.
-    pub cameras: bool,
-}
-
-/// The tensors that go in and out of a plan.
-#[derive(Clone, Copy, Debug)]
-pub struct Tensors {
-    inputs: BackboneInputs,
-    /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
-    indices: Option<Tensor>,
-    scene: GaussianTensors,
-}
-
-impl Shape {
-    /// The shape of a reconstruction from `views` pictures of `[width, height]` pixels; needs no device.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for whatever cannot be used.
-    pub fn new(
-        architecture: &Architecture,
-        views: usize,
-        [width, height]: [u32; 2],
-        chosen: (Ratio, &Selection),
-        cameras: bool,
-    ) -> Result<Self> {
-        let grid = grid(architecture.patch, views, width as usize, height as usize)?;
-        let all = grid.tokens();
-        let tokens = match chosen {
-            (_, Selection::Given(indices)) => {
-                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
-                    let found = format!("{} indices", indices.len());
-                    return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
-                }
-                indices.len()
-            }
-            (wanted, _) => cluster_count(all, ratio(wanted, views)?),
-        };
-        Ok(Self { grid, tokens, kmeans: *chosen.1 == Selection::Kmeans, cameras })
-    }
-}
-
-impl Network {
-    /// Lays out a network; needs no device.
-    pub fn new(architecture: &Architecture, limits: &Limits) -> Self {
-        let mut parameters = ParameterLayout::new(limits);
-        Self {
-            backbone: Backbone::new(&mut parameters, architecture),
-            fuse: Fuse::new(&mut parameters, architecture),
-            gaussians: Gaussians::new(&mut parameters, architecture),
-            architecture: architecture.clone(),
-            parameters,
-        }
-    }
-
-    /// Bytes of the weights on the device.
-    pub fn weight_bytes(&self) -> u64 {
-        self.parameters.bytes()
-    }
-
-    /// Records the whole forward pass.
-    pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
-        let Shape { grid, tokens, .. } = shape;
-        let inputs = self.inputs(rec, shape);
-        let reduced = tokens < grid.tokens();
-        let indices = reduced.then(|| rec.input::<u32>("indices", tokens));
-
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, grid));
-        let chosen = rec.scope("cluster", |rec| match indices {
-            Some(initial) if shape.kmeans => {
-                Some(cluster::record(rec, layers[0], initial, grid.tokens(), tokens, self.architecture.width))
-            }
-            given => given,
-        });
-        let chosen = chosen.map(|indices| (indices, tokens));
-        let scene = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
-        let scene = rec.scope("gaussians", |rec| self.gaussians.record(rec, scene, inputs.images, grid, chosen));
-
-        for tensor in [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs] {
-            rec.output(tensor);
-        }
-        Tensors { inputs, indices, scene }
-    }
-
-    fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {
-        let (a, grid) = (&self.architecture, shape.grid);
-        let tokens = 1 + grid.patches();
-        let rotary = ["local", "global"].map(|kind| rec.input::<f32>(&format!("rotary_{kind}"), tokens * a.head_dim()));
-        BackboneInputs {
-            images: rec.input::<f32>("images", grid.values()),
-            positions: rec.input::<f32>("positions", tokens * a.width),
-            rotary,
-            poses: shape.cameras.then(|| rec.input::<[f32; POSE_VALUES]>("poses", grid.views)),
-        }
-    }
 }
 
 /// A network with its weights on a device.
@@ -326,62 +169,6 @@ impl Model {
         }
         Ok(())
     }
-}
-
-impl Tensors {
-    /// Reads the scene after a run.
-    ///
-    /// # Errors
-    /// Where a transfer fails.
-    pub fn read(&self, run: &Run, sh_degree: u32) -> Result<Scene> {
-        Ok(Scene {
-            means: run.read(self.scene.means)?,
-            scales: run.read(self.scene.scales)?,
-            quats: run.read(self.scene.quats)?,
-            opacities: run.read(self.scene.opacities)?,
-            sh_coeffs: run.read(self.scene.sh_coeffs)?,
-            sh_degree,
-        })
-    }
-}
-
-fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
-    if !(1..=MAX_VIEWS).contains(&views) {
-        return Err(Error::argument("views", views, format!("1 to {MAX_VIEWS}")));
-    }
-    let fail = |expected| Err(Error::argument("size of the views", format!("{width} x {height}"), expected));
-    if width == 0 || height == 0 || !width.is_multiple_of(patch) || !height.is_multiple_of(patch) {
-        return fail(format!("multiples of {patch}"));
-    }
-    let grid = ViewGrid { views, rows: height / patch, columns: width / patch, patch };
-    if grid.tokens() > MAX_PATCHES {
-        return fail(format!("at most {MAX_PATCHES} patches of {patch} x {patch} in {views} views"));
-    }
-    Ok(grid)
-}
-
-/// A ratio as a number.
-fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
-    match ratio {
-        Ratio::Auto => Ok(auto_ratio(views)),
-        Ratio::Fixed(r) if r > 0.0 && r <= 1.0 => Ok(r),
-        Ratio::Fixed(r) => Err(Error::argument("ratio", r, "a number in (0, 1], or auto")),
-    }
-}
-
-fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
-    if cameras.len() != images.len() {
-        return Err(Error::argument("cameras", cameras.len(), format!("{}, one a view", images.len())));
-    }
-    for (i, (camera, image)) in cameras.iter().zip(images).enumerate() {
-        camera.validate(&format!("camera of view {i}"))?;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        if size != (image.width, image.height) {
-            let expected = format!("{} x {}, as the image", image.width, image.height);
-            return Err(Error::argument(format!("size of camera {i}"), format!("{} x {}", size.0, size.1), expected));
-        }
-    }
-    Ok(())
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.

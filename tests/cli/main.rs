@@ -7,6 +7,7 @@ mod info;
 mod measure;
 mod reconstruct;
 mod render;
+mod trajectories;
 
 use std::{
     ffi::OsString,
@@ -61,11 +62,16 @@ fn zipsplat(line: &str) -> Outcome {
 }
 
 fn command(line: &str, cancelled: &AtomicBool) -> Outcome {
+    let (code, out, err) = raw_command(line, cancelled);
+    Outcome { code, out: String::from_utf8(out).expect("results are text"), err }
+}
+
+/// As [`command`], with standard output as bytes: exit code, output and errors.
+fn raw_command(line: &str, cancelled: &AtomicBool) -> (u8, Vec<u8>, String) {
     let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
     let (mut out, mut err) = (Vec::new(), Vec::new());
     let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled });
-    let text = |bytes| String::from_utf8(bytes).expect("commands print text");
-    Outcome { code, out: text(out), err: text(err) }
+    (code, out, String::from_utf8(err).expect("errors are text"))
 }
 
 /// A folder with two photos (`photos/1.png`, `photos/10.png`), a small network's weights and nothing else.

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use zipsplat::Error;
 use zipsplat::gpu::{ArenaRow, Limits, Recorder, Run, Tensor};
 use zipsplat::kernels::ops::Add;
-use zipsplat::reconstruct::{Network, Shape};
+use zipsplat::reconstruct::{Kept, Network, Shape};
 use zipsplat::stages::ViewGrid;
 use zipsplat_tests::{architectures, compare::assert_same, device::device};
 
@@ -145,7 +145,7 @@ fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, 
     if observe {
         rec = rec.observing();
     }
-    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kmeans: true, cameras: true });
+    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kept: Kept::Kmeans, cameras: true });
     let plan = rec.finish().unwrap();
     (plan.arena_map(), plan.arena_bytes())
 }

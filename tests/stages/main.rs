@@ -6,4 +6,5 @@ mod images;
 mod poses;
 mod references;
 mod scene_files;
+mod trajectories;
 mod weights;

@@ -266,7 +266,6 @@ fn forward_tiny_eps() {
 }
 
 #[test]
-#[ignore = "20 CPU seconds: ViT-S at 252 x 252 in f64"]
 fn forward_small() {
     forward_passes("small", &["small.v2"]);
 }

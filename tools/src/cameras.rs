@@ -1,12 +1,13 @@
 //! Cameras: of photos from pose files, and along paths around a scene.
 
 use crate::options::Size;
-use std::path::Path;
+use clap::{ArgGroup, Args};
+use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Intrinsics, Orbit, Pose, Scene,
-        poses::{Poses, read_poses},
+        Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline,
+        poses::{Poses, read_cameras},
         preprocess::{View, crop_to_aspect},
     },
 };
@@ -25,19 +26,121 @@ pub fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     cameras.iter().zip(views).map(of_view).collect()
 }
 
-/// Every camera of a pose file, where asked with the camera of the photo `origin` as the world and cropped to `size`.
-/// Also what the file's reader has to say.
-pub fn of_file(path: &Path, origin: Option<&Path>, size: Option<Size>) -> Result<(Vec<Camera>, Vec<String>)> {
-    let poses = read_poses(path)?;
-    if poses.frames.is_empty() {
-        return Err(Error::argument(format!("cameras of {}", path.display()), 0, "at least one"));
+/// Size of pictures whose cameras have none.
+const SIZE: Size = Size(252, 252);
+
+/// Cameras to draw with.
+#[derive(Args)]
+#[command(
+    group(ArgGroup::new("path").required(true).args(["cameras", "spline", "ellipse", "dolly", "orbit", "wiggle"]))
+)]
+pub struct CameraArgs {
+    /// The cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json, or JSON with a list
+    /// of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects with matrix or viewmat and fx, fy, cx,
+    /// cy, width, height
+    #[arg(long, value_name = "PATH")]
+    cameras: Option<PathBuf>,
+    /// A smooth path through the cameras of a file, as of --cameras
+    #[arg(long, value_name = "PATH")]
+    spline: Option<PathBuf>,
+    /// Once around on an ellipse fitted to the cameras of a file, as of --cameras
+    #[arg(long, value_name = "PATH")]
+    ellipse: Option<PathBuf>,
+    /// From the first view's camera, the world's origin, straight toward the scene
+    #[arg(long)]
+    dolly: bool,
+    /// Once around the scene
+    #[arg(long)]
+    orbit: bool,
+    /// A small figure of eight in front of the scene
+    #[arg(long)]
+    wiggle: bool,
+    /// Lead --spline back to its first camera
+    // Conflicts: an option that requires one of several paths is let through with another.
+    #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
+    closed: bool,
+    /// Share of the way to the scene's centre that --dolly goes; below 0: away from it
+    #[arg(long, value_name = "SHARE", default_value = "0.5", allow_negative_numbers = true,
+        conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
+    travel: f64,
+    /// Let the lens of --dolly keep the size of what is at the scene's centre
+    #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
+    dolly_zoom: bool,
+    /// Photo whose camera is the scene's world: the first that was given to reconstruct [default: the file's own world]
+    #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
+    relative_to: Option<PathBuf>,
+    /// Pictures of a path
+    #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),
+        conflicts_with = "cameras")]
+    frames: u32,
+    /// Size of the pictures [default: the cameras' own, of --spline and --ellipse the first one's, else 252x252]
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Horizontal field of view in degrees, where no file says it
+    #[arg(long, value_name = "DEG", default_value = "60")]
+    fov: f64,
+}
+
+impl CameraArgs {
+    /// The cameras for a scene, and what the file's reader has to say.
+    pub fn cameras(&self, scene: &Scene) -> Result<(Vec<Camera>, Vec<String>)> {
+        let frames = self.frames as usize;
+        let lens = self.lens()?;
+        let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
+        let path = if self.orbit {
+            // The last of one more is the first again.
+            with_lens(Orbit::around(scene)?.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
+        } else if self.wiggle {
+            let poses = Orbit::around(scene)?.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION);
+            with_lens(poses[..frames].to_vec())
+        } else if self.dolly {
+            let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
+            let distance = Orbit::around(scene)?.center.z;
+            let dolly = Dolly { camera, distance, travel: self.travel, zoom: self.dolly_zoom };
+            dolly.validate()?;
+            dolly.sample(frames)
+        } else if let Some(file) = &self.spline {
+            let (cameras, notes) = self.of_file(file, &lens, true)?;
+            return Ok((Spline::through(&cameras, self.closed)?.sample(frames), notes));
+        } else if let Some(file) = &self.ellipse {
+            let (cameras, notes) = self.of_file(file, &lens, true)?;
+            let poses = Ellipse::around(&cameras, Orbit::around(scene)?.center)?.sample(frames);
+            let intrinsics = cameras[0].intrinsics;
+            return Ok((poses.into_iter().map(|pose| Camera { intrinsics, pose }).collect(), notes));
+        } else {
+            let file = self.cameras.as_deref().unwrap_or(Path::new(""));
+            return self.of_file(file, &lens, false);
+        };
+        Ok((path, Vec::new()))
     }
-    let origin = origin.map(|photo| origin_pose(&poses, photo)).transpose()?;
-    let camera = |camera: Camera| Camera {
-        intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
-        pose: origin.map_or(camera.pose, |origin| camera.pose.relative_to(&origin)),
-    };
-    Ok((poses.frames.iter().map(|frame| camera(frame.camera)).collect(), poses.notes))
+
+    /// Square pixels, and the horizontal field of view.
+    fn lens(&self) -> Result<Intrinsics> {
+        if !(self.fov > 0.0 && self.fov < 180.0) {
+            return Err(Error::argument("field of view", self.fov, "degrees between 0 and 180"));
+        }
+        let Size(width, height) = self.size.unwrap_or(SIZE);
+        let hfov = self.fov.to_radians();
+        let vfov = 2.0 * ((hfov / 2.0).tan() * f64::from(height) / f64::from(width)).atan();
+        Ok(Intrinsics::from_fov(width, height, hfov, vfov))
+    }
+
+    /// Every camera of a file, where asked with the camera of a photo as the world and cropped to a size; if `alike`, all
+    /// to the first one's.
+    fn of_file(&self, path: &Path, lens: &Intrinsics, alike: bool) -> Result<(Vec<Camera>, Vec<String>)> {
+        let poses = read_cameras(path, lens)?;
+        let Some(first) = poses.frames.first() else {
+            return Err(Error::argument(format!("cameras of {}", path.display()), 0, "at least one"));
+        };
+        let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
+        let size = self.size.or(alike.then_some(own));
+        let origin = self.relative_to.as_deref().map(|photo| origin_pose(&poses, photo)).transpose()?;
+        let camera = |camera: Camera| Camera {
+            intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
+            pose: origin.map_or(camera.pose, |origin| camera.pose.relative_to(&origin)),
+        };
+        Ok((poses.frames.iter().map(|frame| camera(frame.camera)).collect(), poses.notes))
+    }
 }
 
 fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {
@@ -49,37 +152,4 @@ fn cropped(intrinsics: &Intrinsics, Size(width, height): Size) -> Intrinsics {
     let aspect = f64::from(width) / f64::from(height.max(1));
     let rect = crop_to_aspect(intrinsics.width, intrinsics.height, aspect);
     intrinsics.crop(rect.left as i32, rect.top as i32, rect.width, rect.height).resized(width, height)
-}
-
-/// A closed path around a scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CameraPath {
-    /// Once around.
-    Orbit,
-    /// A figure of eight in front.
-    Wiggle,
-}
-
-/// `frames` cameras along a path, with a horizontal field of view of `fov` degrees and square pixels.
-pub fn along(
-    path: CameraPath,
-    scene: &Scene,
-    frames: usize,
-    Size(width, height): Size,
-    fov: f64,
-) -> Result<Vec<Camera>> {
-    if !(fov > 0.0 && fov < 180.0) {
-        return Err(Error::argument("field of view", fov, "degrees between 0 and 180"));
-    }
-    let orbit = Orbit::around(scene)?;
-    // The last of one more is the first again.
-    let mut poses = match path {
-        CameraPath::Orbit => orbit.sweep(frames + 1, 0.0, 360.0, 0.0),
-        CameraPath::Wiggle => orbit.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION),
-    };
-    poses.truncate(frames);
-    let hfov = fov.to_radians();
-    let vfov = 2.0 * ((hfov / 2.0).tan() * f64::from(height) / f64::from(width)).atan();
-    let intrinsics = Intrinsics::from_fov(width, height, hfov, vfov);
-    Ok(poses.into_iter().map(|pose| Camera { intrinsics, pose }).collect())
 }

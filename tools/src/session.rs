@@ -27,6 +27,8 @@ const STEPS: u64 = 1000;
 pub struct Session<'a> {
     global: Global,
     terminal: Terminal<'a>,
+    /// Standard output carries a command's data: its result then goes to standard error.
+    piped: bool,
 }
 
 /// A part of a command that may take long.
@@ -37,7 +39,7 @@ pub struct Stage<'a> {
 
 impl<'a> Session<'a> {
     pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
-        Self { global, terminal }
+        Self { global, terminal, piped: false }
     }
 
     /// Opens the device that `--device` names, or the best one.
@@ -85,14 +87,24 @@ impl<'a> Session<'a> {
 
     /// Prints a command's result: `value` with `--json`, else `text` unless `--quiet`.
     pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
+        let (out, name) = match self.piped {
+            true => (&mut *self.terminal.err, "standard error"),
+            false => (&mut *self.terminal.out, "standard output"),
+        };
         let printed = match (self.global.json, self.global.quiet) {
-            (true, _) => serde_json::to_writer_pretty(&mut *self.terminal.out, value)
+            (true, _) => serde_json::to_writer_pretty(&mut *out, value)
                 .map_err(std::io::Error::from)
-                .and_then(|()| writeln!(self.terminal.out)),
-            (false, false) => writeln!(self.terminal.out, "{}", text.to_string().trim_end()),
+                .and_then(|()| writeln!(out)),
+            (false, false) => writeln!(out, "{}", text.to_string().trim_end()),
             (false, true) => Ok(()),
         };
-        printed.and_then(|()| self.terminal.out.flush()).map_err(|error| Error::io("standard output", error))
+        printed.and_then(|()| out.flush()).map_err(|error| Error::io(name, error))
+    }
+
+    /// Standard output for a command's data, from a stage's body; its result then goes to standard error.
+    pub fn take_output(&mut self) -> &'a mut dyn Write {
+        self.piped = true;
+        std::mem::replace(&mut self.terminal.out, Box::leak(Box::new(std::io::sink())))
     }
 
     /// Where results go, for those that are no text.

@@ -1,7 +1,10 @@
 //! Files that are written whole or not at all.
 
+use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
 
 use crate::{Error, Result};
 
@@ -23,14 +26,58 @@ fn write_through(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Res
 }
 
 fn write_beside(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> std::io::Result<()> {
+    let mut out = BufWriter::new(temporary(path)?);
+    write(&mut out)?;
+    out.into_inner()?.persist(path)?;
+    Ok(())
+}
+
+fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".zipsplat-");
     // Without this the file would keep a temporary file's mode and nobody but its owner could read it.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut out = BufWriter::new(builder.tempfile_in(folder)?);
-    write(&mut out)?;
-    out.into_inner()?.persist(path)?;
-    Ok(())
+    builder.tempfile_in(folder)
+}
+
+/// A file in the making, under a temporary name beside its own; gone unless it is finished.
+pub struct Unfinished {
+    file: NamedTempFile,
+    path: PathBuf,
+}
+
+impl Unfinished {
+    /// Begins what will be at `path`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming `path`.
+    pub fn begin(path: &Path) -> Result<Self> {
+        let file = temporary(path).map_err(|source| Error::io(path, source))?;
+        Ok(Self { file, path: path.to_owned() })
+    }
+
+    /// Writes to it, from where the last writer stopped.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn writer(&self) -> Result<BufWriter<File>> {
+        let file = self.file.as_file().try_clone();
+        file.map(BufWriter::new).map_err(|source| Error::io(&self.path, source))
+    }
+
+    /// Where it is until it is finished.
+    pub fn temporary_path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Gives it its own name, in place of the file that had it.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn finish(self) -> Result<()> {
+        let Self { file, path } = self;
+        file.persist(&path).map(drop).map_err(|error| Error::io(path, error.error))
+    }
 }

@@ -15,7 +15,10 @@ use std::{
     sync::atomic::Ordering,
     time::Instant,
 };
-use zipsplat::{Error, Result, types::write_atomic};
+use zipsplat::{
+    Error, Result,
+    types::{write_atomic, write_ply},
+};
 
 /// Bytes that are handed to the operating system at once: a scene of 10 views at 126x126 has 0.8 MB.
 const BUFFER: usize = 1 << 20;
@@ -45,6 +48,9 @@ pub struct Scene {
     /// Four rays for every pixel; otherwise three at edges and one elsewhere
     #[arg(long)]
     supersample: bool,
+    /// Also write splats.ply: a Gaussian for every pixel that shows a surface, from its exact depth
+    #[arg(long, conflicts_with = "shards")]
+    splats: bool,
     /// Folder to write to, made where it is missing
     #[arg(long, short, value_name = "FOLDER", required_unless_present = "shards", conflicts_with = "shards")]
     output: Option<PathBuf>,
@@ -78,7 +84,10 @@ impl Scene {
         outputs::check_folder(folder)?;
         let (capture, took) =
             session.stage("take photos", |_| Ok(Setup::new(self.seed, options, photos)?.shoot(photos)))?;
-        session.stage("write", |_| write_folder(folder, &capture, photos.crops()))?;
+        session.stage("write", |_| {
+            write_folder(folder, &capture, photos.crops())?;
+            if self.splats { write_ply(&capture.splats(), folder.join("splats.ply")) } else { Ok(()) }
+        })?;
         let seconds = took.as_secs_f64();
         let json = json!({
             "output": folder, "seed": self.seed, "family": capture.family, "path": capture.path,

@@ -16,6 +16,7 @@ mod photos;
 mod rng;
 mod shape;
 pub mod shards;
+mod splats;
 mod survey;
 mod texture;
 mod tone;

@@ -1,12 +1,17 @@
-//! Cameras from files: `transforms.json` of instant-ngp and nerfstudio, and COLMAP models.
+//! Cameras from files: `transforms.json` of instant-ngp and nerfstudio, COLMAP models, nerfstudio's camera paths, and
+//! lists of matrices.
 
+mod camera_path;
 mod colmap;
+mod matrix;
 mod transforms;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::camera::{Camera, matrix_from_quaternion, quaternion_from_matrix};
+use serde_json::Value;
+
+use super::camera::{Camera, Intrinsics, matrix_from_quaternion, quaternion_from_matrix};
 use crate::{Error, Result};
 
 pub use transforms::write_transforms;
@@ -89,6 +94,31 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
         Some(model) => colmap::read(&model),
         None => Err(Error::argument("poses", path.display(), "a transforms.json or a COLMAP model's folder")),
     }
+}
+
+/// Cameras to draw with: all that [`read_poses`] reads, nerfstudio's `camera_path.json`, and JSON lists whose elements are
+/// camera-to-world matrices with OpenCV axes (4 rows of 4 numbers, or 16) or objects with `matrix` (the same) or `viewmat`
+/// (world-to-camera) and, for a lens of their own, `fx`, `width` and `height`, where others are not as usual `fy`, `cx`
+/// and `cy`. `lens` is that of the rest.
+///
+/// # Errors
+/// As [`read_poses`].
+pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> {
+    let path = path.as_ref();
+    if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        let value: Value =
+            serde_json::from_slice(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
+        let parsed = match &value {
+            Value::Array(list) => Some(matrix::parse_list(list, lens)),
+            _ if value.get("camera_path").is_some() => Some(camera_path::parse(&value)),
+            _ => None,
+        };
+        if let Some(parsed) = parsed {
+            return parsed.map_err(|reason| Error::format(path, None, reason));
+        }
+    }
+    read_poses(path)
 }
 
 /// A file's camera, its rotation made exactly one. `label` says where it stands in the file.

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3};
 use serde_json::{Map, Value, json};
 
 use super::super::file::write_atomic;
 use super::super::{Camera, Image, Intrinsics, Pose};
+use super::matrix::{from_opengl, rigid_matrix};
 use super::{Frame, Poses, checked};
 use crate::{Error, Result};
 
@@ -133,19 +133,10 @@ impl<'a> Fields<'a> {
 
     fn pose(&self) -> Parsed<Pose> {
         let key = "transform_matrix";
-        let row = |row: &Value| {
-            let numbers = row.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<_>>>()?;
-            <[f64; 4]>::try_from(numbers).ok()
-        };
-        let matrix = self.frame.get(key).and_then(Value::as_array);
-        let rows = matrix.and_then(|rows| rows.iter().map(row).collect::<Option<Vec<_>>>());
-        let (x, y, z) = match rows.as_deref() {
-            Some(&[x, y, z]) => (x, y, z),
-            Some(&[x, y, z, [a, b, c, d]]) if (a.abs() + b.abs() + c.abs() + (d - 1.0).abs()) < 1e-6 => (x, y, z),
-            _ => return Err(format!("{}.{key}: expected 4 rows of 4 numbers, the last 0 0 0 1", self.label)),
-        };
-        let axis = |i: usize| DVec3::new(x[i], y[i], z[i]);
-        Ok(Pose { rotation: DMat3::from_cols(axis(0), -axis(1), -axis(2)), translation: axis(3) })
+        let matrix = self.frame.get(key).and_then(rigid_matrix);
+        let matrix =
+            matrix.ok_or_else(|| format!("{}.{key}: expected 4 rows of 4 numbers, the last 0 0 0 1", self.label))?;
+        Ok(from_opengl(matrix))
     }
 }
 

@@ -1,8 +1,9 @@
 //! Camera paths around a scene whose world is the first view's camera.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
-use super::{Pose, Scene};
+use super::super::{Pose, Scene};
+use super::{looking, path};
 use crate::{Error, Result};
 
 /// Share of the Gaussians that lie within the orbit's radius before its margin.
@@ -47,11 +48,7 @@ impl Orbit {
     pub fn pose(&self, azimuth: f64, elevation: f64) -> Pose {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let toward = DVec3::new(azimuth.sin() * elevation.cos(), -elevation.sin(), -azimuth.cos() * elevation.cos());
-        let forward = -toward;
-        let right = forward.cross(UP);
-        let right = if right.length() < 1e-6 { DVec3::X } else { right.normalize() };
-        let down = forward.cross(right);
-        Pose { rotation: DMat3::from_cols(right, down, forward), translation: self.center + self.radius * toward }
+        Pose { rotation: looking(-toward, UP, DVec3::X), translation: self.center + self.radius * toward }
     }
 
     /// `frames` cameras from azimuth `start` on through `degrees`, both ends included, at one elevation.
@@ -65,11 +62,6 @@ impl Orbit {
         let turn = std::f64::consts::TAU;
         path(frames).map(|t| self.pose(azimuth * (turn * t).sin(), elevation * (2.0 * turn * t).sin())).collect()
     }
-}
-
-/// From 0 to 1 in `frames` steps.
-fn path(frames: usize) -> impl Iterator<Item = f64> {
-    (0..frames).map(move |i| i as f64 / (frames - 1).max(1) as f64)
 }
 
 /// Of a non-empty set, interpolated linearly between the two nearest ranks.

@@ -1,0 +1,154 @@
+//! What is asked for, and the shape of the work that follows from it.
+
+use crate::{
+    Error, Result,
+    stages::{
+        ViewGrid,
+        cluster::{auto_ratio, cluster_count},
+    },
+    types::{Camera, Image},
+    weights::Architecture,
+};
+
+/// Most views of one reconstruction.
+pub const MAX_VIEWS: usize = 192;
+
+/// Most patches of all views: what kernels count of each fits 32 bits.
+pub const MAX_PATCHES: usize = 1 << 20;
+
+/// Share of the tokens that are kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Ratio {
+    /// A number in (0, 1]; at 1 every token is kept and nothing is clustered.
+    Fixed(f64),
+    /// 0.5 sqrt(2 / views), the paper's.
+    Auto,
+}
+
+/// How the kept tokens are chosen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Selection {
+    /// The nearest token of each centroid of k-means.
+    Kmeans,
+    /// Evenly spread.
+    Stride,
+    /// Random ones, the same for the same seed.
+    Random(u64),
+    /// These.
+    Given(Vec<u32>),
+}
+
+/// What to reconstruct.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// Share of tokens kept.
+    pub ratio: Ratio,
+    /// How they are chosen.
+    pub selection: Selection,
+    /// Known cameras of all views, of the images' own size, or none.
+    pub cameras: Option<Vec<Camera>>,
+}
+
+impl Default for Request {
+    /// Every token, no cameras.
+    fn default() -> Self {
+        Self { ratio: Ratio::Fixed(1.0), selection: Selection::Kmeans, cameras: None }
+    }
+}
+
+/// Everything that decides a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Views and their patches.
+    pub grid: ViewGrid,
+    /// Tokens kept; all where equal to the grid's.
+    pub tokens: usize,
+    /// How those are found.
+    pub kept: Kept,
+    /// Whether cameras are given.
+    pub cameras: bool,
+}
+
+/// Which tokens a plan keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kept {
+    /// All: nothing is chosen and nothing gathered.
+    All,
+    /// The nearest of each centroid of k-means.
+    Kmeans,
+    /// Those whose indices are an input.
+    Indices,
+}
+
+impl Shape {
+    /// The shape of a reconstruction from `views` pictures of `[width, height]` pixels; needs no device.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for whatever cannot be used.
+    pub fn new(
+        architecture: &Architecture,
+        views: usize,
+        [width, height]: [u32; 2],
+        chosen: (Ratio, &Selection),
+        cameras: bool,
+    ) -> Result<Self> {
+        let grid = grid(architecture.patch, views, width as usize, height as usize)?;
+        let all = grid.tokens();
+        let tokens = match chosen {
+            (_, Selection::Given(indices)) => {
+                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
+                    let found = format!("{} indices", indices.len());
+                    return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
+                }
+                indices.len()
+            }
+            (wanted, _) => cluster_count(all, ratio(wanted, views)?),
+        };
+        let kept = match chosen.1 {
+            Selection::Given(_) => Kept::Indices,
+            _ if tokens == all => Kept::All,
+            Selection::Kmeans => Kept::Kmeans,
+            Selection::Stride | Selection::Random(_) => Kept::Indices,
+        };
+        Ok(Self { grid, tokens, kept, cameras })
+    }
+}
+
+/// A ratio as a number.
+fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
+    match ratio {
+        Ratio::Auto => Ok(auto_ratio(views)),
+        Ratio::Fixed(r) if r > 0.0 && r <= 1.0 => Ok(r),
+        Ratio::Fixed(r) => Err(Error::argument("ratio", r, "a number in (0, 1], or auto")),
+    }
+}
+
+pub(super) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
+    if cameras.len() != images.len() {
+        return Err(Error::argument("cameras", cameras.len(), format!("{}, one a view", images.len())));
+    }
+    for (i, (camera, image)) in cameras.iter().zip(images).enumerate() {
+        camera.validate(&format!("camera of view {i}"))?;
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        if size != (image.width, image.height) {
+            let expected = format!("{} x {}, as the image", image.width, image.height);
+            return Err(Error::argument(format!("size of camera {i}"), format!("{} x {}", size.0, size.1), expected));
+        }
+    }
+    Ok(())
+}
+
+fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
+    if !(1..=MAX_VIEWS).contains(&views) {
+        return Err(Error::argument("views", views, format!("1 to {MAX_VIEWS}")));
+    }
+    let fail = |expected| Err(Error::argument("size of the views", format!("{width} x {height}"), expected));
+    if width == 0 || height == 0 || !width.is_multiple_of(patch) || !height.is_multiple_of(patch) {
+        return fail(format!("multiples of {patch}"));
+    }
+    let grid = ViewGrid { views, rows: height / patch, columns: width / patch, patch };
+    if grid.tokens() > MAX_PATCHES {
+        return fail(format!("at most {MAX_PATCHES} patches of {patch} x {patch} in {views} views"));
+    }
+    Ok(grid)
+}

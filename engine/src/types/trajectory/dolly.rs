@@ -1,0 +1,49 @@
+//! A straight path along a camera's view axis.
+
+use super::super::{Camera, Intrinsics};
+use super::path;
+use crate::{Error, Result};
+
+/// A camera that moves toward what it looks at, or away from it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dolly {
+    /// Where it starts.
+    pub camera: Camera,
+    /// Distance of the subject along the view axis, in world units.
+    pub distance: f64,
+    /// Share of that distance which the camera moves, below 1; negative: away.
+    pub travel: f64,
+    /// Whether the focal lengths change with the distance, so that the subject keeps its size (a dolly zoom).
+    pub zoom: bool,
+}
+
+impl Dolly {
+    /// # Errors
+    /// [`Error::Argument`] where the subject is not in front, or the camera would reach it.
+    pub fn validate(&self) -> Result<()> {
+        if !(self.distance > 0.0 && self.distance.is_finite()) {
+            return Err(Error::argument("distance of a dolly's subject", self.distance, "a positive one, in front"));
+        }
+        if !(self.travel < 1.0 && self.travel.is_finite()) {
+            return Err(Error::argument("travel of a dolly", self.travel, "a share of the distance, below 1"));
+        }
+        Ok(())
+    }
+
+    /// The camera at a share of the path, from 0 to 1.
+    pub fn at(&self, share: f64) -> Camera {
+        let moved = self.travel * share;
+        let mut camera = self.camera;
+        camera.pose.translation += moved * self.distance * camera.pose.rotation.z_axis;
+        if self.zoom {
+            let Intrinsics { fx, fy, .. } = camera.intrinsics;
+            camera.intrinsics = Intrinsics { fx: fx * (1.0 - moved), fy: fy * (1.0 - moved), ..camera.intrinsics };
+        }
+        camera
+    }
+
+    /// `frames` cameras from the start to the end, both included.
+    pub fn sample(&self, frames: usize) -> Vec<Camera> {
+        path(frames).map(|share| self.at(share)).collect()
+    }
+}

@@ -1,0 +1,244 @@
+//! Camera paths of `zipsplat render`, and pictures as one file or one stream.
+
+use crate::{Folder, names, raw_command};
+use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
+use std::{
+    fs::File,
+    io::BufReader,
+    sync::atomic::{AtomicBool, Ordering},
+};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms, write_ply};
+use zipsplat_tests::scenes;
+
+/// A folder with `scene.ply` and three cameras of one size (`cameras.json`), and of several (`sizes.json`).
+fn folder() -> Folder {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
+    let camera = |x: f64, width: u32| Camera {
+        pose: Pose { translation: [x, 0.0, -x * x].into(), ..Pose::IDENTITY },
+        ..scenes::camera(width, 30)
+    };
+    let names = ["c/a.png", "c/b.png", "c/c.png"];
+    for (file, width) in [("cameras.json", 40), ("sizes.json", 50)] {
+        let cameras = [camera(0.0, 40), camera(0.5, width), camera(-0.5, 40)];
+        write_transforms(folder.path(file), &cameras, &names).expect("cameras");
+    }
+    folder
+}
+
+/// RGB bytes of the numbered pictures of a folder.
+fn pictures(folder: &Folder, name: &str) -> Vec<Vec<u8>> {
+    let numbered = |name: &String| name.starts_with(|c: char| c.is_ascii_digit());
+    let files = names(&folder.path(name)).into_iter().filter(numbered);
+    files.map(|file| Image::open(folder.path(name).join(file)).expect("a picture").rgb).collect()
+}
+
+const RENDER: &str = "render @/scene.ply";
+
+#[test]
+fn every_path_draws_its_pictures() {
+    let folder = folder();
+    let lines = [
+        ("--spline @/cameras.json", (40, 30)),
+        ("--spline @/sizes.json --loop", (40, 30)),
+        ("--spline @/cameras.json --relative-to x/b.png --size 20x20", (20, 20)),
+        ("--ellipse @/cameras.json", (40, 30)),
+        ("--dolly --travel -0.5 --size 24x16", (24, 16)),
+        ("--dolly --dolly-zoom --fov 90 --size 24x16", (24, 16)),
+    ];
+    for (i, (path, size)) in lines.into_iter().enumerate() {
+        folder.run(&format!("{RENDER} {path} --frames 5 -o @/{i}")).success();
+        let pictures = pictures(&folder, &i.to_string());
+        assert_eq!((pictures.len(), pictures[0].len()), (5, 3 * (size.0 * size.1) as usize), "{path}");
+        assert!(pictures.windows(2).all(|pair| pair[0] != pair[1]), "{path}");
+    }
+    folder.run(&format!("{RENDER} --cameras @/cameras.json -o @/given")).success();
+    let (given, spline) = (pictures(&folder, "given"), pictures(&folder, "0"));
+    assert_eq!([&given[0], &given[2]], [&spline[0], &spline[4]], "a spline ends at its last camera");
+}
+
+#[test]
+fn lists_of_matrices_take_the_lens_that_is_given() {
+    let folder = folder();
+    let one = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+    std::fs::write(folder.path("list.json"), format!("[{one}, {one}]")).expect("a file");
+    folder.run(&format!("{RENDER} --cameras @/list.json --size 32x24 --fov 90 -o @/list")).success();
+    let lens = Intrinsics { width: 32, height: 24, fx: 16.0, fy: 16.0, cx: 16.0, cy: 12.0 };
+    let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
+    write_transforms(folder.path("same.json"), &[camera; 2], &["a", "b"]).expect("cameras");
+    folder.run(&format!("{RENDER} --cameras @/same.json -o @/same")).success();
+    assert_eq!(pictures(&folder, "list"), pictures(&folder, "same"));
+}
+
+#[test]
+fn a_gif_has_every_picture_at_its_rate() {
+    let folder = folder();
+    let line = format!("{RENDER} --orbit --frames 11 --size 37x23 --fps 30 --video @/a.GIF -o @/out");
+    folder.run(&line).success();
+    let mut options = gif::DecodeOptions::new();
+    options.set_color_output(gif::ColorOutput::RGBA);
+    let mut decoder = options.read_info(File::open(folder.path("a.GIF")).expect("a file")).expect("a GIF");
+    assert_eq!((decoder.width(), decoder.height(), decoder.repeat()), (37, 23, gif::Repeat::Infinite));
+    let mut delays = Vec::new();
+    let truth = pictures(&folder, "out");
+    while let Some(frame) = decoder.read_next_frame().expect("a frame") {
+        let difference = |picture: &Vec<u8>| {
+            let rgb = frame.buffer.chunks_exact(4).flat_map(|pixel| &pixel[..3]);
+            rgb.zip(picture).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / picture.len() as f64
+        };
+        let differences: Vec<f64> = truth.iter().map(difference).collect();
+        // 256 colours for 851 pixels, which nearly all differ.
+        let own = differences[delays.len()];
+        assert!(own < 8.0, "{own} levels");
+        assert!(
+            differences.iter().enumerate().all(|(i, other)| i == delays.len() || *other > 1.5 * own),
+            "{differences:?}"
+        );
+        delays.push(frame.delay);
+    }
+    assert_eq!(delays, [3, 4, 3, 3, 4, 3, 3, 4, 3, 3, 4], "11 pictures in 0.37 s");
+}
+
+#[test]
+fn an_animated_png_has_every_pixel() {
+    let folder = folder();
+    folder.run(&format!("{RENDER} --wiggle --frames 10 --size 37x23 --fps 25 --video @/a.apng -o @/out")).success();
+    folder.run(&format!("{RENDER} --wiggle --frames 10 --size 37x23 --video @/b.png")).success();
+    let truth = pictures(&folder, "out");
+    for (file, delay) in
+        [("a.apng", Delay::from_numer_denom_ms(1000, 25)), ("b.png", Delay::from_numer_denom_ms(1000, 30))]
+    {
+        let reader = BufReader::new(File::open(folder.path(file)).expect("a file"));
+        let decoder = PngDecoder::new(reader).expect("a PNG").apng().expect("an animated one");
+        let frames = decoder.into_frames().collect_frames().expect("frames");
+        let rgb = |frame: &image::Frame| image::DynamicImage::from(frame.buffer().clone()).into_rgb8().into_raw();
+        assert!(frames.iter().map(rgb).eq(truth.iter().cloned()), "{file}");
+        let (a, b) = (frames[0].delay().numer_denom_ms(), delay.numer_denom_ms());
+        assert_eq!(a.0 * b.1, b.0 * a.1, "{file}");
+    }
+}
+
+#[test]
+fn raw_frames_are_the_pictures() {
+    let folder = folder();
+    let path = "--orbit --frames 10 --size 37x23";
+    folder.run(&format!("{RENDER} {path} -o @/out")).success();
+    let line = folder.line(&format!("{RENDER} {path} -o -"));
+    let (code, out, err) = raw_command(&line, &AtomicBool::new(false));
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(out.len(), 10 * 37 * 23 * 3);
+    assert_eq!(out, pictures(&folder, "out").concat());
+    assert!(err.contains("size: 37x23"), "{err}");
+}
+
+/// Programs that stand for ffmpeg, one after another: starting one while another is written can fail.
+#[test]
+#[cfg(unix)]
+fn mp4_is_piped_to_ffmpeg() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = folder();
+    let script = |name: &str, body: &str| {
+        let text =
+            format!("#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor out; do :; done\nout=${{out#file:}}\n{body}\n");
+        std::fs::write(folder.path(name), text).expect("a script");
+        let mode = std::fs::Permissions::from_mode(0o755);
+        std::fs::set_permissions(folder.path(name), mode).expect("an executable script");
+    };
+    script("copies", "echo \"$@\" >\"$0.args\"\ncat >\"$out\"");
+    script("fails", "echo bytes >\"$out\"\ncat >/dev/null\necho 'Unknown encoder' >&2\nexit 7");
+    script("stops", "exec <&-\necho bytes >\"$out\"\necho 'No space' >&2\nexit 1");
+    script("silent", "cat >/dev/null\nexit 7");
+    script("broken", "");
+    std::fs::write(folder.path("broken"), "#!/bin/sh\nexit 3\n").expect("a script");
+
+    let line = |program: &str| {
+        format!("{RENDER} --orbit --frames 20 --size 37x23 --fps 24 --ffmpeg @/{program} --video @/out.mp4")
+    };
+    folder.run(&format!("{RENDER} --orbit --frames 20 --size 37x23 -o @/out")).success();
+    folder.run(&line("copies")).success();
+    let piped = std::fs::read(folder.path("out.mp4")).expect("what was piped");
+    assert_eq!(piped, pictures(&folder, "out").concat());
+    let args = std::fs::read_to_string(folder.path("copies.args")).expect("arguments");
+    assert!(args.contains("-f rawvideo -pix_fmt rgb24 -s 37x23 -framerate 24 -i -"), "{args}");
+
+    script("sleeps", "cat >/dev/null\nexec sleep 60");
+    cancelled_under_way(&folder, &line("sleeps"));
+    let before = folder.names();
+    folder.run(&line("fails")).fails(1, &["fails", "Unknown encoder"]);
+    folder.run(&line("stops")).fails(1, &["stops", "No space"]);
+    folder.run(&line("silent")).fails(1, &["silent", "exit status: 7"]);
+    folder.run(&line("absent")).fails(3, &["ffmpeg", "absent", "an installed ffmpeg", ".gif"]);
+    folder.run(&line("broken")).fails(3, &["ffmpeg", "broken", "exit status: 3"]);
+    assert_eq!(folder.names(), before);
+    assert_eq!(std::fs::read(folder.path("out.mp4")).expect("the file of before"), piped);
+}
+
+#[test]
+fn unusable_requests_leave_no_file() {
+    let folder = folder();
+    let before = folder.names();
+    for (line, words) in [
+        ("--orbit --video @/out.webp", ["--video", ".gif, .apng"]),
+        ("--orbit --video @/out", ["--video", ".mp4"]),
+        ("--orbit --video @/absent/out.gif", ["output folder", "absent"]),
+        ("--orbit --fps 60 --video @/out.gif", ["--fps of a GIF", "50"]),
+        ("--orbit --depth --video @/out.gif", ["--depth and --alpha", "-o FOLDER"]),
+        ("--orbit --alpha -o -", ["--depth and --alpha", "-o FOLDER"]),
+        ("--cameras @/sizes.json --video @/out.gif", ["size of camera 1: found 50x30", "40x30"]),
+        ("--cameras @/sizes.json -o -", ["size of camera 1", "--size"]),
+        ("--orbit --size 2x0 --video @/out.gif", ["camera 0", "size"]),
+        ("--orbit --size 32769x1 --video @/out.gif", ["size of camera 0", "32768"]),
+        ("--dolly --travel 1 -o @/out", ["travel", "below 1"]),
+        ("--ellipse @/scene.ply -o @/out", ["poses", "transforms.json"]),
+        ("--spline @/absent.json -o @/out", ["absent.json", "No such file"]),
+    ] {
+        let (code, out, err) = raw_command(&folder.line(&format!("{RENDER} {line}")), &AtomicBool::new(false));
+        assert_eq!((code, out.len()), (3, 0), "{line}: {err}");
+        assert!(words.iter().all(|word| err.contains(word)), "{line}: {err}");
+        assert_eq!(folder.names(), before, "{line}");
+    }
+    for line in [
+        "--orbit",
+        "--orbit --loop -o @/out",
+        "--orbit --relative-to a.png -o @/out",
+        "--cameras @/cameras.json --dolly-zoom -o @/out",
+        "--wiggle --travel 0.2 -o @/out",
+        "--orbit --fps 0 --video @/a.gif",
+    ] {
+        assert_eq!(folder.run(&format!("{RENDER} {line}")).code, 2, "{line}");
+    }
+    let cancelled = AtomicBool::new(true);
+    for line in ["--orbit --video @/out.gif", "--orbit --video @/out.apng", "--orbit -o -"] {
+        let (code, out, _) = raw_command(&folder.line(&format!("{RENDER} {line}")), &cancelled);
+        assert_eq!((code, out.len()), (130, 0), "{line}");
+    }
+    assert_eq!(folder.names(), before);
+}
+
+/// Runs a line that is cancelled as soon as a temporary file is there, and holds that it leaves none.
+#[track_caller]
+fn cancelled_under_way(folder: &Folder, line: &str) {
+    let before = folder.names();
+    let (cancelled, ended) = (AtomicBool::new(false), AtomicBool::new(false));
+    let code = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !ended.load(Ordering::Relaxed) && !folder.names().iter().any(|name| name.starts_with(".zipsplat-")) {
+                std::thread::yield_now();
+            }
+            cancelled.store(true, Ordering::Relaxed);
+        });
+        let (code, ..) = raw_command(&folder.line(line), &cancelled);
+        ended.store(true, Ordering::Relaxed);
+        code
+    });
+    assert_eq!(code, 130, "{line}");
+    assert_eq!(folder.names(), before, "{line}");
+}
+
+#[test]
+fn cancelling_under_way_leaves_no_file() {
+    let folder = folder();
+    for file in ["out.gif", "out.apng"] {
+        cancelled_under_way(&folder, &format!("{RENDER} --orbit --frames 2000 --size 37x23 --video @/{file}"));
+    }
+}

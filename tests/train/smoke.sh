@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Half a minute of training on a CPU: the loss falls, and the engine reconstructs a scene with the weights.
+# usage: PYTHON=VENV/bin/python tests/train/smoke.sh target/release/zipsplat
+set -euo pipefail
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
+zipsplat=$(realpath "$1")
+python=${PYTHON:-python3}
+out=$(mktemp -d)
+trap 'rm -rf "$out"' EXIT
+
+"$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out" --minutes 0.5 \
+    --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set log_seconds=1 --set reuse=1000
+"$python" - "$out/log.csv" <<'END'
+import csv, sys
+losses = [float(row["l1"]) for row in csv.DictReader(open(sys.argv[1]))]
+assert len(losses) >= 2 and losses[-1] < 0.8 * losses[0], f"found losses {losses}, expected them to fall by a fifth"
+END
+
+"$python" "$root/tools/train/check.py" dump "$out/model.safetensors" "$out/golden.safetensors"
+"$zipsplat" scene --seed 7 --views 4 --size 84x84 -o "$out/scene"
+"$zipsplat" reconstruct "$out/scene/images" --weights "$out/model.safetensors" -o "$out/scene.ply"
+test -s "$out/scene.ply"
+echo "smoke test of training: passed"

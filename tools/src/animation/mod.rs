@@ -1,0 +1,110 @@
+//! Pictures one after another as one file: GIF and animated PNG from here, MP4 by an installed ffmpeg.
+
+mod apng;
+mod ffmpeg;
+mod gif;
+
+use crate::{outputs, session::Stage};
+use std::{
+    fmt::Display,
+    path::{Path, PathBuf},
+};
+use zipsplat::{
+    Error, Result,
+    types::{Camera, Image},
+};
+
+/// A GIF's delays count in hundredths of a second, and viewers slow down those below two.
+const GIF_MAX_FPS: u16 = 50;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Gif,
+    Apng,
+    Mp4,
+}
+
+/// What is to be written, checked before any work.
+pub struct Animation {
+    path: PathBuf,
+    format: Format,
+    fps: u16,
+    ffmpeg: PathBuf,
+}
+
+/// Takes the pictures. Dropped before it is finished, it leaves no file.
+pub trait Encoder {
+    /// The next pictures, each of the size that the encoder was made for.
+    fn push(&mut self, images: &[Image]) -> Result<()>;
+
+    /// Ends the file and gives it its name.
+    fn finish(self: Box<Self>, stage: &Stage<'_>) -> Result<()>;
+}
+
+impl Animation {
+    /// # Errors
+    /// [`Error::Argument`] where the extension is of no known format, the rate is too high for it, the file cannot be at
+    /// `path`, or ffmpeg is needed and does not run.
+    pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        let format = match extension.as_deref() {
+            Some("gif") => Format::Gif,
+            Some("png" | "apng") => Format::Apng,
+            Some("mp4") => Format::Mp4,
+            _ => {
+                return Err(Error::argument(
+                    "--video",
+                    path.display(),
+                    "a file that ends in .gif, .apng, .png or .mp4",
+                ));
+            }
+        };
+        outputs::check_file(path)?;
+        if path.metadata().is_ok_and(|found| !found.is_file()) {
+            return Err(Error::argument("--video", format!("{}, no regular file", path.display()), "one, or none yet"));
+        }
+        if format == Format::Gif && fps > GIF_MAX_FPS {
+            return Err(Error::argument("--fps of a GIF", fps, format!("up to {GIF_MAX_FPS}")));
+        }
+        if format == Format::Mp4 {
+            ffmpeg::check(ffmpeg)?;
+        }
+        Ok(Self { path: path.into(), format, fps, ffmpeg: ffmpeg.into() })
+    }
+
+    /// Begins the file, for `frames` pictures of one size.
+    pub fn begin(&self, size: (u32, u32), frames: usize) -> Result<Box<dyn Encoder>> {
+        Ok(match self.format {
+            Format::Gif => Box::new(gif::Gif::begin(&self.path, size, self.fps)?),
+            Format::Apng => Box::new(apng::Apng::begin(&self.path, size, self.fps, frames)?),
+            Format::Mp4 => Box::new(ffmpeg::Ffmpeg::begin(&self.ffmpeg, &self.path, size, self.fps)?),
+        })
+    }
+}
+
+/// The one size of all pictures.
+///
+/// # Errors
+/// [`Error::Argument`] naming the first camera of another.
+pub fn common_size(cameras: &[Camera]) -> Result<(u32, u32)> {
+    let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
+    let first = cameras.first().map(size).unwrap_or_default();
+    match cameras.iter().position(|camera| size(camera) != first) {
+        Some(other) => {
+            let (width, height) = size(&cameras[other]);
+            let expected = format!("{}x{}, the first one's, or --size for all", first.0, first.1);
+            Err(Error::argument(format!("size of camera {other}"), format!("{width}x{height}"), expected))
+        }
+        None => Ok(first),
+    }
+}
+
+/// An encoder's own error as that of its file.
+fn failed(path: &Path) -> impl Fn(Box<dyn std::error::Error + Send + Sync>) -> Error {
+    move |error| Error::io(path, std::io::Error::other(error))
+}
+
+/// Sides that a format counts in fewer bits.
+fn side<T: TryFrom<u32>>(side: u32, format: impl Display) -> Result<T> {
+    T::try_from(side).map_err(|_| Error::argument(format!("size of a {format}"), side, "fewer pixels a side"))
+}

@@ -1,0 +1,134 @@
+"""Compares the network with golden data, or dumps a small golden of given weights for the engine's tests.
+
+python tools/train/check.py goldens FOLDER                   # golden/FORMAT.md of the engine's tests
+python tools/train/check.py dump WEIGHTS OUT.safetensors     # images_u8, camera, pose, and gauss for each ratio
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+
+from model import ZipSplat, nearest_tokens
+from weights import Architecture, load, seeded
+
+# Widest error of a tap over its root mean square that f32 rounding explains.
+TOLERANCE = 3e-5
+
+
+def paper(name, width, depth, alt_start, out_layers, **changes):
+    heads = max(width // 64, 1)
+    fields = dict(
+        name=name, width=width, depth=depth, heads=heads, ffn="gelu", ffn_hidden=4 * width, patch=14, position_grid=37,
+        alt_start=alt_start, qk_norm_start=alt_start, rope_start=alt_start, out_layers=out_layers, camera_depth=4,
+        camera_heads=16, camera_hidden=4 * width, camera_pose_hidden=width // 2, fusion_heads=heads,
+        fusion_hidden=4 * width, color_width=128, color_heads=2, color_hidden=128, head_hidden=2 * (width + 128),
+        gaussians_per_token=32, sh_degree=1,
+    )  # fmt: skip
+    return Architecture(**{**fields, **changes})
+
+
+GOLDENS = [
+    paper("tiny", 128, 6, 2, (3, 4, 5)),
+    paper("tiny_swiglu", 128, 6, 3, (1, 3, 5), ffn="swiglu", ffn_hidden=344, qk_norm_start=2, rope_start=4),
+    paper("micro", 64, 3, 1, (1, 2), position_grid=5, color_width=32, color_heads=1, color_hidden=64, head_hidden=192,
+          gaussians_per_token=4, sh_degree=2),
+]  # fmt: skip
+
+
+def golden_model(architecture):
+    model = ZipSplat(architecture).double()
+    state = {name: seeded(architecture.name, name, tuple(p.shape)) for name, p in model.state_dict().items()}
+    model.load_state_dict(state)
+    return model.eval()
+
+
+def priors_of(golden):
+    if "in/pose" not in golden:
+        return None
+    poses = torch.eye(4).repeat(len(golden["in/pose"]), 1, 1)
+    poses[:, :3, :3] = golden["in/pose"][:, :9].unflatten(1, (3, 3))
+    poses[:, :3, 3] = golden["in/pose"][:, 9:]
+    return poses[None], golden["in/camera"][None, :, 2:]
+
+
+@torch.no_grad()
+def compare(model, golden):
+    """{tap: widest error over root mean square} at every ratio of a golden, with the golden's own cluster tokens."""
+    dtype = model.color_embed.proj.weight.dtype
+    images = (golden["in/images_u8"].float() / 255).to(dtype)[None]
+    priors = priors_of(golden)
+    if priors is not None:
+        priors = tuple(x.to(dtype) for x in priors)
+    taps = {}
+    layers, color = model.prepare(images, priors, taps=taps)
+    for prefix in sorted({name.split("/")[0] for name in golden if name.startswith("r")}):
+        forced = golden[f"{prefix}/nearest_idx"][None]
+        fused = {}
+        fused["gauss"], _ = model.decode(layers, color, indices=forced, taps=fused)
+        taps |= {f"{prefix}/{name}": value for name, value in fused.items()}
+    errors = {}
+    for name, truth in golden.items():
+        if name in taps:
+            found = taps[name].double().reshape(truth.shape)
+            errors[name] = ((found - truth).abs().max() / truth.double().square().mean().sqrt()).item()
+    return errors
+
+
+def goldens(folder):
+    failed = 0
+    for architecture in GOLDENS:
+        model = golden_model(architecture)
+        for path in sorted(Path(folder).glob(f"{architecture.name}.v*.safetensors")):
+            golden = load_file(path)
+            for dtype, limit in ((torch.float64, 1e-6), (torch.float32, TOLERANCE)):
+                errors = compare(model.to(dtype), golden)
+                # A short raw quaternion or a clamped exponential widens the error of the packed Gaussians.
+                bad = {k: e for k, e in errors.items() if not e <= limit * (4 if k.endswith("gauss") else 1)}
+                print(f"{path.name} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
+                failed += len(bad)
+    raise SystemExit(1 if failed else 0)
+
+
+@torch.no_grad()
+def dump(weights, out):
+    """Two views with and without priors; the truth is the f64 forward of the weights as stored."""
+    architecture, state, _ = load(weights)
+    model = ZipSplat(architecture).eval()
+    model.load_state_dict(state)
+    model.double()
+    random = np.random.default_rng(1)
+    side = 4 * architecture.patch
+    y, x = np.mgrid[:side, :side] / side
+    images = np.stack([np.stack([x, y, np.sin(9 * (x + y) + v)]) * 0.4 + 0.4 for v in range(2)])
+    images = (255 * (images + 0.2 * random.random(images.shape))).astype(np.uint8)
+    camera = torch.tensor([[side, side, 0.9 * side, 0.9 * side, side / 2, side / 2]]).expand(2, -1).float()
+    pose = torch.tensor([[1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0], [0.8, 0, -0.6, 0, 1, 0, 0.6, 0, 0.8, 0.5, 0, 0.1]])
+    golden = {"in/images_u8": torch.from_numpy(images), "in/camera": camera.contiguous(), "in/pose": pose}
+    views = (golden["in/images_u8"].float() / 255).double()[None]
+    for case, priors in (("plain", None), ("priors", tuple(x.double() for x in priors_of(golden)))):
+        layers, color = model.prepare(views, priors)
+        for ratio in (1.0, 0.5):
+            taps = {}
+            indices = None if ratio == 1 else nearest_tokens(layers[0], int(layers[0].shape[1] * ratio))
+            gauss, _ = model.decode(layers, color, indices=indices, taps=taps)
+            golden[f"{case}/r{ratio:g}/gauss"] = gauss[0].float()
+            if indices is not None:
+                golden[f"{case}/r{ratio:g}/nearest_idx"] = indices[0]
+    save_file({name: value.contiguous() for name, value in golden.items()}, out)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    command = commands.add_parser("goldens")
+    command.add_argument("folder")
+    command.set_defaults(run=lambda a: goldens(a.folder))
+    command = commands.add_parser("dump")
+    command.add_argument("weights")
+    command.add_argument("out")
+    command.set_defaults(run=lambda a: dump(a.weights, a.out))
+    args = parser.parse_args()
+    args.run(args)

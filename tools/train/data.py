@@ -1,0 +1,231 @@
+"""Procedural scenes from the generator (`zipsplat scene --shards`), in a pool on the device that is kept filled."""
+
+import queue
+import subprocess
+import threading
+import time
+from collections import namedtuple
+from functools import cache
+
+import numpy as np
+import torch
+
+MAGIC, FORMAT = b"ZSSCENES", 1
+HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("scenes", "<u8"), ("vhw", "<u4", 3)])
+
+# Of B scenes with V context and C target views, in the frame of the first context view with unit median distance:
+# images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy;
+# colours [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics of the targets;
+# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, cells, 3] what the
+# centres of the cells of the context's patches see.
+Batch = namedtuple("Batch", "images poses intrinsics colours depth viewmats target_intrinsics points anchors")
+
+# Where anchors put the sky, and what is farther than it, in median distances.
+SKY = 12.0
+
+
+class Shards:
+    """A stream of scenes; the record's layout is documented in the generator (tools/src/procedural/shards.rs)."""
+
+    def __init__(self, command):
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        header = np.frombuffer(self.process.stdout.read(HEADER.itemsize), HEADER)
+        if len(header) == 0 or (header["magic"][0], header["format"][0]) != (MAGIC, FORMAT):
+            raise RuntimeError(f"{' '.join(command)}: found {header}, expected a stream of scenes of format {FORMAT}")
+        v, h, w = self.shape = header["vhw"][0].tolist()
+        self.record = np.dtype(
+            [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (v, 4)),
+             ("poses", "<f4", (v, 3, 4)), ("overlap", "<f4", (v, v)), ("colours", "u1", (v, h, w, 3)),
+             ("depths", "<f2", (v, h, w))]
+        )  # fmt: skip
+
+    def read_into(self, buffer):
+        """Fills an array of bytes with records; how many of them were left in the stream."""
+        view, filled = memoryview(buffer), 0
+        while filled < len(view) and (count := self.process.stdout.readinto(view[filled:])):
+            filled += count
+        return filled // self.record.itemsize
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+
+
+def generator_command(zipsplat, size, views, first_seed, textures=None, scenes=None):
+    command = [zipsplat, "scene", "--shards", "-", "--views", str(views), "--size", f"{size}x{size}"]
+    command += ["--first-seed", str(first_seed)]
+    command += ["--textures", textures] if textures else []
+    return command + (["--scenes", str(scenes)] if scenes else [])
+
+
+class Pool:
+    """Scenes on the device. `sample` draws from those that are there and takes in what a thread has read meanwhile.
+
+    Once full, the pool takes in a scene for every `reuse` that are drawn, and the generator rests meanwhile: on a
+    machine whose cores also train, that leaves them the time. 0 takes all that come. `waited` counts the seconds in
+    which training stood still because there were too few scenes.
+    """
+
+    FIELDS = ("intrinsics", "poses", "overlap", "colours", "depths")
+    KINDS = {"u1": torch.uint8, "f2": torch.float16, "f4": torch.float32}
+
+    def __init__(self, shards, capacity, device, block=32, reuse=0.0):
+        self.shards, self.capacity, self.device, self.reuse = shards, capacity, torch.device(device), reuse
+        self.block = min(block, capacity)
+        self.taken = self.drawn = self.last_seed = 0
+        self.waited = 0.0
+        self.rows = self.columns(capacity, device=self.device)
+        self.ready, self.free = queue.Queue(), queue.Queue()
+        for _ in range(4):
+            self.free.put((self.columns(self.block, pin_memory=self.device.type == "cuda"), None))
+        threading.Thread(target=self.read, daemon=True).start()
+
+    def columns(self, count, **options):
+        fields = ((name, *self.shards.record[name].subdtype) for name in self.FIELDS)
+        return {name: torch.empty(count, *shape, dtype=self.KINDS[t.str[1:]], **options) for name, t, shape in fields}
+
+    def read(self):
+        buffer = np.empty(self.block, self.shards.record)
+        count = self.block
+        while count == self.block:
+            columns, copied = self.free.get()
+            if copied is not None:
+                copied.synchronize()
+            count = self.shards.read_into(buffer.view(np.uint8))
+            for name, column in columns.items():
+                column.numpy()[:] = buffer[name]
+            self.ready.put((columns, count, int(buffer["seed"][count - 1])))
+
+    def take_in(self, wait=False):
+        """Copies one block of scenes over the oldest ones, if one is ready; how many they were."""
+        try:
+            columns, count, seed = self.ready.get(timeout=60) if wait else self.ready.get_nowait()
+        except queue.Empty:
+            return 0
+        start = self.taken % self.capacity
+        fits = min(count, self.capacity - start)
+        for name, column in columns.items():
+            self.rows[name][start : start + fits].copy_(column[:fits], non_blocking=True)
+            self.rows[name][: count - fits].copy_(column[fits:count], non_blocking=True)
+        copied = None
+        if self.device.type == "cuda":
+            copied = torch.cuda.Event()
+            copied.record()
+        self.taken += count
+        self.last_seed = seed if count else self.last_seed
+        self.free.put((columns, copied))
+        return count
+
+    def filled(self):
+        return min(self.taken, self.capacity)
+
+    def fill(self, count):
+        """Waits until there are `count` scenes."""
+        while self.filled() < min(count, self.capacity):
+            started = time.perf_counter()
+            if not self.take_in(wait=True):
+                raise RuntimeError(f"found {self.taken} scenes in the stream or a minute without one, expected {count}")
+            self.waited += time.perf_counter() - started
+
+    def sample(self, scenes, views, targets, points, cells, patch):
+        self.fill(self.block)
+        while self.taken < self.capacity or self.drawn >= self.reuse * (self.taken - self.capacity):
+            if self.take_in() == 0:
+                break
+        self.drawn += scenes
+        chosen = torch.randint(self.filled(), (scenes,), device=self.device)
+        return batch(*self.split(chosen, views, targets), points, cells, patch)
+
+    def split(self, chosen, views, targets):
+        """Rows, and for each of them its context views [B, V] and targets [B, C], at random.
+
+        Views that overlap with the first are likelier in the context, views that two of the context cover likelier
+        among the targets.
+        """
+        rows = {name: value[chosen] for name, value in self.rows.items()}
+        overlap = rows["overlap"]
+        key = torch.rand(overlap.shape[:2], device=self.device)
+        first = key.argmax(1)
+        key += overlap.gather(2, first[:, None, None].expand(-1, overlap.shape[1], 1))[..., 0]
+        key.scatter_(1, first[:, None], 9.0)
+        context = key.argsort(1, descending=True)[:, :views]
+        seen = overlap.gather(2, context[:, None].expand(-1, overlap.shape[1], -1))
+        cover = seen.topk(min(2, views), 2).values.mean(2)
+        key = (torch.rand_like(cover) + 2 * cover).scatter(1, context, -9.0)
+        return rows, context, key.argsort(1, descending=True)[:, :targets]
+
+
+def fixed_split(rows, views, targets):
+    """Context views spread evenly over a scene's views, the targets between them: for evaluation."""
+    count, device = rows["poses"].shape[1], rows["poses"].device
+    context = torch.linspace(0, count - 1, views, device=device).round().long()
+    others = torch.tensor([i for i in range(count) if i not in context.tolist()], device=device)
+    others = others[torch.linspace(0, len(others) - 1, targets, device=device).round().long()]
+    scenes = len(rows["poses"])
+    return rows, context.expand(scenes, -1), others.expand(scenes, -1)
+
+
+def pick(values, index):
+    """values [B, V, ...] at index [B, K] -> [B, K, ...]"""
+    return values[torch.arange(len(values), device=values.device)[:, None], index]
+
+
+def inverse(poses):
+    """Of rigid motions [..., 4, 4]."""
+    rotation = poses[..., :3, :3].mT
+    result = poses.clone()
+    result[..., :3, :3] = rotation
+    result[..., :3, 3:] = -rotation @ poses[..., :3, 3:]
+    return result
+
+
+def batch(rows, context, targets, points, cells, patch):
+    """Moves scenes into the frame of their first context view, where the median distance of what is seen becomes 1."""
+    poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
+    poses[:, :, :3] = rows["poses"]
+    relative = inverse(pick(poses, context[:, :1])) @ poses
+    depth, intrinsics = pick(rows["depths"], context).float(), pick(rows["intrinsics"], context)
+    index = torch.randint(depth[0].numel(), (len(depth), points), device=depth.device)
+    cloud = unproject(depth, intrinsics, pick(relative, context), index)
+    scale = cloud.norm(dim=-1).nanmedian(1).values.nan_to_num(1.0).clamp_min(1e-3)[:, None, None]
+    relative[..., :3, 3] /= scale
+    cloud = cloud / scale
+    # Sky gives no point: a surface's stands in, so that shapes stay fixed.
+    seen = cloud.isfinite().all(-1)
+    cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
+
+    centres = cell_centres(*depth.shape[1:], *cells, patch, depth.device)
+    bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
+    return Batch(
+        pick(rows["colours"], context).movedim(-1, 2).float() / 255,
+        pick(relative, context),
+        intrinsics,
+        pick(rows["colours"], targets).float() / 255,
+        pick(rows["depths"], targets).float() / scale[..., None],
+        inverse(pick(relative, targets)),
+        pick(rows["intrinsics"], targets),
+        cloud,
+        unproject(bounded, intrinsics, pick(relative, context), centres.expand(len(depth), -1)).unflatten(
+            1, (-1, cells[0] * cells[1])
+        ),
+    )
+
+
+@cache
+def cell_centres(views, height, width, rows, columns, patch, device):
+    """Pixel indices [V * T * cells] of the centres of a grid of cells in every patch of V pictures, patch by patch."""
+    pixels = torch.arange(views * height * width).view(views, height // patch, patch, width // patch, patch)
+    y, x = (((torch.arange(count) + 0.5) * patch / count).long() for count in (rows, columns))
+    return pixels[:, :, y][..., x].permute(0, 1, 3, 2, 4).flatten().to(device)
+
+
+def unproject(depth, intrinsics, poses, index):
+    """World points [B, M, 3] of pixels `index` [B, M] of depth [B, V, H, W], counted over all views; NaN in the sky."""
+    h, w = depth.shape[2:]
+    view, pixel = index // (h * w), index % (h * w)
+    z = depth.flatten(1).gather(1, index)
+    fx, fy, cx, cy = pick(intrinsics, view).unbind(-1)
+    x, y = (pixel % w + 0.5 - cx) / fx, (pixel // w + 0.5 - cy) / fy
+    pose = pick(poses, view)
+    world = (pose[..., :3, :3] @ torch.stack((x * z, y * z, z), -1)[..., None])[..., 0] + pose[..., :3, 3]
+    return torch.where(z[..., None] > 0, world, torch.nan)

@@ -1,0 +1,126 @@
+"""What training minimises: pictures, geometry, and bounds on the Gaussians (ZipSplat, section 3.3 and appendix A)."""
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+
+def ssim(a, b):
+    """Mean structural similarity of [N, 3, H, W] in 0..1, windows of 7 x 7 of equal weight."""
+
+    def mean(x):
+        return F.avg_pool2d(F.avg_pool2d(x, (7, 1), 1), (1, 7), 1)
+
+    mean_a, mean_b = mean(a), mean(b)
+    unbias = 49 / 48
+    var_a, var_b = (mean(x * x) - m * m for x, m in ((a, mean_a), (b, mean_b)))
+    covariance = mean(a * b) - mean_a * mean_b
+    c1, c2 = 0.01**2, 0.03**2
+    numerator = (2 * mean_a * mean_b + c1) * (2 * unbias * covariance + c2)
+    return (numerator / ((mean_a**2 + mean_b**2 + c1) * (unbias * (var_a + var_b) + c2))).mean()
+
+
+def gradient_difference(a, b, scales=3):
+    """Mean |difference| of horizontal and vertical image gradients of [N, 3, H, W], over halved resolutions."""
+    total = 0
+    for _ in range(scales):
+        difference = a - b
+        total = total + difference.diff(dim=-1).abs().mean() + difference.diff(dim=-2).abs().mean()
+        a, b = F.avg_pool2d(a, 2), F.avg_pool2d(b, 2)
+    return total / scales
+
+
+class VggDistance(nn.Module):
+    """LPIPS with equal weights of channels: distance of unit features of VGG16 (Zhang et al. 2018, uncalibrated).
+
+    `path` is torchvision's state_dict of VGG16.
+    """
+
+    WIDTHS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
+
+    def __init__(self, path):
+        super().__init__()
+        layers, inputs = [], 3
+        for widths in self.WIDTHS:
+            for width in widths:
+                layers += [nn.Conv2d(inputs, width, 3, padding=1), nn.ReLU()]
+                inputs = width
+            layers.append(nn.MaxPool2d(2))
+        self.features = nn.Sequential(*layers)
+        state = torch.load(path, weights_only=True)
+        self.load_state_dict({name: value for name, value in state.items() if name.startswith("features.")})
+        self.requires_grad_(False)
+        self.register_buffer("mean", torch.tensor((0.485, 0.456, 0.406))[:, None, None], persistent=False)
+        self.register_buffer("std", torch.tensor((0.229, 0.224, 0.225))[:, None, None], persistent=False)
+
+    def forward(self, a, b):
+        x = (torch.cat((a, b)) - self.mean) / self.std
+        distance = 0
+        for layer in self.features:
+            if isinstance(layer, nn.MaxPool2d):
+                unit_a, unit_b = F.normalize(x, dim=1, eps=1e-10).chunk(2)
+                distance = distance + (unit_a - unit_b).square().sum(1).mean()
+            x = layer(x)
+        return distance
+
+
+def chamfer(means, points, free, sample):
+    """Mean distance from Gaussians to their nearest point, smooth near 0; only `free` [B, N] Gaussians are pulled.
+
+    A random `sample` of the Gaussians stands for all. The paper's square is replaced by the distance beyond 1, so that
+    one stray Gaussian does not outweigh the rest.
+    """
+    b, n = means.shape[:2]
+    if n > sample:
+        index = torch.randint(n, (b, sample), device=means.device)
+        means = means.gather(1, index[..., None].expand(-1, -1, 3))
+        free = free.gather(1, index)
+    with torch.no_grad():
+        distances = points.square().sum(-1)[:, None] - 2 * means @ points.transpose(1, 2)
+        nearest = distances.argmin(2)
+    target = points.gather(1, nearest[..., None].expand(-1, -1, 3))
+    distance = (means - target).square().sum(-1).add(1e-8).sqrt()
+    return (F.smooth_l1_loss(distance, torch.zeros_like(distance), reduction="none") * free).mean()
+
+
+def signed_log(x):
+    """The inverse of what the head applies to means: near and far errors count alike."""
+    return x.sign() * torch.log1p(x.abs())
+
+
+def anchor(means, anchors, tokens):
+    """Distance of each token's Gaussians to what the cells of its patch see, on the head's scale.
+
+    `anchors` [B, V * T, cells, 3]; the middle of G / cells consecutive Gaussians belongs to a cell. Not in the paper,
+    whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place tend to merge into
+    one opaque cloud. Its weight fades out, so that placement is free in the end.
+    """
+    if tokens is not None:
+        anchors = anchors.gather(1, tokens[..., None, None].expand(-1, -1, *anchors.shape[2:]))
+    middles = signed_log(means).unflatten(1, (*anchors.shape[1:3], -1)).mean(3)
+    return F.smooth_l1_loss(middles, signed_log(anchors), beta=0.1)
+
+
+def total(gaussians, tokens, pictures, batch, weights, sample=1024, perceptual=None):
+    """The weighted sum, and its parts by name. `tokens` are the model's; `sample` is that of `chamfer`."""
+    rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colours))
+    means, scales, opacity = gaussians[..., :3], gaussians[..., 3:6], gaussians[..., 10]
+    surface = batch.depth > 0
+    # sum of weight * (depth - truth): a Gaussian answers for its own depth, and for its weight where it is wrong.
+    depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)
+    parts = {
+        "l1": (rgb - truth).abs().mean(),
+        "anchor": anchor(means, batch.anchors, tokens),
+        "chamfer": chamfer(means, batch.points, ~pictures.reached, sample),
+        "depth": (depth_error * surface).mean(),
+        "scale": F.relu(scales - 0.1).square().mean(),
+        "opacity": F.relu(opacity - 0.01).square().mean(),
+        "position": F.relu(torch.log1p(means.abs()) - 3).square().mean(),
+    }
+    if perceptual is not None:
+        parts["perceptual"] = perceptual(rgb, truth)
+    else:
+        parts["ssim"] = 1 - ssim(rgb, truth)
+        parts["gradient"] = gradient_difference(rgb, truth)
+    parts = {name: value for name, value in parts.items() if weights[name]}
+    return sum(weights[name] * value for name, value in parts.items()), parts

@@ -1,0 +1,437 @@
+"""The ZipSplat network over a batch of scenes, with the parameter names of the engine's weight files.
+
+Shapes: B scenes, V views, T patches a view, n = T + 1 tokens a view, D width, K scene tokens, G Gaussians a token.
+"""
+
+import math
+from functools import cache
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+BACKBONE_EPS = 1e-6
+
+
+class Mlp(nn.Module):
+    def __init__(self, inputs, hidden, outputs):
+        super().__init__()
+        self.fc1 = nn.Linear(inputs, hidden)
+        self.fc2 = nn.Linear(hidden, outputs)
+
+    def forward(self, x):
+        return self.fc2(F.gelu(self.fc1(x)))
+
+
+class SwiGlu(nn.Module):
+    def __init__(self, width, hidden):
+        super().__init__()
+        self.w12 = nn.Linear(width, 2 * hidden)
+        self.w3 = nn.Linear(hidden, width)
+
+    def forward(self, x):
+        gate, value = self.w12(x).chunk(2, -1)
+        return self.w3(F.silu(gate) * value)
+
+
+class LayerScale(nn.Module):
+    def __init__(self, width):
+        super().__init__()
+        self.gamma = nn.Parameter(torch.ones(width))
+
+    def forward(self, x):
+        return x * self.gamma
+
+
+class PatchEmbed(nn.Module):
+    def __init__(self, width, patch):
+        super().__init__()
+        self.proj = nn.Conv2d(3, width, patch, patch)
+
+    def forward(self, images):
+        """[N, 3, H, W] -> [N, T, D]"""
+        return self.proj(images).flatten(2).transpose(1, 2)
+
+
+def rotate(x, rope):
+    """Turns pairs of channels of [..., n, head_dim] by the angles of `rope_table`."""
+    cos, sin = rope
+    pairs = x.unflatten(-1, (2, 2, -1))
+    turned = torch.stack((-pairs[..., 1, :], pairs[..., 0, :]), -2).flatten(-3)
+    return x * cos + turned * sin
+
+
+@cache
+def rope_table(rows, columns, views, head_dim, dtype, device):
+    """cos and sin [n, head_dim] of a local block (`views` 0), or of a global one, where all patches are at (1, 1).
+
+    The first half of a head turns with y, the other with x.
+    """
+    y, x = torch.meshgrid(torch.arange(rows) + 1, torch.arange(columns) + 1, indexing="ij")
+    patches = torch.stack((y, x), -1).flatten(0, 1)
+    patches = torch.ones_like(patches) if views else patches
+    positions = torch.cat((torch.zeros(1, 2), patches)).repeat(max(views, 1), 1).double()
+    quarter = head_dim // 4
+    frequency = 100.0 ** (-torch.arange(quarter, dtype=torch.float64) / quarter)
+    angles = (positions[:, :, None, None] * frequency).expand(-1, 2, 2, quarter).flatten(1)
+    return angles.cos().to(device, dtype), angles.sin().to(device, dtype)
+
+
+class Attention(nn.Module):
+    """Self-attention, or with `cross` from queries to a context."""
+
+    def __init__(self, width, heads, qk_norm, cross=False):
+        super().__init__()
+        self.heads = heads
+        if cross:
+            self.q_proj = nn.Linear(width, width)
+            self.kv_proj = nn.Linear(width, 2 * width)
+        else:
+            self.qkv = nn.Linear(width, 3 * width)
+        self.q_norm = nn.LayerNorm(width // heads) if qk_norm else None
+        self.k_norm = nn.LayerNorm(width // heads) if qk_norm else None
+        self.proj = nn.Linear(width, width)
+
+    def forward(self, x, context=None, rope=None):
+        if context is None:
+            q, k, v = self.split(self.qkv(x), 3)
+        else:
+            (q,) = self.split(self.q_proj(x), 1)
+            k, v = self.split(self.kv_proj(context), 2)
+        if self.q_norm is not None:
+            q, k = self.q_norm(q), self.k_norm(k)
+        if rope is not None:
+            q, k = rotate(q, rope), rotate(k, rope)
+        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
+        return self.proj(mixed.transpose(1, 2).flatten(2))
+
+    def split(self, x, parts):
+        """[B, n, parts * D] -> parts of [B, heads, n, head_dim]"""
+        return x.unflatten(-1, (parts, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
+
+
+class Block(nn.Module):
+    def __init__(self, width, heads, mlp, qk_norm, eps=1e-5):
+        super().__init__()
+        self.norm1 = nn.LayerNorm(width, eps)
+        self.attn = Attention(width, heads, qk_norm)
+        self.ls1 = LayerScale(width)
+        self.norm2 = nn.LayerNorm(width, eps)
+        self.mlp = mlp
+        self.ls2 = LayerScale(width)
+
+    def forward(self, x, rope=None):
+        x = x + self.ls1(self.attn(self.norm1(x), rope=rope))
+        return x + self.ls2(self.mlp(self.norm2(x)))
+
+
+class CrossBlock(nn.Module):
+    def __init__(self, width, heads, hidden):
+        super().__init__()
+        self.norm_q = nn.LayerNorm(width)
+        self.norm_kv = nn.LayerNorm(width)
+        self.attn = Attention(width, heads, qk_norm=True, cross=True)
+        self.ls1 = LayerScale(width)
+        self.norm2 = nn.LayerNorm(width)
+        self.mlp = Mlp(width, hidden, width)
+        self.ls2 = LayerScale(width)
+
+    def forward(self, queries, context):
+        """What the block adds to the queries."""
+        delta = self.ls1(self.attn(self.norm_q(queries), self.norm_kv(context)))
+        return delta + self.ls2(self.mlp(self.norm2(queries + delta)))
+
+
+class VisionTransformer(nn.Module):
+    def __init__(self, a):
+        super().__init__()
+        self.architecture = a
+        self.cls_token = nn.Parameter(torch.zeros(1, 1, a.width))
+        self.camera_token = nn.Parameter(torch.zeros(1, 2, a.width))
+        self.pos_embed = nn.Parameter(torch.zeros(1, 1 + a.position_grid**2, a.width))
+        self.patch_embed = PatchEmbed(a.width, a.patch)
+        self.blocks = nn.ModuleList(
+            Block(
+                a.width,
+                a.heads,
+                Mlp(a.width, a.ffn_hidden, a.width) if a.ffn == "gelu" else SwiGlu(a.width, a.ffn_hidden),
+                qk_norm=i >= a.qk_norm_start,
+                eps=BACKBONE_EPS,
+            )
+            for i in range(a.depth)
+        )
+        self.norm = nn.LayerNorm(a.width, BACKBONE_EPS)
+
+    def position_embedding(self, rows, columns):
+        """[1, rows * columns, D]: the learned grid, resampled as the reference does (bicubic, +0.1 on the scale)."""
+        grid = self.architecture.position_grid
+        learned = self.pos_embed[:, 1:]
+        if (rows, columns) == (grid, grid):
+            return learned
+        y, x = (cubic_weights(size, grid, learned.dtype, learned.device) for size in (rows, columns))
+        return torch.einsum("ip,jq,pqd->ijd", y, x, learned[0].unflatten(0, (grid, grid))).flatten(0, 1)[None]
+
+    def forward(self, images, camera_tokens, taps):
+        """[B, V, 3, H, W] -> for each of `out_layers`, ascending: (local, global) tokens of the patches [B, V, T, D].
+
+        `camera_tokens` [B, V, D] or None for the learned ones.
+        """
+        a = self.architecture
+        b, v = images.shape[:2]
+        rows, columns = (side // a.patch for side in images.shape[-2:])
+        patches = self.patch_embed(images.flatten(0, 1)) + self.position_embedding(rows, columns)
+        cls = (self.cls_token + self.pos_embed[:, :1]).expand(b * v, -1, -1)
+        x = torch.cat((cls, patches), 1).unflatten(0, (b, v))
+        if camera_tokens is None:
+            camera_tokens = self.learned_camera_tokens(b, v)
+        table = (a.width // a.heads, x.dtype, x.device)
+        ropes = {is_global: rope_table(rows, columns, v if is_global else 0, *table) for is_global in (False, True)}
+        taps["bb/tokens0"] = x
+        taps["bb/cam_token"] = camera_tokens
+        features, local = [], None
+        for i, block in enumerate(self.blocks):
+            if i == a.alt_start:
+                x = taps["bb/alt_in"] = torch.cat((camera_tokens[:, :, None].to(x.dtype), x[:, :, 1:]), 2)
+            is_global = a.is_global(i)
+            tokens = x.flatten(1, 2) if is_global else x.flatten(0, 1)
+            x = block(tokens, ropes[is_global] if i >= a.rope_start else None).view(x.shape)
+            taps[f"bb/block{i}"] = x
+            local = local if is_global else x
+            if i in a.out_layers:
+                features.append((local[:, :, 1:], self.norm(x)[:, :, 1:]))
+        return features
+
+    def learned_camera_tokens(self, scenes, views):
+        first, others = self.camera_token[:, :1], self.camera_token[:, 1:]
+        return torch.cat((first, others.expand(-1, views - 1, -1)), 1).expand(scenes, -1, -1)
+
+
+@cache
+def cubic_weights(size, grid, dtype, device):
+    """[size, grid] weights that resample `grid` points to `size` (cubic convolution, A = -0.75)."""
+    a = -0.75
+    source = (torch.arange(size, dtype=torch.float64) + 0.5) / ((size + 0.1) / grid) - 0.5
+    base = source.floor()
+    weights = torch.zeros(size, grid, dtype=torch.float64)
+    for tap in range(-1, 3):
+        u = (source - base - tap).abs()
+        near = ((a + 2) * u - (a + 3)) * u * u + 1
+        far = ((a * u - 5 * a) * u + 8 * a) * u - 4 * a
+        index = (base + tap).clamp(0, grid - 1).long()
+        weights.scatter_add_(1, index[:, None], torch.where(u <= 1, near, far)[:, None])
+    return weights.to(device, dtype)
+
+
+def quats_from_matrices(m):
+    """[..., 3, 3] rotations to xyzw quaternions with w >= 0, by the largest of the four."""
+    diagonal = m.diagonal(dim1=-2, dim2=-1)
+    signs = m.new_tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    size = (1 + diagonal @ signs.T).clamp_min(0).sqrt()  # twice |w|, |x|, |y|, |z|
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in m.unbind(-2))
+    w, x, y, z = (size**2).unbind(-1)
+    candidates = torch.stack(
+        [
+            torch.stack((zy - yz, xz - zx, yx - xy, w), -1),
+            torch.stack((x, xy + yx, xz + zx, zy - yz), -1),
+            torch.stack((xy + yx, y, yz + zy, xz - zx), -1),
+            torch.stack((xz + zx, yz + zy, z, yx - xy), -1),
+        ],
+        -2,
+    ) / (2 * size[..., None]).clamp_min(0.2)
+    best = size.argmax(-1)[..., None, None].expand(*size.shape[:-1], 1, 4)
+    quats = candidates.gather(-2, best)[..., 0, :]
+    return torch.where(quats[..., 3:] < 0, -quats, quats)
+
+
+class CameraEncoder(nn.Module):
+    def __init__(self, a):
+        super().__init__()
+        hidden = a.camera_hidden
+        self.trunk = nn.ModuleList(
+            Block(a.width, a.camera_heads, Mlp(a.width, hidden, a.width), qk_norm=False) for _ in range(a.camera_depth)
+        )
+        self.token_norm = nn.LayerNorm(a.width)
+        self.trunk_norm = nn.LayerNorm(a.width)
+        self.pose_branch = Mlp(9, a.camera_pose_hidden, a.width)
+
+    def forward(self, poses, intrinsics, size):
+        """Camera-to-world poses [B, V, 4, 4] and [B, V, 4] fx, fy, cx, cy of (H, W) pictures -> [B, V, D]."""
+        rotation = poses[..., :3, :3].transpose(-1, -2)
+        translation = -(rotation @ poses[..., :3, 3:])[..., 0]
+        height, width = size
+        fov = 2 * torch.atan(intrinsics.new_tensor([height, width]) / (2 * intrinsics[..., [1, 0]]))
+        x = self.token_norm(self.pose_branch(torch.cat((translation, quats_from_matrices(rotation), fov), -1)))
+        for block in self.trunk:
+            x = block(x)
+        return self.trunk_norm(x)
+
+
+class Backbone(nn.Module):
+    """Only here for the names of its parts."""
+
+    def __init__(self, a):
+        super().__init__()
+        self.backbone = VisionTransformer(a)
+        self.cam_enc = CameraEncoder(a)
+
+
+class GaussianHead(nn.Module):
+    def __init__(self, a):
+        super().__init__()
+        inputs = a.width + a.color_width
+        outputs = a.gaussians_per_token * a.gaussian_width
+        self.gaussian_head = nn.Sequential(Mlp(inputs, a.head_hidden, inputs), nn.Linear(inputs, outputs))
+
+    def forward(self, x):
+        return self.gaussian_head(x)
+
+
+@cache
+def first_tokens(n, count, device):
+    """Evenly spread over n; on the CPU in f32, whose rounding is part of the definition."""
+    return torch.linspace(0, n - 1, count).round().long().to(device)
+
+
+@torch.no_grad()
+def nearest_tokens(tokens, count, iterations=5):
+    """k-means over [B, N, D]: the token nearest to each of `count` final centroids, [B, count]."""
+    tokens = tokens.float()
+    n = tokens.shape[1]
+    clusters = torch.arange(count, device=tokens.device)
+    centroids = tokens[:, first_tokens(n, count, tokens.device)]
+    for _ in range(iterations):
+        assigned = (squared_distances(tokens, centroids).argmin(-1, keepdim=True) == clusters).to(tokens)
+        members = assigned.sum(1)[..., None]
+        centroids = (assigned.transpose(1, 2) @ tokens) / members.clamp_min(1)
+    return squared_distances(centroids, tokens).argmin(-1)
+
+
+def squared_distances(a, b):
+    """[B, N, M] between [B, N, D] and [B, M, D], without the |a|^2 that does not change which is nearest."""
+    return (b * b).sum(-1)[:, None] - 2 * (a @ b.transpose(1, 2))
+
+
+def activate(raw, sh_degree):
+    """[..., 11 + 3K] of the head -> means 3, scales 3, unit quats 4 (wxyz), opacity 1, SH coefficients K x 3."""
+    means, scales, quats, opacity, sh = raw.split((3, 3, 4, 1, 3 * (sh_degree + 1) ** 2), -1)
+    means = means.clamp(-5, 5)
+    means = means.sign() * torch.expm1(means.abs())
+    scales = F.softplus(scales - 4).clamp(1e-6, 15)
+    quats = quats / quats.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    return torch.cat((means, scales, quats, opacity.sigmoid(), sh), -1)
+
+
+class ZipSplat(nn.Module):
+    def __init__(self, architecture):
+        super().__init__()
+        a = self.architecture = architecture
+        layers = range(len(a.out_layers))
+        self.backbone = Backbone(a)
+        self.pre_norm_local = nn.ModuleList(nn.LayerNorm(a.width) for _ in layers)
+        self.pre_norm_global = nn.ModuleList(nn.LayerNorm(a.width) for _ in layers)
+        self.downscale = nn.ModuleList(nn.Linear(2 * a.width, a.width) for _ in layers)
+        self.cross_attention = nn.ModuleList(CrossBlock(a.width, a.fusion_heads, a.fusion_hidden) for _ in layers)
+        self.self_attention = nn.ModuleList(
+            Block(a.width, a.fusion_heads, Mlp(a.width, a.fusion_hidden, a.width), qk_norm=True) for _ in layers
+        )
+        self.color_embed = PatchEmbed(a.color_width, a.patch)
+        self.color_cross_attention = CrossBlock(a.color_width, a.color_heads, a.color_hidden)
+        self.gaussian_head = GaussianHead(a)
+
+    def prepare(self, images, priors=None, given=None, taps=None):
+        """Layer tokens, deepest first, each [B, V * T, D], and colour tokens [B, V * T, Dc] of [B, V, 3, H, W] in 0..1.
+
+        `priors` is (poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy in pixels) or None, and
+        `given` [B] says for which scenes they count (None: all).
+        """
+        taps = {} if taps is None else taps
+        vit, camera_tokens = self.backbone.backbone, None
+        if priors is not None:
+            camera_tokens = self.backbone.cam_enc(*priors, images.shape[-2:])
+            if given is not None:
+                learned = vit.learned_camera_tokens(*images.shape[:2])
+                camera_tokens = torch.where(given[:, None, None], camera_tokens.to(learned.dtype), learned)
+        layers = []
+        for i, (local, global_) in enumerate(reversed(vit(images, camera_tokens, taps))):
+            taps[f"bb/feat{i}"] = torch.cat((local, global_), -1)
+            local, global_ = self.pre_norm_local[i](local), self.pre_norm_global[i](global_)
+            tokens = self.downscale[i](torch.cat((local, global_), -1)) + (local + global_) / 2
+            taps[f"prep/layer{i}"] = tokens
+            layers.append(tokens.flatten(1, 2))
+        color = self.color_embed(images.flatten(0, 1)).unflatten(0, images.shape[:2]).flatten(1, 2)
+        taps["color/tokens"] = color
+        return layers, color
+
+    def decode(self, layers, color, ratio=1.0, indices=None, taps=None):
+        """Packed Gaussians [B, K * G, 11 + 3K'] from what `prepare` gives, and the tokens [B, K] that they come from.
+
+        `indices` [B, K] replace the clustering; None stands for all tokens.
+        """
+        taps = {} if taps is None else taps
+        count = max(1, int(layers[0].shape[1] * ratio))
+        if indices is None and count < layers[0].shape[1]:
+            indices = nearest_tokens(layers[0], count)
+
+        def chosen(tokens):
+            return tokens if indices is None else tokens.gather(1, indices[..., None].expand(-1, -1, tokens.shape[-1]))
+
+        scene = taps["scene_init"] = chosen(layers[0])
+        for i, tokens in enumerate(layers):
+            delta = taps[f"ca{i}_delta"] = self.cross_attention[i](chosen(tokens), tokens)
+            scene = taps[f"scene_ca{i}"] = scene + delta
+            scene = taps[f"scene_sa{i}"] = self.self_attention[i](scene)
+        queries = chosen(color)
+        color = taps["color_feats"] = queries + self.color_cross_attention(queries, color)
+        with torch.autocast(scene.device.type, enabled=False):
+            raw = taps["raw"] = self.gaussian_head(torch.cat((scene, color), -1).to(self.color_embed.proj.weight.dtype))
+            packed = raw.unflatten(-1, (-1, self.architecture.gaussian_width)).flatten(1, 2)
+            return activate(packed, self.architecture.sh_degree), indices
+
+    def forward(self, images, ratio=1.0, priors=None, given=None):
+        """[B, V, 3, H, W] in 0..1 -> packed Gaussians [B, K * G, 11 + 3K'] in the frame of view 0, and their tokens."""
+        return self.decode(*self.prepare(images, priors, given), ratio)
+
+
+@torch.no_grad()
+def initialise(model, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
+    """Weights to start training from.
+
+    All Gaussians of a token start as one (but for `jitter`), nearly transparent, `depth` in front of the first camera;
+    `size` and `opacity` are raw values, before activation.
+    """
+    a = model.architecture
+    for name, parameter in model.named_parameters():
+        if name.endswith("gamma") or (parameter.ndim == 1 and name.endswith("weight")):
+            parameter.fill_(1)
+        elif parameter.ndim == 1:
+            parameter.zero_()
+        else:
+            std = parameter[0].numel() ** -0.5
+            residual = name.endswith((".attn.proj.weight", ".mlp.fc2.weight", ".mlp.w3.weight"))
+            nn.init.trunc_normal_(parameter, std=std / math.sqrt(2 * a.depth) if residual else std)
+    vit = model.backbone.backbone
+    nn.init.normal_(vit.cls_token, std=0.02)
+    nn.init.normal_(vit.camera_token, std=0.5)
+    vit.pos_embed.zero_()
+    vit.pos_embed[0, 1:] = 0.5 * wave_grid(a.position_grid, a.width)
+
+    last = model.gaussian_head.gaussian_head[1]
+    rows = last.weight.unflatten(0, (a.gaussians_per_token, a.gaussian_width))
+    template = 0.1 * torch.randn(rows.shape[1:]) / math.sqrt(rows.shape[-1])
+    rows.copy_(template + jitter * torch.randn(rows.shape) / math.sqrt(rows.shape[-1]))
+    bias = torch.zeros(a.gaussian_width)
+    bias[2] = math.log1p(depth)
+    bias[3:6] = size
+    bias[6] = 1
+    bias[10] = opacity
+    last.bias.copy_(bias.repeat(a.gaussians_per_token))
+    return model
+
+
+def wave_grid(side, width):
+    """[side^2, width] smooth embeddings of a grid: waves along y and x, periods from four grids down to four cells."""
+    quarter = width // 4
+    frequency = 2 * math.pi / (4 * side * (1 / side) ** (torch.arange(quarter) / max(quarter - 1, 1)))
+    waves = torch.arange(side)[:, None] * frequency
+    axis = torch.cat((waves.sin(), waves.cos()), -1)
+    return torch.cat((axis[:, None].expand(-1, side, -1), axis[None].expand(side, -1, -1)), -1).flatten(0, 1)

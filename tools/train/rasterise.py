@@ -1,0 +1,138 @@
+"""Differentiable pictures of batches of Gaussians by the rules of gsplat 1.5.3 (classic mode), which are the engine's.
+
+The projection is PyTorch everywhere. Blending has three implementations of one formula: Triton on GPUs, numba on CPUs,
+and plain PyTorch (every Gaussian at every pixel) as the truth that the others are tested against.
+
+Shapes: B scenes, C cameras a scene, N Gaussians, P = B * C pictures.
+"""
+
+from collections import namedtuple
+
+import torch
+
+NEAR = 0.01
+BLUR = 0.3  # added to the diagonal of a projected covariance, square pixels
+MIN_ALPHA = 1 / 255
+MAX_ALPHA = 0.999
+MIN_TRANSMITTANCE = 1e-4
+# What a splat holds: mean (pixels), conic, opacity, colour, depth.
+SPLAT = 10
+
+Pictures = namedtuple("Pictures", "rgb alpha depth reached")
+
+
+def rasterise(gaussians, viewmats, intrinsics, size, sh_degree=1, blend=None):
+    """Draws packed Gaussians [B, N, 11 + 3K] for cameras viewmats [B, C, 4, 4], intrinsics [B, C, 4] fx, fy, cx, cy.
+
+    Gives rgb [B, C, H, W, 3], alpha [B, C, H, W], depth (not divided by alpha) and `reached` [B, N]: which Gaussians
+    change a pixel of any picture by a level of 8 bits.
+    """
+    splats, bounds = project(gaussians, viewmats, intrinsics, size, sh_degree)
+    blend = blend or default_blend(gaussians.device)
+    planes, reached = blend(splats.flatten(0, 1), bounds.flatten(0, 1), size)
+    planes = planes.unflatten(0, splats.shape[:2])
+    reached = reached.unflatten(0, splats.shape[:2]).any(1)
+    return Pictures(planes[:, :, :3].movedim(2, -1), planes[:, :, 4], planes[:, :, 3], reached)
+
+
+def default_blend(device):
+    if device.type == "cuda":
+        from rasterise_triton import blend
+    else:
+        from rasterise_numba import blend
+    return blend
+
+
+def project(gaussians, viewmats, intrinsics, size, sh_degree):
+    """Splats [B, C, N, 10] and the pixels that they can touch: bounds [B, C, N, 4] i32, x0, y0, x1, y1 (exclusive)."""
+    height, width = size
+    means, scales, quats, opacity, sh = gaussians.split((3, 3, 4, 1, gaussians.shape[-1] - 11), -1)
+    rotation, translation = viewmats[..., :3, :3], viewmats[..., :3, 3]
+    fx, fy, cx, cy = intrinsics[:, :, None].unbind(-1)
+
+    camera = torch.einsum("bcij,bnj->bcni", rotation, means) + translation[:, :, None]
+    x, y, depth = camera.unbind(-1)
+    visible = depth >= NEAR
+    z = torch.where(visible, depth, 1)
+    u, v = x / z, y / z
+    # The reach of the Jacobian is limited to somewhat beyond the picture.
+    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
+    u_near = u.clamp(-(cx / fx + margin_x), (width - cx) / fx + margin_x)
+    v_near = v.clamp(-(cy / fy + margin_y), (height - cy) / fy + margin_y)
+
+    # Columns of the ellipsoid's axes in camera space, [B, C, N, 3 (space), 3 (axes)], then in the picture.
+    axes = torch.einsum("bcij,bnjk->bcnik", rotation, rotations(quats) * scales[..., None, :])
+    axis_x = (fx / z)[..., None] * (axes[..., 0, :] - u_near[..., None] * axes[..., 2, :])
+    axis_y = (fy / z)[..., None] * (axes[..., 1, :] - v_near[..., None] * axes[..., 2, :])
+    var_x, var_y = (axis_x**2).sum(-1) + BLUR, (axis_y**2).sum(-1) + BLUR
+    covariance = (axis_x * axis_y).sum(-1)
+    det = var_x * var_y - covariance**2
+    conic = torch.stack((var_y, -covariance, var_x), -1) / det[..., None]
+
+    mean = torch.stack((fx * u + cx, fy * v + cy), -1)
+    opacity = opacity[:, None, :, 0].expand_as(z)
+    color = shade(sh, means[:, None] + rotation.mT.matmul(translation[..., None]).mT, sh_degree)
+    splats = torch.cat((mean, conic, opacity[..., None], color, depth[..., None]), -1)
+    with torch.no_grad():
+        visible = visible & (opacity >= MIN_ALPHA) & (det > 0)
+        sigmas = (2 * (255 * opacity.clamp_min(MIN_ALPHA)).log()).sqrt().clamp_max(3.33)
+        reach = (sigmas[..., None] * torch.stack((var_x, var_y), -1).sqrt()).ceil()
+        limit = torch.tensor((width, height), device=mean.device)
+        low = (mean - reach).floor().clamp_min(0).minimum(limit)
+        high = (mean + reach).ceil().clamp_min(0).minimum(limit)
+        high = torch.where(visible[..., None] & high.isfinite() & low.isfinite(), high, 0)
+        bounds = torch.cat((low.nan_to_num(0), high), -1).int()
+    return splats, bounds
+
+
+def rotations(quats):
+    """[..., 4] wxyz, of any length, -> [..., 3, 3]"""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def shade(sh, directions, sh_degree):
+    """Colours [B, C, N, 3] of coefficients [B, N, K * 3] seen along `directions` [B, C, N, 3], not unit."""
+    if sh_degree > 1:
+        raise ValueError(f"found SH degree {sh_degree}, training knows 0 and 1")
+    sh = sh.unflatten(-1, (-1, 3))[:, None]
+    color = 0.5 + 0.2820947917738781 * sh[..., 0, :]
+    if sh_degree == 1:
+        x, y, z = (directions / directions.norm(dim=-1, keepdim=True)).split(1, -1)
+        color = color + 0.48860251190292 * (z * sh[..., 2, :] - y * sh[..., 1, :] - x * sh[..., 3, :])
+    else:
+        color = color.expand_as(directions)
+    return color.clamp_min(0)
+
+
+def depth_order(splats):
+    """[P, N] i32: Gaussians from near to far, ties by index."""
+    return splats[..., 9].detach().argsort(dim=-1, stable=True).int()
+
+
+def blend_plain(splats, bounds, size):
+    """Planes [P, 5, H, W] (r, g, b, depth, alpha) and `reached` [P, N], by every Gaussian at every pixel."""
+    height, width = size
+    y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    pixels = torch.stack((x, y), -1).flatten(0, 1).to(splats)
+    planes, reached = [], []
+    for rows, limits, order in zip(splats, bounds, depth_order(splats).long()):
+        mean, conic, opacity, color = rows[order].split((2, 3, 1, 4), -1)
+        dx, dy = (mean[:, None] - pixels).unbind(-1)
+        a, b, c = conic[:, :, None].unbind(1)
+        sigma = (a * dx * dx + c * dy * dy) / 2 + b * dx * dy
+        alpha = (opacity * torch.exp(-sigma)).clamp_max(MAX_ALPHA)
+        drawn = (limits[order, 2] > limits[order, 0]) & (limits[order, 3] > limits[order, 1])
+        alpha = torch.where(drawn[:, None] & (sigma >= 0) & (alpha >= MIN_ALPHA), alpha, 0)
+        after = (1 - alpha).cumprod(0)
+        before = torch.cat((torch.ones_like(after[:1]), after[:-1]))
+        weights = torch.where(after > MIN_TRANSMITTANCE, alpha * before, 0)
+        color = torch.cat((color, torch.ones_like(opacity)), -1)
+        planes.append((color.T @ weights).unflatten(-1, size))
+        reached.append(torch.zeros_like(drawn).scatter(0, order, (weights > MIN_ALPHA).any(1)))
+    return torch.stack(planes), torch.stack(reached)

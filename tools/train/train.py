@@ -1,0 +1,379 @@
+"""Trains the network on procedural scenes that a generator makes beside it.
+
+    python tools/train/train.py --config tools/train/nano.json --out DIR --minutes 25 --zipsplat target/release/zipsplat
+
+DIR receives model.safetensors (averaged weights, f16, for the engine), state.pt (to go on from), log.csv, curve.png and
+samples/. `--resume DIR` goes on where a run stopped, within the same time box; `--resume FILE.safetensors` starts a new
+schedule from weights.
+"""
+
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before PyTorch: on CPUs the generator needs the cores, too
+
+import argparse
+import copy
+import csv
+import json
+import math
+import random
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+import losses
+import weights as files
+from data import Pool, Shards, batch, fixed_split, generator_command
+from model import ZipSplat, initialise
+from rasterise import rasterise
+
+# Seeds of the scenes that are only for evaluation; training's start at 0.
+UNSEEN_SEED = 1 << 40
+UNSEEN_SCENES = 16
+
+
+def read_config(path, changes):
+    config = json.loads(Path(path).read_text())
+    for change in changes:
+        name, value = change.split("=", 1)
+        *parents, last = name.split(".")
+        section = config
+        for parent in parents:
+            section = section[parent]
+        if last not in section:
+            raise SystemExit(f"--set {name}: found no such setting in {path}")
+        section[last] = json.loads(value)
+    return config
+
+
+class Schedule:
+    """What changes with the share of the time box that has passed."""
+
+    def __init__(self, config, minutes):
+        self.config, self.seconds = config, 60 * minutes
+
+    def rate(self, elapsed):
+        """Linear warm-up, then a cosine to zero."""
+        warmup, done = self.config["warmup"], min(elapsed / self.seconds, 1)
+        falling = 0.5 * (1 + math.cos(math.pi * max(done - warmup, 0) / (1 - warmup)))
+        return self.config["learning_rate"] * min(done / warmup, falling)
+
+    def draw(self, elapsed, rng):
+        """Views and ratio of a step: from the least views and ratio 1 to their full ranges over the first half."""
+        grown = min(2 * elapsed / self.seconds, 1) if self.config["progressive"] else 1
+        low, high = self.config["views"]
+        views = rng.randint(low, round(low + (high - low) * grown))
+        least = min(self.config["ratio"] * math.sqrt(2 / views), 1)
+        least = 1 - (1 - least) * 0.5 * (1 - math.cos(math.pi * grown))
+        return views, max(round(rng.uniform(least, 1) * 20) / 20, 0.05)
+
+    def weights(self, elapsed):
+        """Of the losses: the anchors' fades out."""
+        fade = max(1 - elapsed / self.seconds / self.config["anchor_until"], 0)
+        return {**self.config["losses"], "anchor": self.config["losses"]["anchor"] * fade}
+
+
+class Trainer:
+    def __init__(self, args, config):
+        self.args, self.config = args, config
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        torch.manual_seed(config["seed"])
+        self.rng = random.Random(config["seed"])
+        self.out = Path(args.out)
+        (self.out / "samples").mkdir(parents=True, exist_ok=True)
+        self.step = self.samples = self.first_seed = self.steps_before = 0
+        self.elapsed = self.seconds_before = 0.0
+        self.log = []
+
+        self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
+        model = initialise(ZipSplat(self.architecture), **config["initial"])
+        state = self.resume(model)
+        self.model = model.to(self.device)
+        self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
+        self.optimiser = self.make_optimiser()
+        if state:
+            self.average.load_state_dict(state["average"])
+            self.optimiser.load_state_dict(state["optimiser"])
+        self.perceptual = losses.VggDistance(args.vgg).to(self.device) if args.vgg else None
+        self.autocast = torch.bfloat16 if config["bf16"] else None
+        if config["compile"]:
+            self.compile()
+        self.schedule = Schedule(config, args.minutes)
+
+        def command(seed, scenes=None):
+            return generator_command(args.zipsplat, config["size"], config["record_views"], seed, args.textures, scenes)
+
+        self.shards = Shards(command(self.first_seed, config["scenes"]))
+        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
+        self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
+        self.evaluated = self.pool
+        if not config["scenes"]:
+            unseen = Shards(command(UNSEEN_SEED, UNSEEN_SCENES))
+            self.evaluated = Pool(unseen, UNSEEN_SCENES, self.device)
+            self.evaluated.fill(UNSEEN_SCENES)
+            unseen.close()
+
+    def resume(self, model):
+        """Takes weights over from --resume; gives the rest of the state of a run that goes on."""
+        if not self.args.resume:
+            return None
+        path = Path(self.args.resume)
+        if path.is_file():
+            architecture, tensors, metadata = files.load(path)
+            if architecture != self.architecture:
+                raise SystemExit(f"{path}: found {architecture}, the configuration expects {self.architecture}")
+            model.load_state_dict(tensors)
+            before = json.loads(metadata.get("zipsplat.training", "{}"))
+            self.steps_before, self.seconds_before = before.get("steps", 0), before.get("seconds", 0.0)
+            self.first_seed = before.get("next_seed", 0)
+            return None
+        state = torch.load(path / "state.pt", map_location="cpu", weights_only=True)
+        model.load_state_dict(state["model"])
+        for name, value in state["counters"].items():
+            setattr(self, name, value)
+        self.log = state["log"]
+        return state
+
+    def make_optimiser(self):
+        matrices = [p for p in self.model.parameters() if p.ndim > 1]
+        vectors = [p for p in self.model.parameters() if p.ndim <= 1]
+        groups = [
+            {"params": matrices, "weight_decay": self.config["weight_decay"]},
+            {"params": vectors, "weight_decay": 0.0},
+        ]
+        return torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.95), fused=True)
+
+    def compile(self):
+        """Blocks and projection one by one: a few graphs for every number of views and ratio."""
+        import model as network
+        import rasterise as drawing
+
+        torch._dynamo.config.recompile_limit = 64
+        for kind in (network.Block, network.CrossBlock):
+            kind.forward = torch.compile(kind.forward, dynamic=True)
+        drawing.project = torch.compile(drawing.project, dynamic=True)
+
+    def forward(self, model, given_batch, ratio, given):
+        priors = (given_batch.poses, given_batch.intrinsics)
+        with torch.autocast(self.device.type, self.autocast, enabled=self.autocast is not None):
+            gaussians, tokens = model(given_batch.images, ratio, priors, given)
+        size = given_batch.colours.shape[2:4]
+        pictures = rasterise(
+            gaussians, given_batch.viewmats, given_batch.target_intrinsics, size, self.architecture.sh_degree
+        )
+        return gaussians, tokens, pictures
+
+    def geometry(self):
+        return self.config["chamfer_points"], self.config["anchor_cells"], self.architecture.patch
+
+    def train_step(self):
+        views, ratio = self.schedule.draw(self.elapsed, self.rng)
+        scenes = max(self.config["batch_views"] // views, 1)
+        data = self.pool.sample(scenes, views, self.config["targets"], *self.geometry())
+        given = torch.rand(scenes, device=self.device) < self.config["priors"]
+        gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
+        weights = self.schedule.weights(self.elapsed)
+        sample = self.config["chamfer_gaussians"]
+        loss, parts = losses.total(gaussians, tokens, pictures, data, weights, sample, self.perceptual)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config["clip"])
+        # The fused optimiser skips a step whose gradients are not finite, without asking the device.
+        self.optimiser.found_inf = (~norm.isfinite()).float()
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.schedule.rate(self.elapsed)
+        self.optimiser.step()
+        self.optimiser.zero_grad(set_to_none=True)
+        self.step += 1
+        self.samples += scenes
+        decay = min(self.config["ema"], self.step / (10 + self.step))
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
+        with torch.no_grad():
+            error = (pictures.rgb.clamp(0, 1) - data.colours).square().mean((1, 2, 3, 4))
+            return {
+                "loss": loss.detach(),
+                "psnr": -10 * error.log10().mean(),
+                "norm": norm.detach(),
+                "reached": pictures.reached.float().mean(),
+                "median_scale": gaussians[:, ::7, 3:6].median(),
+                **{name: value.detach() for name, value in parts.items()},
+            }
+
+    def warm_up(self):
+        """Compiles what is compiled at first use, before the clock starts."""
+        self.pool.fill(min(self.config["batch_views"], self.pool.capacity))
+        for views, ratio in zip(self.config["views"], (1.0, 0.5)):
+            data = self.pool.sample(
+                max(self.config["batch_views"] // views, 1), views, self.config["targets"], *self.geometry()
+            )
+            gaussians, tokens, pictures = self.forward(
+                self.model, data, ratio, torch.ones(len(data.images), device=self.device) > 0
+            )
+            losses.total(gaussians, tokens, pictures, data, self.config["losses"], 64, self.perceptual)[0].backward()
+        self.optimiser.zero_grad(set_to_none=True)
+        self.evaluate()
+        self.pool.waited = 0.0
+
+    def run(self):
+        config, end = self.config, 60 * min(self.args.minutes, self.elapsed / 60 + self.args.stop_after)
+        self.warm_up()
+        print(f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.2f} M parameters, {self.device}, "
+              f"{self.pool.filled()} scenes to start with, pool of {self.pool.capacity}")  # fmt: skip
+        started, before = time.perf_counter(), self.elapsed
+        saved = logged = before
+        sums, count, first_sample = {}, 0, self.samples
+        while self.elapsed < end:
+            for name, value in self.train_step().items():
+                sums[name] = sums.get(name, 0) + value
+            count += 1
+            self.elapsed = before + time.perf_counter() - started
+            if count % 10 == 0 and self.elapsed - logged > config["log_seconds"]:
+                row = {name: float(value) / count for name, value in sums.items()}
+                self.elapsed = before + time.perf_counter() - started
+                rate = (self.samples - first_sample) / (self.elapsed - logged)
+                self.report(row, rate, self.pool.waited / (self.elapsed - before))
+                sums, count, first_sample, logged = {}, 0, self.samples, self.elapsed
+            if self.elapsed - saved > 60 * config["save_minutes"]:
+                pause = time.perf_counter()
+                self.save()
+                started += time.perf_counter() - pause
+                saved = self.elapsed
+        self.save()
+        self.shards.close()
+
+    def report(self, row, rate, waited):
+        row = {
+            "step": self.step,
+            "seconds": round(self.elapsed, 1),
+            "samples": self.samples,
+            "samples_per_second": rate,
+            "scenes": self.pool.taken,
+            "waited": waited,
+            "learning_rate": self.schedule.rate(self.elapsed),
+            **row,
+        }
+        self.log.append(row)
+        shown = ("loss", "psnr", "l1", "anchor", "chamfer", "depth", "reached", "median_scale", "norm")
+        print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
+              + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
+
+    @torch.no_grad()
+    def evaluate(self):
+        """PSNR of the averaged weights on the unseen scenes (or on the fixed ones to learn by heart), and a picture."""
+        views, targets = self.config["evaluate"]
+        count = min(UNSEEN_SCENES, self.evaluated.filled())
+        size = 8
+        scores, grid = {}, []
+        with torch.random.fork_rng(devices=[self.device] if self.device.type == "cuda" else []):
+            torch.manual_seed(0)
+            rows = {name: value[:count] for name, value in self.evaluated.rows.items()}
+            data = batch(*fixed_split(rows, views, targets), *self.geometry())
+        for given in (True, False):
+            for ratio in (1.0, 0.5):
+                psnr = []
+                for start in range(0, count, size):
+                    part = type(data)(*(value[start : start + size] for value in data))
+                    given_scenes = torch.full((len(part.images),), given, device=self.device)
+                    _, _, pictures = self.forward(self.average, part, ratio, given_scenes)
+                    rgb = pictures.rgb.clamp(0, 1)
+                    psnr.append(-10 * (rgb - part.colours).square().mean((2, 3, 4)).log10().flatten())
+                    if ratio == 1 and start == 0:
+                        grid.append((rgb, pictures.depth))
+                scores[f"{'priors' if given else 'plain'}_r{ratio:g}"] = torch.cat(psnr).mean().item()
+        self.picture(data, grid)
+        return scores
+
+    def picture(self, data, grid):
+        """A row a scene: two inputs; for two targets the truth, with priors, without, and the depth with priors."""
+        (given, depth), (plain, _) = grid
+        nearness = (1 / (1 + depth))[..., None].expand_as(given)
+        lines = []
+        for i in range(min(6, len(given))):
+            tiles = [data.images[i, 0].movedim(0, -1), data.images[i, -1].movedim(0, -1)]
+            for t in range(min(2, given.shape[1])):
+                tiles += [data.colours[i, t], given[i, t], plain[i, t], nearness[i, t]]
+            lines.append(torch.cat(tiles, 1))
+        pixels = (torch.cat(lines).float().clamp(0, 1) * 255).byte().cpu().numpy()
+        Image.fromarray(pixels).save(self.out / "samples" / f"{self.step + self.steps_before:07}.png")
+
+    def save(self):
+        scores = self.evaluate()
+        print(
+            ("learned" if self.config["scenes"] else "unseen")
+            + " PSNR: "
+            + "  ".join(f"{name} {value:.2f}" for name, value in scores.items()),
+            flush=True,
+        )
+        if self.log:
+            self.log[-1].update(scores)
+        counters = {
+            name: getattr(self, name) for name in ("step", "samples", "elapsed", "steps_before", "seconds_before")
+        }
+        counters["first_seed"] = max(self.first_seed, self.pool.last_seed + 1)
+        state = {"model": self.model.state_dict(), "average": self.average.state_dict(),
+                 "optimiser": self.optimiser.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
+        torch.save(state, self.out / "state.pt.partial")
+        (self.out / "state.pt.partial").replace(self.out / "state.pt")
+        device = torch.cuda.get_device_name() if self.device.type == "cuda" else "CPU"
+        training = {"steps": self.step + self.steps_before, "samples": self.samples,
+                    "seconds": round(self.elapsed + self.seconds_before), "device": device,
+                    "next_seed": counters["first_seed"], "unseen_psnr": scores, "config": self.config}  # fmt: skip
+        files.save(self.out / "model.safetensors", self.architecture, self.average.state_dict(), torch.float16,
+                   {"zipsplat.training": json.dumps(training)})  # fmt: skip
+        if self.log:
+            names = list(dict.fromkeys(name for row in self.log for name in row))
+            with open(self.out / "log.csv", "w", newline="") as file:
+                writer = csv.DictWriter(file, names)
+                writer.writeheader()
+                writer.writerows(self.log)
+            self.curve()
+
+    def curve(self):
+        import matplotlib
+
+        matplotlib.use("Agg")
+        from matplotlib import pyplot
+
+        figure, axes = pyplot.subplots(1, 2, figsize=(11, 4))
+        minutes = np.array([row["seconds"] for row in self.log]) / 60
+        axes[0].plot(minutes, [row["loss"] for row in self.log])
+        axes[0].set(xlabel="minutes", ylabel="loss", yscale="log")
+        axes[1].plot(minutes, [row["psnr"] for row in self.log], color="0.7", label="training")
+        for name in ("priors_r1", "priors_r0.5", "plain_r1", "plain_r0.5"):
+            scored = [(t, row[name]) for t, row in zip(minutes, self.log) if name in row]
+            if scored:
+                axes[1].plot(*zip(*scored), marker=".", label=f"unseen, {name}")
+        axes[1].set(xlabel="minutes", ylabel="PSNR, dB")
+        axes[1].legend()
+        figure.tight_layout()
+        figure.savefig(self.out / "curve.png", dpi=110)
+        pyplot.close(figure)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--config", required=True)
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--minutes", type=float, required=True, help="the time box of the whole schedule")
+    parser.add_argument(
+        "--stop-after", type=float, default=math.inf, help="minutes after which this call saves and ends"
+    )
+    parser.add_argument("--resume", help="the folder of a run, or weights")
+    parser.add_argument("--zipsplat", default="target/release/zipsplat", help="the command that generates scenes")
+    parser.add_argument("--textures", help="folder of photo crops for the generator")
+    parser.add_argument("--vgg", help="torchvision's weights of VGG16, for the perceptual loss")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
+    )
+    args = parser.parse_args()
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+    sys.stdout.reconfigure(line_buffering=True)
+    Trainer(args, read_config(args.config, args.set)).run()
+
+
+if __name__ == "__main__":
+    main()
