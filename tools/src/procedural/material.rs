@@ -70,7 +70,7 @@ impl Palette<'_> {
             return texture;
         }
         let colours = colours(rng, role);
-        let (pattern, period) = self.pattern(rng, role);
+        let (pattern, period) = pattern(rng, role);
         let period = period * self.detail * rng.scale(0.6, 1.6);
         let stain = (rng.range(0.1, 0.6), period * rng.scale(0.15, 3.0));
         Texture { pattern, period, offset: offset(rng), colours, stain }
@@ -95,83 +95,6 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colours: [tint; 3], stain })
     }
 
-    /// A pattern and its period in units of `detail`.
-    fn pattern(&self, rng: &mut Rng, role: Role) -> (Pattern, f32) {
-        let noise = |octaves, stretch: [f32; 3]| Pattern::Noise { octaves, stretch: Vec3::from(stretch) };
-        let bricks = |rng: &mut Rng| {
-            let (aspect, mortar) = (rng.range(1.8, 3.5), rng.range(0.06, 0.16));
-            (Pattern::Bricks { aspect, mortar, shift: 0.5 }, 0.25)
-        };
-        let tiles =
-            |rng: &mut Rng| (Pattern::Bricks { aspect: rng.pick(&[1.0, 1.0, 2.0]), mortar: 0.05, shift: 0.0 }, 0.7);
-        let cobbles = (Pattern::Voronoi { border: 0.06 }, 0.35);
-        let speckle = (noise(5, [1.0; 3]), 0.25);
-        let clouds = (noise(5, [1.0; 3]), 1.5);
-        let planks = |rng: &mut Rng| (Pattern::Planks(rng.range(5.0, 14.0)), 0.25);
-        match role {
-            Role::Ground => match rng.count(0, 5) {
-                0 => cobbles,
-                1 => tiles(rng),
-                2 => bricks(rng),
-                3 => clouds,
-                _ => (noise(5, [1.0; 3]), 0.35),
-            },
-            Role::Floor => match rng.count(0, 4) {
-                0 => (Pattern::Checker, 0.8),
-                1 => tiles(rng),
-                2 => speckle,
-                _ => planks(rng),
-            },
-            Role::Wall => match rng.count(0, 5) {
-                0 => bricks(rng),
-                1 => (Pattern::Stripes(rng.range(0.3, 0.7)), 0.5),
-                2 => (Pattern::Spots(rng.range(0.15, 0.35)), 0.5),
-                3 => speckle,
-                _ => (noise(5, [1.0; 3]), 0.8),
-            },
-            Role::Facade => match rng.count(0, 3) {
-                0 => tiles(rng),
-                1 => (noise(5, [1.0, 1.0, 0.6]), 0.7),
-                _ => bricks(rng),
-            },
-            Role::Wood => {
-                if rng.chance(0.5) {
-                    planks(rng)
-                } else {
-                    (Pattern::Rings, 0.3)
-                }
-            }
-            Role::Foliage => (noise(5, [1.0; 3]), 0.18),
-            Role::Fabric => match rng.count(0, 4) {
-                0 => (Pattern::Stripes(rng.range(0.2, 0.8)), 0.3),
-                1 => (Pattern::Spots(rng.range(0.2, 0.4)), 0.3),
-                2 => (Pattern::Checker, 0.25),
-                _ => speckle,
-            },
-            Role::Stone => {
-                if rng.chance(0.5) {
-                    (noise(5, [1.0, 1.0, 2.5]), 0.8)
-                } else {
-                    (Pattern::Marble, 0.8)
-                }
-            }
-            Role::Metal => (noise(3, [1.0, 1.0, 6.0]), 0.6),
-            Role::Glass => (noise(2, [1.0; 3]), 2.0),
-            Role::Picture | Role::Anything => match rng.count(0, 10) {
-                0 => (Pattern::Checker, 0.3),
-                1 => (Pattern::Stripes(rng.range(0.2, 0.8)), 0.3),
-                2 => bricks(rng),
-                3 => (Pattern::Marble, 0.7),
-                4 => (Pattern::Rings, 0.3),
-                5 => (Pattern::Spots(rng.range(0.15, 0.45)), 0.35),
-                6 => (Pattern::Gradient, 1.0),
-                7 => cobbles,
-                8 => speckle,
-                _ => clouds,
-            },
-        }
-    }
-
     /// Grass or earth where it is level, rock where it is steep.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
@@ -186,6 +109,97 @@ impl Palette<'_> {
         };
         Material { texture, specular: 0.0, shininess: 8.0, glow: 0.0 }
     }
+}
+
+/// A pattern and its period in units of [`Palette::detail`].
+type Drawn = (Pattern, f32);
+
+fn pattern(rng: &mut Rng, role: Role) -> Drawn {
+    let choices: &[fn(&mut Rng) -> Drawn] = match role {
+        Role::Ground => &[cobbles, tiles, bricks, clouds, gravel, gravel],
+        Role::Floor => &[checker, tiles, speckle, planks, planks],
+        Role::Wall => &[bricks, stripes, spots, speckle, clouds, gravel],
+        Role::Facade => &[tiles, plaster, bricks, bricks],
+        Role::Wood => &[planks, rings],
+        Role::Foliage => &[leaves],
+        Role::Fabric => &[stripes, spots, checker, speckle, speckle],
+        Role::Stone => &[strata, marble],
+        Role::Metal => &[|_| noise(3, [1.0, 1.0, 6.0], 0.6)],
+        Role::Glass => &[|_| noise(2, [1.0; 3], 2.0)],
+        Role::Picture | Role::Anything => {
+            &[checker, stripes, bricks, marble, rings, spots, gradient, cobbles, speckle, clouds, clouds]
+        }
+    };
+    rng.pick(choices)(rng)
+}
+
+fn noise(octaves: usize, stretch: [f32; 3], period: f32) -> Drawn {
+    (Pattern::Noise { octaves, stretch: Vec3::from(stretch) }, period)
+}
+
+fn clouds(_: &mut Rng) -> Drawn {
+    noise(5, [1.0; 3], 1.2)
+}
+
+fn gravel(_: &mut Rng) -> Drawn {
+    noise(5, [1.0; 3], 0.35)
+}
+
+fn speckle(_: &mut Rng) -> Drawn {
+    noise(5, [1.0; 3], 0.2)
+}
+
+fn leaves(_: &mut Rng) -> Drawn {
+    noise(5, [1.0; 3], 0.18)
+}
+
+fn plaster(_: &mut Rng) -> Drawn {
+    noise(5, [1.0, 1.0, 0.6], 0.7)
+}
+
+fn strata(_: &mut Rng) -> Drawn {
+    noise(5, [1.0, 1.0, 2.5], 0.8)
+}
+
+fn marble(_: &mut Rng) -> Drawn {
+    (Pattern::Marble, 0.8)
+}
+
+fn rings(_: &mut Rng) -> Drawn {
+    (Pattern::Rings, 0.3)
+}
+
+fn gradient(_: &mut Rng) -> Drawn {
+    (Pattern::Gradient, 1.0)
+}
+
+fn cobbles(_: &mut Rng) -> Drawn {
+    (Pattern::Voronoi { border: 0.06 }, 0.35)
+}
+
+fn checker(rng: &mut Rng) -> Drawn {
+    (Pattern::Checker, rng.scale(0.2, 0.8))
+}
+
+fn stripes(rng: &mut Rng) -> Drawn {
+    (Pattern::Stripes(rng.range(0.2, 0.8)), 0.35)
+}
+
+fn spots(rng: &mut Rng) -> Drawn {
+    (Pattern::Spots(rng.range(0.15, 0.4)), 0.35)
+}
+
+fn planks(rng: &mut Rng) -> Drawn {
+    (Pattern::Planks(rng.range(5.0, 14.0)), 0.25)
+}
+
+fn bricks(rng: &mut Rng) -> Drawn {
+    let (aspect, mortar) = (rng.range(1.8, 3.5), rng.range(0.06, 0.16));
+    (Pattern::Bricks { aspect, mortar, shift: 0.5 }, 0.25)
+}
+
+fn tiles(rng: &mut Rng) -> Drawn {
+    (Pattern::Bricks { aspect: rng.pick(&[1.0, 1.0, 2.0]), mortar: 0.05, shift: 0.0 }, 0.7)
 }
 
 fn offset(rng: &mut Rng) -> Vec3A {

@@ -35,8 +35,8 @@ use super::{Capture, Family, Options, PathKind, Photos, Setup, VERSION};
 
 const MAGIC: [u8; 8] = *b"ZSSCENES";
 const FORMAT: u32 = 1;
-/// Scenes that are made at once; the writer holds as many again.
-const BATCH: u64 = 64;
+/// Scenes a thread that are made at once; the writer holds as many again.
+const BATCH: u64 = 4;
 
 /// The start of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,9 +162,9 @@ pub fn write(
     let (sender, receiver) = sync_channel::<zipsplat::Result<Vec<Vec<u8>>>>(1);
     std::thread::scope(|scope| {
         scope.spawn(move || {
-            let mut next = seeds.start;
+            let (mut next, batch) = (seeds.start, BATCH * rayon::current_num_threads() as u64);
             while next < seeds.end {
-                let end = seeds.end.min(next.saturating_add(BATCH));
+                let end = seeds.end.min(next.saturating_add(batch));
                 let batch = (next..end).into_par_iter().map(make).collect();
                 // Nobody receives when writing failed or was stopped.
                 if sender.send(batch).is_err() {
