@@ -149,6 +149,7 @@ fn outputs() {
         |output: &str| format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o {output}");
     refused(&folder, &reconstruct("@/absent/out.ply"), 3, &["output folder", "absent"]);
     refused(&folder, &reconstruct("@/photos"), 3, &["output", "the folder"]);
+    refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
 }

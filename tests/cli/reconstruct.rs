@@ -2,7 +2,7 @@
 
 use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
-use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply};
+use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};
 
 #[test]
 fn two_photos_become_a_scene() {
@@ -13,6 +13,17 @@ fn two_photos_become_a_scene() {
     assert_eq!((scene.len(), scene.sh_degree), (2 * 4 * 32, 1));
     for word in ["256 Gaussians", "2 views", "8 of 8 tokens", "load photos", "backbone", "gaussians", "write", "/s)"] {
         assert!(text.contains(word), "'{word}' is not in: {text}");
+    }
+}
+
+#[test]
+fn the_extension_decides_the_format() {
+    let folder = Folder::new();
+    for extension in ["ply", "spz", "splat", "glb", "gltf"] {
+        let file = format!("s.{extension}");
+        folder.run(&format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/{file}")).success();
+        let scene = read_scene(folder.path(&file)).expect("the scene can be read");
+        assert_eq!(scene.len(), 2 * 4 * 4, "{file}");
     }
 }
 

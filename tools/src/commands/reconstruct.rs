@@ -12,9 +12,9 @@ use indicatif::HumanCount;
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
-    Result,
+    Error, Result,
     reconstruct::{MAX_VIEWS, Model, Request, Shape},
-    types::{poses::read_poses, write_ply},
+    types::{SceneFormat, WriteOptions, poses::read_poses, write_scene},
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -32,8 +32,8 @@ pub struct Reconstruct {
     /// Photos (PNG, JPEG, WebP), or folders of them, taken in natural order of their names
     #[arg(required = true)]
     photos: Vec<PathBuf>,
-    /// PLY file to write
-    #[arg(long, short, value_name = "PLY")]
+    /// Scene to write: .ply, .spz, .splat, .glb or .gltf
+    #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     weights: Weights,
@@ -50,6 +50,10 @@ impl Reconstruct {
         let Quality { ratio, select, size, precision: _ } = &self.quality;
         // Whatever can be refused is refused before anything that takes time.
         outputs::check_file(&self.output)?;
+        if SceneFormat::of_extension(&self.output).is_none() {
+            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
+            return Err(Error::argument("--output", self.output.display(), expected));
+        }
         let checkpoint = self.weights.open()?;
         let photos = photos::list(&self.photos)?;
         let Size(width, height) = *size;
@@ -72,7 +76,8 @@ impl Reconstruct {
                 stage.at(progress.fraction)
             })
         })?;
-        let (_, write) = session.stage("write", |_| write_ply(&result.scene, &self.output))?;
+        let (_, write) =
+            session.stage("write", |_| write_scene(&self.output, &result.scene, &WriteOptions::default()))?;
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
