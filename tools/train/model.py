@@ -410,6 +410,10 @@ def initialise(model, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
             residual = name.endswith((".attn.proj.weight", ".mlp.fc2.weight", ".mlp.w3.weight"))
             nn.init.trunc_normal_(parameter, std=std / math.sqrt(2 * a.depth) if residual else std)
     vit = model.backbone.backbone
+    # Pictures are 0..1: grey becomes 0, and their contrast 1.
+    for conv in (vit.patch_embed.proj, model.color_embed.proj):
+        conv.weight.mul_(3)
+        conv.bias.copy_(-0.5 * conv.weight.sum((1, 2, 3)))
     nn.init.normal_(vit.cls_token, std=0.02)
     nn.init.normal_(vit.camera_token, std=0.5)
     vit.pos_embed.zero_()
