@@ -5,6 +5,7 @@
 mod animation;
 mod cameras;
 mod commands;
+pub mod metrics;
 mod noise;
 mod options;
 mod outputs;

@@ -4,7 +4,7 @@ use crate::commands::Command;
 use clap::{Args, Parser, ValueEnum};
 use std::{fmt, str::FromStr};
 use zipsplat::{
-    Error, Result,
+    Result,
     reconstruct::{Ratio, Selection},
     weights::Checkpoint,
 };
@@ -16,7 +16,7 @@ use zipsplat::{
     version,
     disable_help_subcommand = true,
     after_help = "Examples:
-  zipsplat reconstruct photos/ --weights zipsplat.safetensors -o scene.ply
+  zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat info
 
@@ -48,7 +48,7 @@ pub struct Global {
 /// Which weights.
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers
+    /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers [default: the model that is built in]
     #[arg(long, value_name = "PATH|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
@@ -59,12 +59,10 @@ pub struct Weights {
 impl Weights {
     /// Opens them.
     pub fn open(&self) -> Result<Checkpoint> {
-        let Some(weights) = &self.weights else {
-            let expected =
-                "a checkpoint, as no model is built in yet; seeded:vits stands for random numbers, enough to try";
-            return Err(Error::argument("--weights", "nothing", expected));
-        };
-        self.open_as(weights)
+        match &self.weights {
+            Some(weights) => self.open_as(weights),
+            None => Checkpoint::embedded(),
+        }
     }
 
     /// Opens others, of the variant given.
@@ -82,12 +80,19 @@ pub struct Quality {
     /// How those tokens are chosen: kmeans, stride or random[:SEED]
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
-    /// Pixels that the network sees of each photo: multiples of the patch (14)
-    #[arg(long, value_name = "WxH", default_value = "252x252")]
-    pub size: Size,
+    /// Pixels that the network sees of each photo: multiples of the patch (14) [default: what the weights are best with]
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
     /// Arithmetic
     #[arg(long, value_enum, default_value = "exact")]
     pub precision: Precision,
+}
+
+impl Quality {
+    /// The size asked for, or the one that a network is best with.
+    pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
+        self.size.unwrap_or(Size(checkpoint.picture_side(), checkpoint.picture_side()))
+    }
 }
 
 /// Arithmetic of a reconstruction.
@@ -122,6 +127,12 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
         "auto" => Ok(Ratio::Auto),
         number => number.parse().map(Ratio::Fixed).map_err(|_| "expected a number in (0, 1], or auto".into()),
     }
+}
+
+/// A length that something can be measured in.
+pub fn parse_length(text: &str) -> Result<f64, String> {
+    let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
+    length.ok_or_else(|| "expected a number above 0".into())
 }
 
 fn parse_selection(text: &str) -> Result<Selection, String> {

@@ -28,7 +28,8 @@ from PIL import Image
 import losses
 import weights as files
 from data import Pool, Shards, batch, fixed_split, generator_command
-from model import ZipSplat, initialise
+from initialise import initialise
+from model import ZipSplat
 from rasterise import rasterise
 
 # Seeds of the scenes that are only for evaluation; training's start at 0.
@@ -90,7 +91,7 @@ class Trainer:
         self.log = []
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
-        model = initialise(ZipSplat(self.architecture), **config["initial"])
+        model = initialise(ZipSplat(self.architecture), config["anchor_cells"], **config["initial"])
         state = self.resume(model)
         self.model = model.to(self.device)
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
@@ -323,7 +324,7 @@ class Trainer:
                     "seconds": round(self.elapsed + self.seconds_before), "device": device,
                     "next_seed": counters["first_seed"], "unseen_psnr": scores, "config": self.config}  # fmt: skip
         files.save(self.out / "model.safetensors", self.architecture, self.average.state_dict(), torch.float16,
-                   {"zipsplat.training": json.dumps(training)})  # fmt: skip
+                   {"zipsplat.training": json.dumps(training), "zipsplat.picture_side": str(self.config["size"])})  # fmt: skip
         if self.log:
             names = list(dict.fromkeys(name for row in self.log for name in row))
             with open(self.out / "log.csv", "w", newline="") as file:

@@ -1,8 +1,9 @@
 //! A network's weights, wherever they come from.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::BufWriter;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Deref};
 use std::path::{Path, PathBuf};
 
 use memmap2::Mmap;
@@ -10,6 +11,7 @@ use memmap2::Mmap;
 use super::contents::Contents;
 use super::tensor::Stored;
 use super::{Architecture, Dtype, safetensors, seeded, torch};
+use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
 
 /// Exactly the tensors of an [`Architecture`], read one at a time: neither a file nor a seed is ever expanded whole.
@@ -18,16 +20,21 @@ pub struct Checkpoint {
     architecture: Architecture,
     /// Name and shape, in the architecture's order.
     parameters: Vec<(String, Vec<usize>)>,
+    /// Side of the pictures that it is best with, in pixels.
+    picture_side: u32,
     source: Source,
     /// The file, or what [`Checkpoint::parse`] accepts for a seed.
     provenance: String,
 }
 
+#[cfg(feature = "embedded-model")]
+const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
+
 #[derive(Debug)]
 enum Source {
     /// A tensor for each parameter.
-    Mapped {
-        file: Mmap,
+    Stored {
+        file: Bytes,
         tensors: Vec<Stored>,
     },
     Seeded {
@@ -35,7 +42,40 @@ enum Source {
     },
 }
 
+/// A file's contents.
+#[derive(Debug)]
+enum Bytes {
+    Mapped(Mmap),
+    Held(Cow<'static, [u8]>),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Mapped(file) => file,
+            Self::Held(bytes) => bytes,
+        }
+    }
+}
+
 impl Checkpoint {
+    /// The model that is built in; `engine/models/README.md` says what it is and how good.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the library was built without the feature `embedded-model`.
+    pub fn embedded() -> Result<Self> {
+        #[cfg(feature = "embedded-model")]
+        let found = Self::from_bytes("the embedded model", EMBEDDED, None);
+        #[cfg(not(feature = "embedded-model"))]
+        let found = {
+            let expected = "a checkpoint: this build has no embedded model (cargo feature embedded-model)";
+            Err(Error::argument("weights", "none", expected))
+        };
+        found
+    }
+
     /// `seeded:VARIANT[:KEY]` or the path of a file; `variant` is as in [`Checkpoint::open`] and only for files.
     pub fn parse(text: &str, variant: Option<&str>) -> Result<Self> {
         match text.strip_prefix("seeded:") {
@@ -59,6 +99,16 @@ impl Checkpoint {
         Self::load(path.as_ref(), |contents, path| contents.architecture(path, variant))
     }
 
+    /// As [`Checkpoint::open`], from a file's contents; `name` stands for them in messages.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`].
+    pub fn from_bytes(name: &str, bytes: impl Into<Cow<'static, [u8]>>, variant: Option<&str>) -> Result<Self> {
+        Self::from_file(Path::new(name), Bytes::Held(bytes.into()), |contents, path| {
+            contents.architecture(path, variant)
+        })
+    }
+
     /// Opens a file whose architecture the caller knows, whatever the file says; otherwise as [`Checkpoint::open`].
     pub fn open_architecture(path: impl AsRef<Path>, architecture: Architecture) -> Result<Self> {
         architecture.validate()?;
@@ -75,7 +125,8 @@ impl Checkpoint {
         architecture.validate()?;
         let provenance = format!("seeded:{}:{key}", architecture.name);
         let parameters = architecture.parameters();
-        Ok(Self { architecture, parameters, source: Source::Seeded { key: key.into() }, provenance })
+        let source = Source::Seeded { key: key.into() };
+        Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance })
     }
 
     fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>) -> Result<Self> {
@@ -84,18 +135,34 @@ impl Checkpoint {
         // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
         #[allow(unsafe_code)]
         let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
+        Self::from_file(path, Bytes::Mapped(file), architecture)
+    }
+
+    /// `path` only names the file in messages.
+    fn from_file(
+        path: &Path,
+        file: Bytes,
+        architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>,
+    ) -> Result<Self> {
         let contents =
             if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };
         let architecture = architecture(&contents, path)?;
         let parameters = architecture.parameters();
+        let picture_side = contents.picture_side.unwrap_or(DEFAULT_SIZE);
         let tensors = matching(path, &architecture, &parameters, contents)?;
         let provenance = path.display().to_string();
-        Ok(Self { architecture, parameters, source: Source::Mapped { file, tensors }, provenance })
+        Ok(Self { architecture, parameters, picture_side, source: Source::Stored { file, tensors }, provenance })
     }
 
     /// The network that these are the weights of.
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
+    }
+
+    /// Side in pixels of the pictures that the network was trained with and is best with: what the file says, or 252 as
+    /// for the released models.
+    pub fn picture_side(&self) -> u32 {
+        self.picture_side
     }
 
     /// Name and shape of every tensor, in the order of [`Architecture::parameters`].
@@ -125,7 +192,7 @@ impl Checkpoint {
             return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
         }
         match &self.source {
-            Source::Mapped { file, tensors } => tensors[index].read(file, out),
+            Source::Stored { file, tensors } => tensors[index].read(file, out),
             Source::Seeded { key } => seeded::fill(key, name, shape, out),
         }
         match out.iter().position(|value| !value.is_finite()) {
@@ -140,7 +207,7 @@ impl Checkpoint {
     /// Bytes of all tensors as they are stored; of a seed, as f32.
     pub fn bytes(&self) -> u64 {
         let size = |i: usize| match &self.source {
-            Source::Mapped { tensors, .. } => tensors[i].dtype.size(),
+            Source::Stored { tensors, .. } => tensors[i].dtype.size(),
             Source::Seeded { .. } => Dtype::F32.size(),
         };
         let tensors = self.parameters.iter().enumerate();

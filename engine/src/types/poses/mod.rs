@@ -21,6 +21,8 @@ pub use transforms::write_transforms;
 pub struct Poses {
     /// In the file's order, or by name where the file has none.
     pub frames: Vec<Frame>,
+    /// The capture's point cloud, where one lies beside the cameras: `ply_file_path` or `points.ply`.
+    pub points: Option<PathBuf>,
     /// What was ignored or left out, in words for the user.
     pub notes: Vec<String>,
 }
