@@ -56,3 +56,28 @@ fn frames_are_measured_by_kernel() {
     let text = folder.run("bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
     assert!(text.contains("frames/s") && text.contains("render/rasterise"), "{text}");
 }
+
+/// A Python that prints what it was asked for as if it had measured it, and one that fails.
+#[cfg(unix)]
+#[test]
+fn pytorch_stands_beside_ours() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new();
+    let row = |views: u32, ratio: f64, ms: &str| {
+        format!(r#"{{"precision": "f32", "views": {views}, "ratio": {ratio}, {ms}, "peak_bytes": null}}"#)
+    };
+    let rows = [row(1, 1.0, r#""ms": [4, 2, 3]"#), row(2, 1.0, r#""failed": "out of memory""#)].join(",");
+    let measured = format!("cat > /dev/null\necho '{{\"device\": \"a GPU\", \"torch\": \"9.9\", \"rows\": [{rows}]}}'");
+    for (name, body) in [("python", measured), ("broken", "echo 'No module named torch' >&2; exit 1".into())] {
+        let path = folder.path(name);
+        std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).expect("written");
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("a program");
+    }
+    let line = "bench forward --weights @/micro.safetensors --views 1,2 --size 28x28 --warmup 0 --repeats 1 --pytorch @/";
+    let text = folder.run(&format!("{line}python")).success();
+    for word in ["PyTorch 9.9 on a GPU", "3.000 (2.000..4.000)", "out of memory", "its time / ours"] {
+        assert!(text.contains(word), "'{word}' is not in: {text}");
+    }
+    folder.run(&format!("{line}broken")).fails(3, &["--pytorch", "No module named torch"]);
+    folder.run(&format!("{line}absent")).fails(3, &["--pytorch", "absent"]);
+}

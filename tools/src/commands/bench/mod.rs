@@ -2,6 +2,7 @@
 
 mod forward;
 mod gemm;
+mod pytorch;
 mod render;
 
 use crate::session::Session;
