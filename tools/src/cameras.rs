@@ -8,9 +8,8 @@ use zipsplat::{
     Error, Result,
     types::{
         Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline,
-        poses::{Poses, read_cameras},
+        poses::{Poses, read_cameras, read_cloud},
         preprocess::{View, crop_to_aspect},
-        read_points,
     },
 };
 
@@ -29,13 +28,13 @@ pub fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
 }
 
 /// The network's unit of length for cameras whose first one is the world: the median distance from it of those points of
-/// their capture (a PLY in the cameras' own world, `origin` the first one's pose there) that any of them sees.
+/// their capture (a file of [`read_cloud`] in the cameras' own world, `origin` the first one's pose there) that any of them sees.
 ///
 /// # Errors
 /// Where the point cloud cannot be read, or the cameras see none of it.
 pub fn unit(points: &Path, cameras: &[Camera], origin: &Pose) -> Result<f64> {
     let to_world = origin.inverse();
-    let mut distances: Vec<f64> = (read_points(points)?.into_iter())
+    let mut distances: Vec<f64> = (read_cloud(points)?.into_iter())
         .map(|point| to_world.transform(DVec3::from(point.map(f64::from))))
         .filter(|point| cameras.iter().any(|camera| sees(camera, *point)))
         .map(DVec3::length)

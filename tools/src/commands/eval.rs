@@ -32,7 +32,7 @@ const SHOWN: usize = 12;
 ///
 /// Reconstructs a capture from some of its photos with their cameras, draws the scene as each of the other photos sees it,
 /// and compares. The scene is given to the network in the unit it expects: the median distance of the capture's points
-/// (ply_file_path of transforms.json, or points.ply) from the first camera. Beside PSNR and SSIM stand two trivial
+/// (ply_file_path of transforms.json, points.ply, or COLMAP's points3D) from the first camera. Beside PSNR and SSIM stand two trivial
 /// predictions: the input photo that was taken nearest, and that photo's mean colour.
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -104,7 +104,8 @@ impl Eval {
                 cameras::unit(points, &cameras, &inputs[0].camera.pose)?
             }
             (None, None) => {
-                let expected = "points.ply beside the cameras, or --unit: how far away the scene is, in their unit";
+                let expected =
+                    "points.ply or points3D beside the cameras, or --unit: how far away the scene is, in their unit";
                 return Err(Error::argument("point cloud", "none", expected));
             }
         };

@@ -43,7 +43,7 @@ pub struct Reconstruct {
     #[arg(long, value_name = "PATH")]
     poses: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
-    /// distance from the first camera of the points in points.ply beside the cameras, else 1]
+    /// distance from the first camera of the points in points.ply or points3D beside the cameras, else 1]
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
 }
