@@ -90,7 +90,7 @@ fn check(file: &str) {
         let scene = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene;
         check_gaussians(&golden, &key("gauss"), &packed(&scene), model.architecture().gaussian_width());
         if ratio < 1.0 {
-            check_clusters(&golden, &model, &images, Request { selection: Selection::Kmeans, ..request }, &prefix);
+            check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
         }
     }
     assert!(compared > 10, "{file}: only {compared} taps compared");
@@ -152,7 +152,7 @@ fn embedded() {
         for (ratio, name) in [(1.0, "r1"), (0.5, "r0.5")] {
             let key = |part: &str| format!("{case}/{name}/{part}");
             let nearest = |key| Selection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
-            let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::Kmeans };
+            let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
             let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone() };
             let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
             check_gaussians(&golden, &key("gauss"), &packed(&found.scene), model.architecture().gaussian_width());

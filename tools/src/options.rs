@@ -6,7 +6,8 @@ use std::{fmt, str::FromStr};
 use zipsplat::{
     Result,
     reconstruct::{Ratio, Selection},
-    weights::Checkpoint,
+    types::Scene,
+    weights::{Architecture, Checkpoint},
 };
 
 /// Photos without poses to a compact 3D Gaussian scene, on any Vulkan device.
@@ -65,6 +66,12 @@ impl Weights {
         }
     }
 
+    /// These options again, each with a space before it.
+    pub fn as_arguments(&self) -> String {
+        let named = [("--weights", &self.weights), ("--variant", &self.variant)];
+        named.iter().filter_map(|(name, value)| Some(format!(" {name} {}", value.as_ref()?))).collect()
+    }
+
     /// Opens others, of the variant given.
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
         Checkpoint::parse(weights, self.variant.as_deref())
@@ -77,9 +84,12 @@ pub struct Quality {
     /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
-    /// How those tokens are chosen: kmeans, stride or random[:SEED]
+    /// How those tokens are chosen: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
+    /// Keep of every token only the N Gaussians that show most [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    keep: Option<u32>,
     /// Pixels that the network sees of each photo: multiples of the patch (14) [default: what the weights are best with]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
@@ -89,6 +99,13 @@ pub struct Quality {
 }
 
 impl Quality {
+    /// Leaves out the Gaussians that were not asked for.
+    pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
+        if let Some(keep) = self.keep {
+            scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
+        }
+    }
+
     /// The size asked for, or the one that a network is best with.
     pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
         self.size.unwrap_or(Size(checkpoint.picture_side(), checkpoint.picture_side()))
@@ -135,13 +152,14 @@ pub fn parse_length(text: &str) -> Result<f64, String> {
     length.ok_or_else(|| "expected a number above 0".into())
 }
 
-fn parse_selection(text: &str) -> Result<Selection, String> {
+pub fn parse_selection(text: &str) -> Result<Selection, String> {
     let random = |seed: &str| seed.parse().map(Selection::Random).map_err(|_| format!("{seed} is no seed"));
     match text.split_once(':') {
-        None if text == "kmeans" => Ok(Selection::Kmeans),
+        None if text == "kmeans" => Ok(Selection::KMEANS),
         None if text == "stride" => Ok(Selection::Stride),
         None if text == "random" => Ok(Selection::Random(0)),
         Some(("random", seed)) => random(seed),
-        _ => Err("expected kmeans, stride or random[:SEED]".into()),
+        Some(("kmeans", rounds)) => rounds.parse().map(Selection::Kmeans).map_err(|_| format!("{rounds} is no number")),
+        _ => Err("expected kmeans[:ROUNDS], stride or random[:SEED]".into()),
     }
 }

@@ -30,14 +30,14 @@ pub struct Axis<'a> {
 }
 
 /// A plot as an `<svg>` element. Points that are not finite are left out.
-pub fn plot(title: &str, x: Axis<'_>, y: Axis<'_>, series: &[Series]) -> String {
+pub fn plot(x: Axis<'_>, y: Axis<'_>, series: &[Series]) -> String {
     let position = |&(px, py): &(f64, f64)| (x.position(px), y.position(py));
     let placed: Vec<Vec<(f64, f64)>> = (series.iter())
         .map(|s| s.points.iter().map(position).filter(|(x, y)| x.is_finite() && y.is_finite()).collect())
         .collect();
     let range = |value: fn(&(f64, f64)) -> f64| extent(placed.iter().flatten().map(value));
     let mut svg = String::new();
-    let drawn = draw(&mut svg, title, (x, range(|p| p.0)), (y, range(|p| p.1)), series, &placed);
+    let drawn = draw(&mut svg, (x, range(|p| p.0)), (y, range(|p| p.1)), series, &placed);
     drawn.expect("writing to a string does not fail");
     svg
 }
@@ -46,7 +46,6 @@ type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 fn draw(
     svg: &mut String,
-    title: &str,
     (x, x_range): (Axis<'_>, Range<f64>),
     (y, y_range): (Axis<'_>, Range<f64>),
     series: &[Series],
@@ -54,7 +53,6 @@ fn draw(
 ) -> Drawn {
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
     let mut chart = ChartBuilder::on(&root)
-        .caption(title, ("sans-serif", 16))
         .margin(8)
         .x_label_area_size(42)
         .y_label_area_size(58)
@@ -121,9 +119,9 @@ mod tests {
     fn points_are_drawn_and_others_left_out() {
         let axis = |label| Axis { label, scale: Scale::Log };
         let points = vec![(1.0, 10.0), (0.0, 1.0), (f64::NAN, 1.0), (100.0, 1.0)];
-        let svg = plot("a title", axis("across"), axis("up"), &[Series { name: "a".into(), points, line: true }]);
-        assert!(svg.starts_with("<svg") && svg.contains("a title") && svg.contains("across") && svg.contains("up"));
+        let svg = plot(axis("across"), axis("up"), &[Series { name: "a".into(), points, line: true }]);
+        assert!(svg.starts_with("<svg") && svg.contains("across") && svg.contains("up"));
         assert_eq!(svg.matches("<circle").count(), 2, "{svg}");
-        assert!(plot("empty", axis("x"), axis("y"), &[]).starts_with("<svg"));
+        assert!(plot(axis("x"), axis("y"), &[]).starts_with("<svg"));
     }
 }

@@ -75,12 +75,13 @@ impl Eval {
             selection: self.quality.select.clone(),
             cameras: Some(capture.cameras()),
         };
-        let (result, took) = session.stage("reconstruct", |stage| {
+        let (mut result, took) = session.stage("reconstruct", |stage| {
             model.reconstruct(&images, &request, |progress| {
                 stage.name(progress.scope);
                 stage.at(progress.fraction)
             })
         })?;
+        self.quality.prune(&mut result.scene, checkpoint.architecture());
         let mut renderer = Renderer::new(&device);
         renderer.load(&result.scene)?;
         let (drawn, _) = session.stage("compare", |stage| {
@@ -151,7 +152,7 @@ fn write_csv(path: &Path, scores: &[Score]) -> Result<()> {
 }
 
 /// A scene as a photo's camera sees it, `[height][width][rgb]` in 0..1.
-pub(super) fn draw(renderer: &mut Renderer, view: &Posed) -> Result<Vec<f32>> {
+pub fn draw(renderer: &mut Renderer, view: &Posed) -> Result<Vec<f32>> {
     let frame = renderer.render_loaded(&[view.camera], &RenderRequest::default())?.remove(0);
     Ok(frame.rgb.unwrap_or_default().iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }

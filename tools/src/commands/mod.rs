@@ -2,7 +2,7 @@
 
 mod bench;
 mod convert;
-mod eval;
+pub mod eval;
 mod info;
 mod reconstruct;
 mod render;

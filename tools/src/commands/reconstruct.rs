@@ -87,6 +87,7 @@ impl Reconstruct {
                 stage.at(progress.fraction)
             })
         })?;
+        self.quality.prune(&mut result.scene, checkpoint.architecture());
         result.scene.scale(unit as f32);
         let (_, write) =
             session.stage("write", |_| write_scene(&self.output, &result.scene, &WriteOptions::default()))?;
