@@ -92,11 +92,12 @@ impl Axis<'_> {
     }
 
     fn tick(&self, position: f64) -> String {
-        let value = if self.scale == Scale::Log { 10f64.powf(position) } else { position };
-        match value.abs() {
-            0.0 => "0".into(),
-            0.001..1e5 => format!("{}", (value * 1e4).round() / 1e4).chars().take(7).collect(),
-            _ => format!("{value:.0e}"),
+        let (value, digits) = if self.scale == Scale::Log { (10f64.powf(position), 1) } else { (position, 3) };
+        let rounded: f64 = format!("{value:.digits$e}").parse().unwrap_or(value);
+        if (1e-3..1e5).contains(&rounded.abs()) || rounded == 0.0 {
+            rounded.to_string()
+        } else {
+            format!("{rounded:.0e}")
         }
     }
 }

@@ -125,6 +125,11 @@ fn by(
             None => series.push(Series { name, points: vec![place(p)], line: true }),
         }
     }
+    // Every way to choose ends at choosing all.
+    if let Some(all) = series.iter().position(|series| series.name.starts_with("all")).filter(|_| series.len() > 1) {
+        let all = series.remove(all);
+        series.iter_mut().for_each(|series| series.points.extend(&all.points));
+    }
     series.iter_mut().for_each(|series| series.points.sort_by(|a, b| a.0.total_cmp(&b.0)));
     plot(x, y, &series)
 }
