@@ -5,10 +5,12 @@
 mod animation;
 mod cameras;
 mod commands;
+mod explain;
 mod noise;
 mod options;
 mod outputs;
 mod photos;
+mod pictures;
 pub mod procedural;
 mod session;
 mod table;

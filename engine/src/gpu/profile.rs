@@ -23,6 +23,8 @@ pub struct ProfileRow {
     pub time: Duration,
     /// Arithmetic they had to do.
     pub flops: u64,
+    /// Bytes of the tensors that they read and wrote, each counted once a command.
+    pub bytes: u64,
 }
 
 impl Profile {
@@ -34,6 +36,11 @@ impl Profile {
             .fold((Duration::ZERO, 0), |(time, flops), r| (time + r.time, flops + r.flops))
     }
 
+    /// The rows of a plan that has not run: their times are zero.
+    pub fn outline(plan: &Plan) -> Self {
+        Self::new(plan, &vec![0.0; plan.len()])
+    }
+
     pub(super) fn new(plan: &Plan, nanoseconds: &[f64]) -> Self {
         let mut rows: Vec<ProfileRow> = Vec::new();
         let mut known = HashMap::new();
@@ -41,12 +48,14 @@ impl Profile {
             let kernel = kernel_name(command);
             let row = *known.entry((command.scope, kernel)).or_insert_with(|| {
                 let scope = plan.scopes[command.scope as usize].clone();
-                rows.push(ProfileRow { scope, kernel: kernel.to_owned(), count: 0, time: Duration::ZERO, flops: 0 });
+                let (kernel, time) = (kernel.to_owned(), Duration::ZERO);
+                rows.push(ProfileRow { scope, kernel, count: 0, time, flops: 0, bytes: 0 });
                 rows.len() - 1
             });
             rows[row].count += 1;
             rows[row].time += Duration::from_nanos(*ns as u64);
             rows[row].flops += command.flops;
+            rows[row].bytes += command.bytes();
         }
         Self { rows }
     }

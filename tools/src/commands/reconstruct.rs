@@ -2,6 +2,7 @@
 
 use crate::{
     cameras,
+    explain::Explanation,
     options::{Quality, Size, Weights},
     outputs, photos,
     session::Session,
@@ -43,6 +44,9 @@ pub struct Reconstruct {
     /// the median distance of what the first photo sees
     #[arg(long, value_name = "PATH")]
     poses: Option<PathBuf>,
+    /// Also print the stages that ran, with time and bytes, and what was left out and why
+    #[arg(long)]
+    explain: bool,
 }
 
 impl Reconstruct {
@@ -86,7 +90,7 @@ impl Reconstruct {
         let tokens = shape.grid.tokens();
         let seconds: serde_json::Map<_, _> =
             times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
-        let json = json!({
+        let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
             "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
@@ -106,6 +110,11 @@ impl Reconstruct {
             let rate = if *stage == "load weights" { format!("  ({}/s)", bytes(rate)) } else { String::new() };
             // Writing to a string cannot fail.
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
+        }
+        if self.explain {
+            let explanation = Explanation::of_stages(&result.times, &result.outline, result.left_out);
+            text += &format!("\n{explanation}");
+            json["explain"] = json!(explanation);
         }
         session.report(&json, text)
     }

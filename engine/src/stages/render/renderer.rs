@@ -4,7 +4,7 @@ use super::{CameraRows, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTe
 use crate::{
     Error, Result,
     gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
-    types::{Camera, Scene},
+    types::{Camera, LeftOut, Scene},
 };
 use std::sync::Arc;
 
@@ -28,6 +28,8 @@ pub struct Renderer {
 struct Loaded {
     memory: Arc<Resident>,
     tensors: SceneTensors,
+    /// Degree that the scene has, of which the tensors hold what is used.
+    stored_degree: u32,
 }
 
 struct Planned {
@@ -67,22 +69,27 @@ impl Renderer {
     /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
-        let used = used_degree(scene);
-        let same = |s: &SceneTensors| (s.len, s.sh_degree, s.sh_degree_used) == (scene.len(), scene.sh_degree, used);
+        let degree = used_degree(scene);
+        let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
         let loaded = match self.scene.take() {
             Some(loaded) if same(&loaded.tensors) => loaded,
             _ => {
                 self.plans.clear();
                 self.cameras_at_once = usize::MAX;
-                Loaded::allocate(&self.device, scene, used)?
+                Loaded::allocate(&self.device, scene.len(), degree)?
             }
         };
-        let Loaded { memory, tensors } = self.scene.insert(loaded);
+        let Loaded { memory, tensors, .. } = self.scene.insert(Loaded { stored_degree: scene.sh_degree, ..loaded });
         memory.write(tensors.means, &scene.means)?;
         memory.write(tensors.scales, &scene.scales)?;
         memory.write(tensors.quats, &scene.quats)?;
         memory.write(tensors.opacities, &scene.opacities)?;
-        memory.write(tensors.sh_coeffs, &scene.sh_coeffs)
+        if degree == scene.sh_degree {
+            return memory.write(tensors.sh_coeffs, &scene.sh_coeffs);
+        }
+        let used = coeffs_of(degree);
+        let coeffs = scene.sh_coeffs.chunks_exact(scene.sh_coeffs_per_gaussian()).flat_map(|all| &all[..used]);
+        memory.write(tensors.sh_coeffs, &coeffs.copied().collect::<Vec<_>>())
     }
 
     /// Draws the scene that was loaded last.
@@ -91,7 +98,11 @@ impl Renderer {
     /// As [`Renderer::render`], and [`Error::Argument`] where no scene was loaded.
     pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         if request.channels() == 0 {
-            return Err(Error::argument("render request", "no output", "one of rgb, alpha and depth"));
+            return Err(Error::argument(
+                "render request",
+                "no output",
+                "one of rgb, alpha, depth, normals and token colours",
+            ));
         }
         let mut sizes: Vec<(u32, u32)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
@@ -116,6 +127,31 @@ impl Renderer {
             }
         }
         Ok(frames.into_iter().flatten().collect())
+    }
+
+    /// Draws the scene that was loaded last with each camera and hands every picture to `done` with its camera's index,
+    /// in their order.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`], and the first error of `done`, which ends the drawing.
+    pub fn render_each(
+        &mut self,
+        cameras: &[Camera],
+        request: &RenderRequest,
+        mut done: impl FnMut(usize, Frame) -> Result<()>,
+    ) -> Result<()> {
+        for (i, camera) in cameras.iter().enumerate() {
+            for frame in self.render_loaded(std::slice::from_ref(camera), request)? {
+                done(i, frame)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Effects that pictures of the scene that was loaded last do without, and why.
+    pub fn left_out(&self, request: &RenderRequest) -> Vec<LeftOut> {
+        let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree, scene.tensors.sh_degree));
+        request.left_out(degrees.0, degrees.1)
     }
 
     /// Device time of drawing the scene that was loaded last with one camera, by kernel.
@@ -213,20 +249,18 @@ impl Renderer {
 }
 
 impl Loaded {
-    fn allocate(device: &Device, scene: &Scene, sh_degree_used: u32) -> Result<Self> {
+    fn allocate(device: &Device, len: usize, sh_degree: u32) -> Result<Self> {
         let mut layout = ResidentLayout::new(device.limits());
-        let len = scene.len();
         let tensors = SceneTensors {
             means: layout.add::<[f32; 3]>(len),
             scales: layout.add::<[f32; 3]>(len),
             quats: layout.add::<[f32; 4]>(len),
             opacities: layout.add::<f32>(len),
-            sh_coeffs: layout.add::<[f32; 3]>(scene.sh_coeffs.len()),
+            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
             len,
-            sh_degree: scene.sh_degree,
-            sh_degree_used,
+            sh_degree,
         };
-        Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors })
+        Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
     }
 
     fn plan(&self, device: &Device, shape: FrameShape, request: &RenderRequest, capacity: usize) -> Result<Planned> {
@@ -238,7 +272,12 @@ impl Loaded {
     }
 }
 
-/// Degree of the highest band that is not all zero: what is above it need not be evaluated.
+/// Coefficients up to a degree.
+fn coeffs_of(degree: u32) -> usize {
+    (degree as usize + 1).pow(2)
+}
+
+/// Degree of the highest band that is not all zero: what is above it is neither stored nor evaluated.
 fn used_degree(scene: &Scene) -> u32 {
     let stride = scene.sh_coeffs_per_gaussian();
     let zero = |degree: u32| {
