@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use std::num::NonZeroU32;
 use zipsplat::{
     Error,
-    gpu::{Limits, Recorder, Run},
+    gpu::{Device, DeviceOptions, Limits, Recorder, Run},
     stages::render::{
         CameraRows, Depth, Frame, FrameShape, RenderRequest, Renderer, SceneTensors, camera_rows, record,
     },
@@ -165,6 +165,50 @@ fn several_cameras_are_as_each_alone() {
     for (camera, frame) in cameras.iter().zip(&together) {
         assert_eq!(bits(&render(&scene, &[*camera], &ALL)), bits(std::slice::from_ref(frame)));
     }
+}
+
+#[test]
+fn pictures_in_flight_are_as_each_alone() {
+    let scene = random_scene(3_000, 1, 0.2);
+    // Groups of several and of one, of sizes that alternate, and more of them than take turns.
+    let cameras: Vec<Camera> = (0..23)
+        .map(|i| {
+            let (width, height) = if (9..12).contains(&i) { (61, 90) } else { (90, 61) };
+            Camera {
+                pose: Pose { translation: [0.05 * f64::from(i), 0.0, 0.0].into(), ..Pose::IDENTITY },
+                ..camera(width, height)
+            }
+        })
+        .collect();
+    let expected: Vec<_> = cameras.iter().map(|camera| bits(&render(&scene, &[*camera], &ALL))).collect();
+    let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
+    for device in [device(), &staged] {
+        // One intersection a picture: every plan overflows with others under way.
+        for capacity in [0, 1] {
+            let mut renderer = Renderer::with_capacity(device, capacity);
+            renderer.load(&scene).unwrap();
+            for _ in 0..2 {
+                let mut got = Vec::new();
+                let gather = |index, frame| {
+                    assert_eq!(index, got.len());
+                    got.push(bits(&[frame]));
+                    Ok(())
+                };
+                renderer.render_each(&cameras, &ALL, gather).unwrap();
+                assert!(got == expected, "capacity {capacity}");
+            }
+        }
+    }
+}
+
+#[test]
+fn drawing_ends_where_its_pictures_are_refused() {
+    let (scene, cameras) = (random_scene(500, 0, 0.2), [camera(40, 30); 40]);
+    let mut renderer = Renderer::new(device());
+    let expected = bits(&renderer.render(&scene, &cameras[..1], &ALL).unwrap());
+    let stop = |index, _| if index == 11 { Err(Error::Cancelled) } else { Ok(()) };
+    assert!(matches!(renderer.render_each(&cameras, &ALL, stop), Err(Error::Cancelled)));
+    assert_eq!(bits(&renderer.render(&scene, &cameras[..1], &ALL).unwrap()), expected);
 }
 
 #[test]

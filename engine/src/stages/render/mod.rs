@@ -3,6 +3,7 @@
 //! Gaussians are sorted by depth first, so that the intersections, several times as many, are only sorted by tile.
 //! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
 
+mod flights;
 mod frame;
 mod intersect;
 mod project;

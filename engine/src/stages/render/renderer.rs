@@ -19,7 +19,7 @@ pub struct Renderer {
     scene: Option<Loaded>,
     /// Last used last.
     plans: Vec<Planned>,
-    /// Room for intersections in new plans; grows with what was drawn.
+    /// Room for intersections of a camera in new plans; grows with what was drawn.
     capacity: usize,
     /// More at once did not fit.
     cameras_at_once: usize,
@@ -32,12 +32,14 @@ struct Loaded {
     stored_degree: u32,
 }
 
-struct Planned {
+pub(super) struct Planned {
     shape: FrameShape,
     request: RenderRequest,
+    /// Which of the plans that are alike, for pictures in flight.
+    turn: usize,
     capacity: usize,
-    run: Run,
-    cameras: Tensor,
+    pub run: Run,
+    pub cameras: Tensor,
     outputs: RenderOutputs,
 }
 
@@ -47,8 +49,8 @@ impl Renderer {
         Self::with_capacity(device, 0)
     }
 
-    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles before it has to grow; 0
-    /// leaves that to the scene's size.
+    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles in a picture before it
+    /// has to grow; 0 leaves that to the scene's size.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
         Self { device: device.clone(), scene: None, plans: Vec::new(), capacity, cameras_at_once: usize::MAX }
     }
@@ -97,25 +99,10 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::render`], and [`Error::Argument`] where no scene was loaded.
     pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
-        if request.channels() == 0 {
-            return Err(Error::argument(
-                "render request",
-                "no output",
-                "one of rgb, alpha, depth, normals and token colours",
-            ));
-        }
-        let mut sizes: Vec<(u32, u32)> = Vec::new();
-        for (i, camera) in cameras.iter().enumerate() {
-            camera.validate(&format!("camera {i}"))?;
-            let size = (camera.intrinsics.width, camera.intrinsics.height);
-            if size.0.max(size.1) > MAX_SIDE {
-                let found = format!("{} x {}", size.0, size.1);
-                return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
-            }
-            if !sizes.contains(&size) {
-                sizes.push(size);
-            }
-        }
+        check(cameras, request)?;
+        let mut sizes: Vec<(u32, u32)> = cameras.iter().map(|c| (c.intrinsics.width, c.intrinsics.height)).collect();
+        sizes.sort_unstable();
+        sizes.dedup();
         let mut frames: Vec<Option<Frame>> = cameras.iter().map(|_| None).collect();
         for size in sizes {
             let alike =
@@ -127,25 +114,6 @@ impl Renderer {
             }
         }
         Ok(frames.into_iter().flatten().collect())
-    }
-
-    /// Draws the scene that was loaded last with each camera and hands every picture to `done` with its camera's index,
-    /// in their order.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`], and the first error of `done`, which ends the drawing.
-    pub fn render_each(
-        &mut self,
-        cameras: &[Camera],
-        request: &RenderRequest,
-        mut done: impl FnMut(usize, Frame) -> Result<()>,
-    ) -> Result<()> {
-        for (i, camera) in cameras.iter().enumerate() {
-            for frame in self.render_loaded(std::slice::from_ref(camera), request)? {
-                done(i, frame)?;
-            }
-        }
-        Ok(())
     }
 
     /// Effects that pictures of the scene that was loaded last do without, and why.
@@ -162,28 +130,25 @@ impl Renderer {
         // Afterwards there is a plan with room for every intersection.
         self.render_loaded(std::slice::from_ref(camera), request)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-        let plan = self.plan(shape, request)?;
+        let plan = self.plan(shape, request, 0)?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
         plan.run.profile()
     }
 
     /// Draws cameras of one size, as many at once as there is memory for.
-    fn render_alike(
+    pub(super) fn render_alike(
         &mut self,
         cameras: &[CameraRows],
         size: (u32, u32),
         request: &RenderRequest,
     ) -> Result<Vec<Frame>> {
-        let bytes_each = [
-            12 * self.scene.as_ref().map_or(0, |scene| scene.tensors.len),
-            4 * request.channels() * size.0 as usize * size.1 as usize,
-        ];
+        let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.device.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
             let together = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
-            match self.render_together(together, size, request) {
+            match self.render_together(together, size, request, 0) {
                 Ok(drawn) => frames.extend(drawn),
                 Err(Error::Memory { .. }) if together.len() > 1 => {
                     self.cameras_at_once = together.len() / 2;
@@ -195,41 +160,40 @@ impl Renderer {
         Ok(frames)
     }
 
-    fn render_together(
+    pub(super) fn render_together(
         &mut self,
         cameras: &[CameraRows],
         (width, height): (u32, u32),
         request: &RenderRequest,
+        turn: usize,
     ) -> Result<Vec<Frame>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
         let most = self.device.limits().max_binding_bytes / 4;
         loop {
-            let plan = self.plan(shape, request)?;
+            let plan = self.plan(shape, request, turn)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
-            let status: Vec<u32> = plan.run.read(plan.outputs.status)?;
-            let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
-            if needed <= plan.capacity {
-                let values: Vec<f32> = plan.run.read(plan.outputs.frames)?;
-                let frame = |values| Frame::from_channels(width, height, values, request);
-                return Ok(values.chunks_exact(values.len() / cameras.len()).map(frame).collect());
+            if let Some(frames) = plan.frames()? {
+                return Ok(frames);
             }
+            let needed = plan.needed()?;
             if needed as u64 > most {
                 let what = "a list of the intersections of Gaussians with tiles".into();
                 return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });
             }
             // A camera that moves a little should not outgrow it at once.
-            self.capacity = (needed + needed / 4).min(most as usize);
+            self.capacity = self.capacity.max((needed + needed / 4).div_ceil(cameras.len()));
             self.plans.pop();
         }
     }
 
-    /// The plan for `shape` and `request`, which is last among the plans afterwards.
-    fn plan(&mut self, shape: FrameShape, request: &RenderRequest) -> Result<&mut Planned> {
+    /// The plan for `shape` and `request`, of those alike the one of this turn. It is last among the plans afterwards.
+    pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut Planned> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let known = self.plans.iter().position(|p| p.shape == shape && p.request == *request);
+        let alike = |p: &Planned| (p.shape, p.turn) == (shape, turn) && p.request == *request;
+        let known = self.plans.iter().position(alike);
         let planned = match known {
             Some(index) => self.plans.remove(index),
             None => {
@@ -237,14 +201,48 @@ impl Renderer {
                     self.plans.remove(0);
                 }
                 if self.capacity == 0 {
-                    let most = self.device.limits().max_binding_bytes as usize / 4;
-                    self.capacity = (4 * scene.tensors.len * shape.cameras).clamp(1 << 16, most);
+                    self.capacity = (4 * scene.tensors.len).max(1 << 16);
                 }
-                scene.plan(&self.device, shape, request, self.capacity)?
+                let most = self.device.limits().max_binding_bytes as usize / 4;
+                let capacity = self.capacity.saturating_mul(shape.cameras).min(most);
+                scene.plan(&self.device, shape, request, turn, capacity)?
             }
         };
         self.plans.push(planned);
         Ok(self.plans.last_mut().expect("just pushed"))
+    }
+
+    pub(super) fn forget_plans(&mut self) {
+        self.plans.clear();
+    }
+
+    /// Gaussians of the scene.
+    pub(super) fn gaussians(&self) -> usize {
+        self.scene.as_ref().map_or(0, |scene| scene.tensors.len)
+    }
+
+    /// Waits for everything that is under way.
+    pub(super) fn settle(&mut self) -> Result<()> {
+        self.plans.iter_mut().try_for_each(|plan| plan.run.finish())
+    }
+}
+
+impl Planned {
+    /// Intersections that the last run found; more than can be counted as 2^32.
+    fn needed(&self) -> Result<usize> {
+        let status: Vec<u32> = self.run.read(self.outputs.status)?;
+        Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))
+    }
+
+    /// The pictures of the last run, unless they needed more room.
+    pub(super) fn frames(&self) -> Result<Option<Vec<Frame>>> {
+        if self.needed()? > self.capacity {
+            return Ok(None);
+        }
+        let values: Vec<f32> = self.run.read(self.outputs.frames)?;
+        let FrameShape { cameras, width, height } = self.shape;
+        let frame = |values| Frame::from_channels(width, height, values, &self.request);
+        Ok(Some(values.chunks_exact(values.len() / cameras).map(frame).collect()))
     }
 }
 
@@ -263,13 +261,37 @@ impl Loaded {
         Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
     }
 
-    fn plan(&self, device: &Device, shape: FrameShape, request: &RenderRequest, capacity: usize) -> Result<Planned> {
+    fn plan(
+        &self,
+        device: &Device,
+        shape: FrameShape,
+        request: &RenderRequest,
+        turn: usize,
+        capacity: usize,
+    ) -> Result<Planned> {
         let mut rec = Recorder::new(device.limits());
         let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
         let outputs = record(&mut rec, &self.tensors, cameras, shape, request, capacity);
-        let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?;
-        Ok(Planned { shape, request: *request, capacity, run, cameras, outputs })
+        let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
+        Ok(Planned { shape, request: *request, turn, capacity, run, cameras, outputs })
     }
+}
+
+/// Holds that these pictures can be drawn.
+pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
+    if request.channels() == 0 {
+        let expected = "one of rgb, alpha, depth, normals and token colours";
+        return Err(Error::argument("render request", "no output", expected));
+    }
+    for (i, camera) in cameras.iter().enumerate() {
+        camera.validate(&format!("camera {i}"))?;
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        if size.0.max(size.1) > MAX_SIDE {
+            let found = format!("{} x {}", size.0, size.1);
+            return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
+        }
+    }
+    Ok(())
 }
 
 /// Coefficients up to a degree.
