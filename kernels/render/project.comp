@@ -68,12 +68,17 @@ TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
     return tiles;
 }
 
-vec3 colour(uint n, vec3 direction) {
+const uint COEFFS = (SH_DEGREE + 1) * (SH_DEGREE + 1);
+
+void add_bands(uint n, vec3 direction, inout vec3 sum) {
     float basis[16];
     spherical_harmonics(SH_DEGREE, direction, basis);
-    vec3 sum = vec3(0.5);
-    const uint count = (SH_DEGREE + 1) * (SH_DEGREE + 1);
-    for (uint k = 0; k < count; ++k) sum += basis[k] * sh_coeffs[n * count + k];
+    for (uint k = 1; k < COEFFS; ++k) sum += basis[k] * sh_coeffs[n * COEFFS + k];
+}
+
+vec3 colour(uint n, uint camera) {
+    vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
+    if (SH_DEGREE > 0) add_bands(n, normalize(means[n] - cameras[5 * camera + 4].xyz), sum);
     return max(sum, 0);
 }
 
@@ -115,7 +120,7 @@ TileSet project(uint n, uint camera, uint pair) {
     depths[pair] = floatBitsToUint(p.z);
     xy_opacities[pair] = vec3(centre, opacity);
     conics[pair] = conic;
-    if (COLOUR) colours[pair] = colour(n, normalize(means[n] - cameras[5 * camera + 4].xyz));
+    if (COLOUR) colours[pair] = colour(n, camera);
     return tiles;
 }
 

@@ -108,7 +108,8 @@ uint store(uint at, vec3 value) {
 
 void store(Pixel pixel, uint at) {
     float left = abs(pixel.transmittance);
-    if (COLOUR) at = store(at, HAS_BACKGROUND ? pixel.sum.rgb + left * background : pixel.sum.rgb);
+    if (HAS_BACKGROUND) pixel.sum.rgb += left * background;
+    if (COLOUR) at = store(at, pixel.sum.rgb);
     if (ALPHA) frames[at++] = 1 - left;
     if (DEPTH) frames[at++] = EXPECTED_DEPTH ? pixel.sum.depth / max(1 - left, 1e-10) : pixel.sum.depth;
     if (NORMAL) at = store(at, pixel.sum.normal / max(length(pixel.sum.normal), 1e-10));

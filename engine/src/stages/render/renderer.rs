@@ -23,6 +23,8 @@ pub struct Renderer {
     capacity: usize,
     /// More at once did not fit.
     cameras_at_once: usize,
+    /// Whether kernels have no code of effects.
+    plain: bool,
 }
 
 struct Loaded {
@@ -32,11 +34,17 @@ struct Loaded {
     stored_degree: u32,
 }
 
-pub(super) struct Planned {
+/// What a plan is for.
+#[derive(Clone, Copy, PartialEq)]
+struct Key {
     shape: FrameShape,
     request: RenderRequest,
     /// Which of the plans that are alike, for pictures in flight.
     turn: usize,
+}
+
+pub(super) struct Planned {
+    key: Key,
     capacity: usize,
     pub run: Run,
     pub cameras: Tensor,
@@ -52,7 +60,20 @@ impl Renderer {
     /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles in a picture before it
     /// has to grow; 0 leaves that to the scene's size.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
-        Self { device: device.clone(), scene: None, plans: Vec::new(), capacity, cameras_at_once: usize::MAX }
+        Self {
+            device: device.clone(),
+            scene: None,
+            plans: Vec::new(),
+            capacity,
+            cameras_at_once: usize::MAX,
+            plain: false,
+        }
+    }
+
+    /// A renderer whose kernels were compiled without the code of any effect, to measure what effects cost that are not
+    /// asked for. It draws colour without view dependence on black, and nothing else may be asked of it.
+    pub fn without_effects(device: &Device) -> Self {
+        Self { plain: true, ..Self::new(device) }
     }
 
     /// Draws `scene` with each camera, in their order.
@@ -71,7 +92,7 @@ impl Renderer {
     /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
-        let degree = used_degree(scene);
+        let degree = if self.plain { 0 } else { used_degree(scene) };
         let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
         let loaded = match self.scene.take() {
             Some(loaded) if same(&loaded.tensors) => loaded,
@@ -114,6 +135,14 @@ impl Renderer {
             }
         }
         Ok(frames.into_iter().flatten().collect())
+    }
+
+    /// Intersections of Gaussians with tiles in what was drawn last.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn intersections(&self) -> Result<usize> {
+        self.plans.last().map_or(Ok(0), Planned::needed)
     }
 
     /// Effects that pictures of the scene that was loaded last do without, and why.
@@ -192,8 +221,8 @@ impl Renderer {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let alike = |p: &Planned| (p.shape, p.turn) == (shape, turn) && p.request == *request;
-        let known = self.plans.iter().position(alike);
+        let key = Key { shape, request: *request, turn };
+        let known = self.plans.iter().position(|planned| planned.key == key);
         let planned = match known {
             Some(index) => self.plans.remove(index),
             None => {
@@ -205,7 +234,8 @@ impl Renderer {
                 }
                 let most = self.device.limits().max_binding_bytes as usize / 4;
                 let capacity = self.capacity.saturating_mul(shape.cameras).min(most);
-                scene.plan(&self.device, shape, request, turn, capacity)?
+                let rec = Recorder::new(self.device.limits());
+                scene.plan(&self.device, if self.plain { rec.plain() } else { rec }, key, capacity)?
             }
         };
         self.plans.push(planned);
@@ -240,8 +270,8 @@ impl Planned {
             return Ok(None);
         }
         let values: Vec<f32> = self.run.read(self.outputs.frames)?;
-        let FrameShape { cameras, width, height } = self.shape;
-        let frame = |values| Frame::from_channels(width, height, values, &self.request);
+        let FrameShape { cameras, width, height } = self.key.shape;
+        let frame = |values| Frame::from_channels(width, height, values, &self.key.request);
         Ok(Some(values.chunks_exact(values.len() / cameras).map(frame).collect()))
     }
 }
@@ -261,19 +291,11 @@ impl Loaded {
         Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
     }
 
-    fn plan(
-        &self,
-        device: &Device,
-        shape: FrameShape,
-        request: &RenderRequest,
-        turn: usize,
-        capacity: usize,
-    ) -> Result<Planned> {
-        let mut rec = Recorder::new(device.limits());
-        let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
-        let outputs = record(&mut rec, &self.tensors, cameras, shape, request, capacity);
+    fn plan(&self, device: &Device, mut rec: Recorder, key: Key, capacity: usize) -> Result<Planned> {
+        let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
+        let outputs = record(&mut rec, &self.tensors, cameras, key.shape, &key.request, capacity);
         let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
-        Ok(Planned { shape, request: *request, turn, capacity, run, cameras, outputs })
+        Ok(Planned { key, capacity, run, cameras, outputs })
     }
 }
 

@@ -1,7 +1,9 @@
 //! `zipsplat bench`: times on a device, each the median of many with its least and greatest.
 
+mod effects;
 mod forward;
 mod gemm;
+mod gsplat;
 mod render;
 
 use crate::session::Session;
