@@ -184,8 +184,8 @@ fn pictures_in_flight_are_as_each_alone() {
     let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
     for device in [device(), &staged] {
         // One intersection a picture: every plan overflows with others under way.
-        for capacity in [0, 1] {
-            let mut renderer = Renderer::with_capacity(device, capacity);
+        for (capacity, together) in [(0, 1), (0, 8), (1, 1), (1, 8)] {
+            let mut renderer = Renderer::with_capacity(device, capacity).together(together);
             renderer.load(&scene).unwrap();
             for _ in 0..2 {
                 let mut got = Vec::new();
@@ -195,7 +195,7 @@ fn pictures_in_flight_are_as_each_alone() {
                     Ok(())
                 };
                 renderer.render_each(&cameras, &ALL, gather).unwrap();
-                assert!(got == expected, "capacity {capacity}");
+                assert!(got == expected, "capacity {capacity}, {together} together");
             }
         }
     }

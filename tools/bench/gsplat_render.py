@@ -1,4 +1,5 @@
 """Times gsplat on a scene: gsplat_render.py SCENE.ply WIDTH HEIGHT REPEATS. Prints the median milliseconds of a frame.
+Without arguments it only says whether it could.
 
 The camera is that of `zipsplat bench render`: at the world's origin, looking along z, as wide as what it sees is far.
 """
@@ -15,6 +16,8 @@ except ImportError as error:
     sys.exit(f"{error.name} is not installed")
 if not torch.cuda.is_available():
     sys.exit("PyTorch finds no CUDA GPU")
+if len(sys.argv) == 1:
+    sys.exit()
 
 path, width, height, repeats = sys.argv[1], *map(int, sys.argv[2:5])
 with open(path, "rb") as file:

@@ -93,16 +93,17 @@ impl Reconstruct {
         let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
-            "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
+            "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens, "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
             "seconds": seconds,
         });
         let mut text = format!(
-            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, at most {} of {}\n",
+            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} Gaussians each; at most {} of {}\n",
             self.output.display(),
             HumanCount(result.scene.len() as u64),
             images.len(),
             HumanCount(result.tokens as u64),
             HumanCount(tokens as u64),
+            result.scene.len() / result.tokens,
             bytes(result.peak_bytes),
             device.limits().name,
         );

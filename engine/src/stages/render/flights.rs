@@ -6,11 +6,9 @@ use std::{collections::VecDeque, ops::Range};
 
 /// Plans that take turns.
 const TURNS: usize = 2;
-/// Pictures of one submission: small ones do not fill a GPU, and large ones need the memory.
-const MOST_TOGETHER: usize = 8;
-/// Their pixels together, at most.
+/// Pixels that are drawn together, at most.
 const PIXELS_TOGETHER: usize = 1 << 20;
-/// Their pairs of a Gaussian and a camera, at most.
+/// Pairs of a Gaussian and a camera that are drawn together, at most.
 const PAIRS_TOGETHER: usize = 1 << 21;
 
 /// Pictures that are being drawn.
@@ -45,7 +43,7 @@ impl Renderer {
         for (i, camera) in cameras.iter().enumerate() {
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
             let pixels = width as usize * height as usize;
-            let most = MOST_TOGETHER.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / self.gaussians().max(1)).max(1);
+            let most = self.together.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / self.gaussians().max(1)).max(1);
             match groups.last_mut() {
                 Some((range, shape)) if (shape.width, shape.height) == (width, height) && shape.cameras < most => {
                     range.end += 1;

@@ -10,6 +10,8 @@ use std::sync::Arc;
 
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
+/// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
+const GPU_TOGETHER: usize = 8;
 /// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
 const MAX_SIDE: u32 = 1 << 15;
 
@@ -23,6 +25,8 @@ pub struct Renderer {
     capacity: usize,
     /// More at once did not fit.
     cameras_at_once: usize,
+    /// Most pictures of one submission of [`Renderer::render_each`].
+    pub(super) together: usize,
     /// Whether kernels have no code of effects.
     plain: bool,
 }
@@ -66,8 +70,15 @@ impl Renderer {
             plans: Vec::new(),
             capacity,
             cameras_at_once: usize::MAX,
+            together: if device.limits().cpu { 1 } else { GPU_TOGETHER },
             plain: false,
         }
+    }
+
+    /// Lets [`Renderer::render_each`] draw up to `most` pictures in a submission, where they are small.
+    pub fn together(mut self, most: usize) -> Self {
+        self.together = most.max(1);
+        self
     }
 
     /// A renderer whose kernels were compiled without the code of any effect, to measure what effects cost that are not

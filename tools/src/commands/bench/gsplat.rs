@@ -2,7 +2,10 @@
 
 use crate::options::Size;
 use std::{
-    env, fs,
+    env,
+    ffi::OsStr,
+    fmt::Display,
+    fs,
     path::{Path, PathBuf},
     process::{self, Command},
 };
@@ -24,21 +27,33 @@ impl Drop for SceneFile {
     }
 }
 
+/// Holds that `python` can do it.
+///
+/// # Errors
+/// [`Error::Argument`] where it does not run or lacks something, with what it said.
+pub fn check(python: &Path) -> Result<()> {
+    run(python, &[]).map(drop)
+}
+
 /// Milliseconds that gsplat takes for a frame.
 ///
 /// # Errors
-/// [`Error::Argument`] where `python` does not run or lacks something, with what it said.
+/// As [`check`].
 pub fn milliseconds(python: &Path, scene: &Scene, size: Size, repeats: u32) -> Result<f64> {
     let file = SceneFile(env::temp_dir().join(format!("zipsplat-bench-{}.ply", process::id())));
     write_ply(scene, &file.0)?;
     let numbers = [size.0, size.1, repeats].map(|number| number.to_string());
-    let output = Command::new(python).arg("-c").arg(SCRIPT).arg(&file.0).args(numbers).output();
-    let output =
-        output.map_err(|error| Error::argument("--gsplat", format!("{}: {error}", python.display()), NEEDED))?;
-    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    let found = out.trim().parse().ok().filter(|_| output.status.success());
-    found.ok_or_else(|| {
-        let said = err.trim().lines().last().unwrap_or("nothing").to_owned();
-        Error::argument("--gsplat", format!("{}: {said}", python.display()), NEEDED)
-    })
+    let printed = run(python, &[file.0.as_os_str(), numbers[0].as_ref(), numbers[1].as_ref(), numbers[2].as_ref()])?;
+    printed.trim().parse().map_err(|_| Error::argument("--gsplat", printed.trim(), "milliseconds"))
+}
+
+/// Runs the script and returns what it printed.
+fn run(python: &Path, arguments: &[&OsStr]) -> Result<String> {
+    let failed = |said: &dyn Display| Error::argument("--gsplat", format!("{}: {said}", python.display()), NEEDED);
+    let output = Command::new(python).arg("-c").arg(SCRIPT).args(arguments).output().map_err(|error| failed(&error))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        return Err(failed(&said.trim().lines().last().unwrap_or("it failed")));
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

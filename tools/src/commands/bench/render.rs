@@ -90,6 +90,7 @@ impl Render {
             let scene = Noise(1).scene(gaussians as usize, sh);
             return effects::run(session, &device, &scene, size, &self.repeats);
         }
+        self.gsplat.as_deref().map_or(Ok(()), gsplat::check)?;
         let bandwidth = bandwidth(&device)?;
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
