@@ -21,11 +21,13 @@ fn main() {
 
     let kernels = sources::find(&root);
     sources::refresh(&root, &kernels);
-    let modules: Vec<_> = kernels
-        .iter()
+    let (plain, whole): (Vec<_>, Vec<_>) = kernels.iter().partition(|kernel| kernel.name.ends_with(sources::PLAIN));
+    let modules: Vec<_> = whole
+        .into_iter()
         .map(|kernel| {
             let words = fs::read(root.join("spirv").join(format!("{}.spv", kernel.name))).expect("refreshed above");
-            (kernel, reflect::reflect(&kernel.name, &words))
+            let plain = plain.iter().find(|plain| plain.name.strip_suffix(sources::PLAIN) == Some(&kernel.name));
+            (kernel, reflect::reflect(&kernel.name, &words), plain.map(|plain| plain.name.as_str()))
         })
         .collect();
     let limits = fs::read_to_string(root.join("shared/limits.glsl")).expect("kernels/shared/limits.glsl");

@@ -6,15 +6,15 @@ use crate::{
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
-/// Source text of `kernels.rs`: constants of limits.glsl, one struct a kernel, and the list of all modules.
-pub fn table(root: &Path, kernels: &[(&Source, Interface)], limits: &str) -> String {
+/// Source text of `kernels.rs` for kernels, each with the name of its variant without effects: constants of limits.glsl, one struct a kernel, and the list of all modules.
+pub fn table(root: &Path, kernels: &[(&Source, Interface, Option<&str>)], limits: &str) -> String {
     let mut areas = BTreeMap::<&str, String>::new();
     let mut all = String::new();
-    for (source, interface) in kernels {
+    for (source, interface, plain) in kernels {
         let (area, stem) = source.name.split_once('/').expect("kernels lie one folder deep");
         let kernel = camel_case(stem);
         writeln!(all, "    &<{area}::{kernel} as Kernel>::MODULE,").expect("string");
-        *areas.entry(area).or_default() += &kernel_struct(root, source, &kernel, interface);
+        *areas.entry(area).or_default() += &kernel_struct(root, source, &kernel, interface, *plain);
     }
     let mut text = String::from("use crate::gpu::{Binding, Kernel, LocalSize, Module, Tensor};\n\n");
     writeln!(text, "/// Constants that kernels and host share, from kernels/shared/limits.glsl.\npub mod limits {{")
@@ -36,7 +36,7 @@ pub fn table(root: &Path, kernels: &[(&Source, Interface)], limits: &str) -> Str
     text
 }
 
-fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interface) -> String {
+fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interface, plain: Option<&str>) -> String {
     let name = &source.name;
     let mut fields = String::new();
     let mut bindings = String::new();
@@ -83,8 +83,15 @@ fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interfa
         Some(size) => format!("LocalSize::Fixed({size:?})"),
         None => "LocalSize::Subgroup".to_owned(),
     };
-    let spirv = root.join(format!("spirv/{name}.spv"));
-    let spirv = spirv.display();
+    let path = |name: &str| root.join(format!("spirv/{name}.spv")).display().to_string();
+    let spirv = path(name);
+    let plain = plain.map_or_else(String::new, |name| {
+        let spirv = path(name);
+        format!(
+            "
+        const PLAIN: Module = Module {{ name: {name:?}, spirv: include_bytes!({spirv:?}), ..Self::MODULE }};"
+        )
+    });
     let (summary, buffers, constants, ids) =
         (source.summary.replace('[', "\\["), buffers.join(", "), constants.join(", "), ids.join(", "));
     format!(
@@ -103,7 +110,7 @@ fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interfa
             push_bytes: {push_bytes},
             constant_ids: &[{ids}],
             local_size: {local_size},
-        }};
+        }};{plain}
         fn buffers(&self) -> Vec<Tensor> {{ vec![{buffers}] }}
         #[allow(unused_mut)]
         fn push(&self) -> [u32; 16] {{

@@ -19,13 +19,20 @@ pub struct Source {
     hash: String,
 }
 
+/// Ends the names of variants of kernels from which the code of every effect was taken: their constants that are marked
+/// `// effect` keep the values that turn effects off and are no specialisation constants any more, and lines of the form
+/// `if (EFFECT) statement;` or `if (EFFECT > 0) statement;` are gone.
+pub const PLAIN: &str = ".plain";
+
 /// Every kernel below `root`, by name.
 pub fn find(root: &Path) -> Vec<Source> {
     let mut sources = Vec::new();
     for area in folders(root) {
         for file in entries(&root.join(&area)) {
             if let Some(stem) = file.strip_suffix(".comp") {
-                sources.push(load(root, format!("{area}/{stem}")));
+                let source = load(root, format!("{area}/{stem}"));
+                sources.extend(plain(&source));
+                sources.push(source);
             }
         }
     }
@@ -100,9 +107,30 @@ fn remove_orphans(root: &Path, kernels: &[Source]) {
     }
 }
 
+/// The variant without effects, where the kernel has any.
+fn plain(source: &Source) -> Option<Source> {
+    let effect = |line: &str| {
+        let (_, constant) = line.split_once(") const ").filter(|_| line.contains("; // effect"))?;
+        Some((constant.split(' ').nth(1)?.to_owned(), format!("const {constant}\n")))
+    };
+    let names: BTreeSet<String> = source.text.lines().filter_map(|line| Some(effect(line)?.0)).collect();
+    let fixed = |line: &str| match (effect(line), line.trim_start().strip_prefix("if (")) {
+        (Some((_, constant)), _) => constant,
+        (_, Some(rest)) if names.contains(rest.split([' ', ')']).next().unwrap_or_default()) => "\n".into(),
+        _ => format!("{line}\n"),
+    };
+    let text: String = source.text.lines().map(fixed).collect();
+    let (name, summary) = (format!("{}{PLAIN}", source.name), source.summary.clone());
+    (text != source.text).then(|| Source { name, hash: hash(&text), text, summary })
+}
+
+fn hash(text: &str) -> String {
+    Sha256::digest(text).iter().map(|b| format!("{b:02x}")).collect()
+}
+
 fn load(root: &Path, name: String) -> Source {
     let text = with_includes(root, &format!("{name}.comp"), &mut BTreeSet::new());
-    let hash = Sha256::digest(&text).iter().map(|b| format!("{b:02x}")).collect();
+    let hash = hash(&text);
     let summary = text
         .lines()
         .map_while(|l| l.strip_prefix("//"))

@@ -8,12 +8,12 @@ pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape
 
 use crate::{
     Error, Result,
-    gpu::{Device, Plan, Progress, Recorder, Resident, Run, StageTimes},
+    gpu::{Device, Plan, Profile, Progress, Recorder, Resident, Run, StageTimes},
     stages::{
         backbone::{POSE_VALUES, interpolate_positions, rotary_tables},
         cluster::{even_indices, random_indices},
     },
-    types::{Image, Scene, prior_encoding},
+    types::{Image, LeftOut, Scene, prior_encoding},
     weights::{Architecture, Checkpoint},
 };
 use request::check_cameras;
@@ -28,6 +28,10 @@ pub struct Reconstruction {
     pub tokens: usize,
     /// Time of each stage.
     pub times: StageTimes,
+    /// Commands, bytes and arithmetic of each kernel of each stage; the times are zero.
+    pub outline: Profile,
+    /// Stages and passes that were not needed.
+    pub left_out: Vec<LeftOut>,
     /// Bytes of the arena and of the weights.
     pub peak_bytes: u64,
 }
@@ -89,6 +93,8 @@ impl Model {
             scene: tensors.read(&run, self.architecture().sh_degree as u32)?,
             tokens: shape.tokens,
             times,
+            outline: Profile::outline(run.plan()),
+            left_out: shape.left_out(),
             peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes(),
         })
     }

@@ -1,7 +1,7 @@
 // Projects Gaussians to the image planes of several cameras and finds the tiles that each one touches.
 //
 // In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; opacities [N];
-// sh_coeffs [N, SH_STRIDE, 3]; cameras [C, 5, 4]: three rows of world-to-camera, (fx, fy, cx, cy) pixels, centre.
+// sh_coeffs [N, (SH_DEGREE + 1)^2, 3]; cameras [C, 5, 4]: three rows of world-to-camera, (fx, fy, cx, cy) pixels, centre.
 // Out, for each pair of a Gaussian and a camera [N, C]: xy_opacities [3] pixels and opacity; conics [3], see below;
 // colours [3]; depths (bits of camera z); tile_sets [3]; indices of the pairs.
 // One invocation owns one pair.
@@ -13,13 +13,13 @@
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;
 #include "shared/index.glsl"
+#include "shared/rotation.glsl"
 #include "shared/spherical_harmonics.glsl"
 #include "shared/splat.glsl"
 
 layout(constant_id = 1) const bool COLOUR = true;
-layout(constant_id = 2) const uint SH_DEGREE = 0; // evaluated
-layout(constant_id = 3) const uint SH_STRIDE = 1; // coefficients that a Gaussian has
-layout(constant_id = 4) const bool ANTIALIASED = false;
+layout(constant_id = 2) const uint SH_DEGREE = 0; // effect
+layout(constant_id = 3) const bool ANTIALIASED = false; // effect
 
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
 layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };
@@ -68,18 +68,17 @@ TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
     return tiles;
 }
 
-mat3 rotation(vec4 wxyz) {
-    float w = wxyz.x, x = wxyz.y, y = wxyz.z, z = wxyz.w;
-    return mat3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
-                2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
-                2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y));
-}
+const uint COEFFS = (SH_DEGREE + 1) * (SH_DEGREE + 1);
 
-vec3 colour(uint n, vec3 direction) {
+void add_bands(uint n, vec3 direction, inout vec3 sum) {
     float basis[16];
     spherical_harmonics(SH_DEGREE, direction, basis);
-    vec3 sum = vec3(0.5);
-    for (uint k = 0; k < (SH_DEGREE + 1) * (SH_DEGREE + 1); ++k) sum += basis[k] * sh_coeffs[n * SH_STRIDE + k];
+    for (uint k = 1; k < COEFFS; ++k) sum += basis[k] * sh_coeffs[n * COEFFS + k];
+}
+
+vec3 colour(uint n, uint camera) {
+    vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
+    if (SH_DEGREE > 0) add_bands(n, normalize(means[n] - cameras[5 * camera + 4].xyz), sum);
     return max(sum, 0);
 }
 
@@ -121,7 +120,7 @@ TileSet project(uint n, uint camera, uint pair) {
     depths[pair] = floatBitsToUint(p.z);
     xy_opacities[pair] = vec3(centre, opacity);
     conics[pair] = conic;
-    if (COLOUR) colours[pair] = colour(n, normalize(means[n] - cameras[5 * camera + 4].xyz));
+    if (COLOUR) colours[pair] = colour(n, camera);
     return tiles;
 }
 

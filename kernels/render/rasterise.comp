@@ -1,8 +1,11 @@
 // Blends the Gaussians of each tile front to back.
 //
 // pair_indices [intersections] by tile, near to far; tile_offsets [tiles + 1]; xy_opacities, conics, colours [pairs, 3]
-// and depths [pairs] as render/project writes them; frames [C, rows, width, channels]: of red, green, blue, alpha and
-// depth those asked for. Depth is the sum of z times weight, or, where EXPECTED_DEPTH, that sum over alpha.
+// and depths [pairs] as render/project writes them; normals [pairs, 3] of render/normals. Those that are not asked for
+// are not touched, whatever is bound.
+// frames [C, rows, width, channels]: of red, green, blue; alpha; depth; normal x, y, z; token red, green, blue those
+// asked for. Depth is the sum of z times weight, or, where EXPECTED_DEPTH, that sum over alpha. A normal is the sum of
+// normals times weight, of length 1 where it is not 0. Tokens have colours of their own, blended as colours are.
 // One workgroup owns RUNS runs of pixels of one tile, row-major, each as long as a subgroup, and each invocation one
 // pixel of every run: nothing is shared, and all invocations read a Gaussian at one address.
 // 3D Gaussian Splatting (Kerbl et al. 2023) with the constants of gsplat 1.5.3.
@@ -13,11 +16,14 @@ layout(local_size_x_id = 0) in;
 #include "shared/limits.glsl"
 #include "shared/splat.glsl"
 
-layout(constant_id = 1) const bool COLOUR = true;
-layout(constant_id = 2) const bool ALPHA = true;
-layout(constant_id = 3) const bool DEPTH = false;
-layout(constant_id = 4) const bool EXPECTED_DEPTH = false;
-layout(constant_id = 5) const uint RUNS = 8;
+layout(constant_id = 1) const uint RUNS = 8;
+layout(constant_id = 2) const bool COLOUR = true;
+layout(constant_id = 3) const bool HAS_BACKGROUND = false; // effect
+layout(constant_id = 4) const bool ALPHA = false; // effect
+layout(constant_id = 5) const bool DEPTH = false; // effect
+layout(constant_id = 6) const bool EXPECTED_DEPTH = false; // effect
+layout(constant_id = 7) const bool NORMAL = false; // effect
+layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // effect: pairs of one token; 0: no token colours
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
@@ -25,17 +31,26 @@ layout(scalar, set = 0, binding = 2) readonly buffer XyOpacities { vec3 xy_opaci
 layout(scalar, set = 0, binding = 3) readonly buffer Conics { vec3 conics[]; };
 layout(scalar, set = 0, binding = 4) readonly buffer Colours { vec3 colours[]; };
 layout(set = 0, binding = 5) readonly buffer Depths { float depths[]; };
-layout(set = 0, binding = 6) writeonly buffer Frames { float frames[]; };
+layout(scalar, set = 0, binding = 6) readonly buffer Normals { vec3 normals[]; };
+layout(set = 0, binding = 7) writeonly buffer Frames { float frames[]; };
 layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; vec3 background; };
 
 const uint LANES = gl_WorkGroupSize.x;
 const float LOG2_E = 1.4426950408889634;
 const float ROUNDING = 0.05; // of exponents, well above what it is in images of 2^15 pixels a side
 
-struct Pixel {
-    float transmittance; // negative once the pixel is done
+// Of one Gaussian, or blended.
+struct Values {
     vec3 rgb;
     float depth;
+    vec3 normal;
+    vec3 token;
+};
+const Values NOTHING = Values(vec3(0), 0, vec3(0), vec3(0));
+
+struct Pixel {
+    float transmittance; // negative once the pixel is done
+    Values sum;
 };
 
 // Where the first pixel of a run lies in its tile, and where an invocation's pixel lies from there.
@@ -54,40 +69,64 @@ uvec2 tile() { return uvec2(gl_WorkGroupID.x * RUNS * LANES / (TILE * TILE), fir
 
 uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset(); }
 
+// A byte a channel of the PCG hash (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
+vec3 token_colour(uint token) {
+    uint state = token * 747796405u + 2891336453u;
+    uint word = (state >> (state >> 28) + 4 ^ state) * 277803737u;
+    uint hash = word >> 22 ^ word;
+    return vec3(uvec3(hash, hash >> 8, hash >> 16) & 255) / 255;
+}
+
+Values values(uint pair) {
+    Values values = NOTHING;
+    if (COLOUR) values.rgb = colours[pair];
+    if (DEPTH) values.depth = depths[pair];
+    if (NORMAL) values.normal = normals[pair];
+    if (TOKEN_PAIRS > 0) values.token = token_colour(pair / max(TOKEN_PAIRS, 1));
+    return values;
+}
+
 // Without branches: a CPU's lanes take both sides of one.
-void blend(inout Pixel pixel, float alpha, vec3 colour, float z) {
+void blend(inout Pixel pixel, float alpha, Values values) {
     bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
     float left = pixel.transmittance * (1 - alpha);
     bool drawn = seen && left > TRANSMITTANCE_MIN;
     float weight = drawn ? alpha * pixel.transmittance : 0;
-    if (COLOUR) pixel.rgb += weight * colour;
-    if (DEPTH) pixel.depth += weight * z;
+    if (COLOUR) pixel.sum.rgb += weight * values.rgb;
+    if (DEPTH) pixel.sum.depth += weight * values.depth;
+    if (NORMAL) pixel.sum.normal += weight * values.normal;
+    if (TOKEN_PAIRS > 0) pixel.sum.token += weight * values.token;
     pixel.transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
+}
+
+uint store(uint at, vec3 value) {
+    frames[at] = value.x;
+    frames[at + 1] = value.y;
+    frames[at + 2] = value.z;
+    return at + 3;
 }
 
 void store(Pixel pixel, uint at) {
     float left = abs(pixel.transmittance);
-    if (COLOUR) {
-        vec3 rgb = pixel.rgb + left * background;
-        frames[at++] = rgb.r;
-        frames[at++] = rgb.g;
-        frames[at++] = rgb.b;
-    }
+    if (HAS_BACKGROUND) pixel.sum.rgb += left * background;
+    if (COLOUR) at = store(at, pixel.sum.rgb);
     if (ALPHA) frames[at++] = 1 - left;
-    if (DEPTH) frames[at] = EXPECTED_DEPTH ? pixel.depth / max(1 - left, 1e-10) : pixel.depth;
+    if (DEPTH) frames[at++] = EXPECTED_DEPTH ? pixel.sum.depth / max(1 - left, 1e-10) : pixel.sum.depth;
+    if (NORMAL) at = store(at, pixel.sum.normal / max(length(pixel.sum.normal), 1e-10));
+    if (TOKEN_PAIRS > 0) store(at, pixel.sum.token);
 }
 
 void main() {
     Pixel pixels[RUNS];
     for (uint run = 0; run < RUNS; ++run)
-        pixels[run] = Pixel(all(lessThan(position(run), size)) ? 1 : -1, vec3(0), 0);
+        pixels[run] = Pixel(all(lessThan(position(run), size)) ? 1 : -1, NOTHING);
 
     uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
     uint end = tile_offsets[list + 1];
     for (uint i = tile_offsets[list]; i < end; ++i) {
         uint pair = pair_indices[i];
-        vec3 colour = COLOUR ? colours[pair] : vec3(0);
-        float z = DEPTH ? depths[pair] : 0, opacity = xy_opacities[pair].z;
+        Values seen = values(pair);
+        float opacity = xy_opacities[pair].z;
         vec2 corner = vec2(tile() * TILE) + 0.5 - xy_opacities[pair].xy;
         // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2), and the exponent below which alpha is below ALPHA_MIN.
         vec3 conic = conics[pair] * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E);
@@ -100,14 +139,14 @@ void main() {
             if (conic.x * nearest * nearest + across >= faint) {
                 float e = from.x + lane_offset().x - shear;
                 float alpha = min(ALPHA_MAX, opacity * exp2(conic.x * e * e + across));
-                blend(pixels[run], alpha, colour, z);
+                blend(pixels[run], alpha, seen);
             }
             live = live || pixels[run].transmittance > 0;
         }
         if (!subgroupAny(live)) break;
     }
 
-    const uint channels = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
+    const uint channels = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0) + (NORMAL ? 3 : 0) + (TOKEN_PAIRS > 0 ? 3 : 0);
     for (uint run = 0; run < RUNS; ++run) {
         uvec2 at = position(run);
         if (any(greaterThanEqual(at, size))) continue;

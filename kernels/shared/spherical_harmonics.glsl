@@ -1,8 +1,10 @@
 // Real spherical harmonics up to degree 3, with the signs of Sloan's Efficient Spherical Harmonic Evaluation (2013).
 
+const float SH_0 = 0.2820947917738781; // of band 0, in every direction
+
 // basis[k] for the unit direction d; what lies above `degree` is left as it is.
 void spherical_harmonics(uint degree, vec3 d, inout float basis[16]) {
-    basis[0] = 0.2820947917738781;
+    basis[0] = SH_0;
     if (degree < 1) return;
     basis[1] = -0.48860251190292 * d.y;
     basis[2] = 0.48860251190292 * d.z;

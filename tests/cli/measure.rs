@@ -47,11 +47,14 @@ fn the_linear_layer_and_the_host_agree() {
 }
 
 #[test]
-fn frames_are_measured_by_kernel() {
+fn frames_are_measured_by_pass() {
     let folder = Folder::new();
     let rows = rows(&folder, "render --gaussians 50,300 --size 32x32,48x32 --sh 0");
-    let count = |what: &str| rows.iter().filter(|row| row["what"] == what).count();
-    assert_eq!((count("host"), count("device"), count("render/project"), count("render/rasterise")), (4, 4, 4, 4));
+    for what in ["host", "device", "in flight", "sort by depth", "sort by tile", "render/project", "render/rasterise"] {
+        assert_eq!(rows.iter().filter(|row| row["what"] == what).count(), 4, "{what}");
+    }
+    let share = |row: &Value| row["bandwidth_share"].as_f64().is_some_and(|share| share > 0.0);
+    assert!(rows.iter().all(|row| share(row) == row["bytes"].is_u64()), "{rows:?}");
     assert!(rows.iter().all(|row| ordered(&row["ms"])), "{rows:?}");
     let text = folder.run("bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
     assert!(text.contains("frames/s") && text.contains("render/rasterise"), "{text}");
@@ -119,4 +122,31 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         .run("bench tradeoff @/place --views 2 --select kmeans:0 -o @/r")
         .fails(3, &["rounds of k-means", "1 to 100"]);
     assert!(!folder.path("r").exists());
+}
+
+#[test]
+fn frames_are_listed_as_csv() {
+    let line = "bench render --gaussians 50 --size 32x32 --sh 0 --warmup 0 --repeats 1 --csv";
+    let text = Folder::new().run(line).success();
+    let mut lines = text.lines();
+    let columns = lines.next().expect("headings").split(',').count();
+    assert!(lines.clone().any(|line| line.starts_with("sort by depth,50,32,32,0,")), "{text}");
+    assert!(lines.all(|line| line.split(',').count() == columns), "{text}");
+}
+
+#[test]
+fn effects_are_measured_off_on_and_removed() {
+    let rows = rows(&Folder::new(), "render --gaussians 50 --size 32x32 --effects");
+    assert_eq!(rows.len(), 7);
+    for row in rows {
+        assert!(["off", "on", "removed"].iter().all(|key| ordered(&row[key])), "{row}");
+        assert!(row["off_over_removed"].as_f64().is_some_and(|ratio| ratio > 0.0), "{row}");
+    }
+}
+
+#[test]
+fn gsplat_that_is_missing_is_named() {
+    let line = "bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1";
+    let folder = Folder::new();
+    folder.run(&format!("{line} --gsplat=no-such-python")).fails(3, &["--gsplat", "no-such-python", "a CUDA GPU"]);
 }

@@ -97,3 +97,19 @@ fn help_has_examples_for_every_command() {
         assert!(zipsplat(&format!("{command}--help")).success().contains("Examples:\n  zipsplat "), "{command}");
     }
 }
+
+#[test]
+fn explaining_names_stages_and_what_was_left_out() {
+    let folder = Folder::new();
+    let line = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 --explain -o @/s.ply";
+    let text = folder.run(line).success();
+    for words in ["backbone ", "fuse ", "gaussians ", "every token is kept", "camera encoder", "no cameras are given"] {
+        assert!(text.contains(words), "'{words}' is not in: {text}");
+    }
+    let json = folder.run(&format!("{line} --ratio 0.5 --json")).json();
+    let passes = json["explain"]["passes"].as_array().expect("a list");
+    let named = |name: &str| passes.iter().find(|pass| pass["pass"] == name);
+    assert!(named("cluster").is_some_and(|pass| pass["commands"].as_u64() > Some(0)), "{passes:?}");
+    let left_out = json["explain"]["left_out"].as_array().expect("a list");
+    assert!(left_out.iter().all(|left| left["what"] != "cluster"), "{left_out:?}");
+}

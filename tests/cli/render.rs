@@ -87,3 +87,41 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
     // b itself then stands at the origin, half a unit right of where the file has it; a's field of view differs.
     assert_ne!(all["001.png"], from["001.png"]);
 }
+
+#[test]
+fn normals_and_tokens_are_written_where_asked() {
+    let folder = folder();
+    folder
+        .run("render @/scene.ply --cameras @/cameras.json --normals --group 8 --depth=accumulated -o @/out")
+        .success();
+    let names: Vec<String> = names(&folder.path("out")).into_iter().filter(|name| name.starts_with("000")).collect();
+    assert_eq!(names, ["000.depth.png", "000.normal.png", "000.png", "000.tokens.png"]);
+    for name in ["out/000.normal.png", "out/000.tokens.png"] {
+        let picture = image::open(folder.path(name)).expect("a picture").to_rgb8();
+        assert_eq!(picture.dimensions(), (48, 32));
+        let colours: std::collections::BTreeSet<_> = picture.pixels().map(|pixel| pixel.0).collect();
+        assert!(colours.len() > 20, "{name}: {} colours", colours.len());
+    }
+    folder.run("render @/scene.ply --wiggle --normals --video @/out.gif").fails(3, &["--normals", "-o FOLDER"]);
+}
+
+#[test]
+fn explaining_names_passes_and_what_was_left_out() {
+    let folder = folder();
+    let line = "render @/scene.ply --cameras @/cameras.json --explain -o @/out";
+    let text = folder.run(line).success();
+    for words in
+        ["render/project", "ops/sort_scatter", "together", "normals ", "not asked for", "band 2", "it is black"]
+    {
+        assert!(text.contains(words), "'{words}' is not in: {text}");
+    }
+    assert!(!text.contains("render/normals"), "{text}");
+    let json = folder.run(&format!("{line} --normals --background 1,1,1 --json")).json();
+    let passes = json["explain"]["passes"].as_array().expect("a list");
+    let normals = passes.iter().find(|pass| pass["pass"] == "render/normals").expect("it ran");
+    // 200 Gaussians: means, scales, quats and normals, and one camera.
+    assert_eq!(normals["bytes"].as_u64(), Some(200 * (12 + 12 + 16 + 12) + 80));
+    let left_out = json["explain"]["left_out"].as_array().expect("a list");
+    let has = |what: &str| left_out.iter().any(|left| left["what"] == what);
+    assert!(has("depth") && !has("normals") && !has("background"), "{left_out:?}");
+}

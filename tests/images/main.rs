@@ -1,3 +1,5 @@
 //! Pictures against truth.
 
+mod effects;
+mod properties;
 mod render;

@@ -30,6 +30,7 @@ mod ops {
 }
 mod render {
     mod intersect;
+    mod normals;
     mod project;
     mod rasterise;
 }

@@ -235,6 +235,28 @@ fn memory_barrier(
     unsafe { raw.cmd_pipeline_barrier2(commands, &info) };
 }
 
+/// Records copies `(from, to, region)`, behind everything that was submitted before, for the device and the host to see.
+pub(super) fn record_copies(
+    shared: &Shared,
+    commands: vk::CommandBuffer,
+    copies: &[(vk::Buffer, vk::Buffer, vk::BufferCopy)],
+) -> Result<()> {
+    let raw = &shared.raw;
+    // SAFETY: the command buffer is not in use.
+    unsafe { raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default()) }
+        .map_err(|e| driver("vkBeginCommandBuffer", e))?;
+    let access = vk::AccessFlags2::TRANSFER_READ | vk::AccessFlags2::TRANSFER_WRITE;
+    let (all, transfer) = (vk::PipelineStageFlags2::ALL_COMMANDS, vk::PipelineStageFlags2::TRANSFER);
+    memory_barrier(raw, commands, all, transfer, access);
+    for (from, to, region) in copies {
+        // SAFETY: recording; regions are inside their buffers.
+        unsafe { raw.cmd_copy_buffer(commands, *from, *to, &[*region]) };
+    }
+    memory_barrier(raw, commands, STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
+    // SAFETY: recording.
+    unsafe { raw.end_command_buffer(commands) }.map_err(|e| driver("vkEndCommandBuffer", e))
+}
+
 /// Copies between two buffers, behind everything that was submitted before, and waits for it.
 pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
     let raw = &shared.raw;

@@ -45,6 +45,8 @@ pub enum LocalSize {
 pub trait Kernel {
     /// Code and interface.
     const MODULE: Module;
+    /// The same without the code of any effect: see [`super::Recorder::plain`].
+    const PLAIN: Module = Self::MODULE;
     /// Tensors in the order of [`Module::bindings`].
     fn buffers(&self) -> Vec<Tensor>;
     /// Push constants, by word.

@@ -36,6 +36,15 @@ struct Block {
 impl Memory {
     /// Allocates blocks of these sizes, or refuses before anything is allocated.
     pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
+        Self::at(device, what, sizes, MemoryLocation::GpuOnly)
+    }
+
+    /// One block that the host sees and caches, whatever the device.
+    pub fn seen_by_host(device: &Device, what: &str, bytes: u64) -> Result<Self> {
+        Self::at(device, what, &[bytes], MemoryLocation::GpuToCpu)
+    }
+
+    fn at(device: &Device, what: &str, sizes: &[u64], location: MemoryLocation) -> Result<Self> {
         let shared = device.0.clone();
         let needed: u64 = sizes.iter().sum();
         let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
@@ -44,10 +53,15 @@ impl Memory {
         }
         let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
         for &bytes in sizes {
-            let block = Block::new(&memory.shared, what, bytes, MemoryLocation::GpuOnly)?;
+            let block = Block::new(&memory.shared, what, bytes, location)?;
             memory.blocks.push(block);
         }
         Ok(memory)
+    }
+
+    /// Whether reading and writing go without copies on the device.
+    pub fn is_seen_by_host(&self) -> bool {
+        self.blocks.iter().all(|block| block.mapped)
     }
 
     pub fn buffer(&self, block: u32) -> vk::Buffer {

@@ -7,6 +7,7 @@
 mod arena;
 mod commands;
 mod device;
+mod flight;
 mod instance;
 mod kernel;
 mod limits;
@@ -16,6 +17,7 @@ mod profile;
 mod recorder;
 mod run;
 mod schedule;
+mod twins;
 
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};

@@ -1,6 +1,13 @@
 //! Where the time of a run went.
 
-use super::plan::{Command, Operation, Plan};
+use super::{
+    Run,
+    commands::driver,
+    plan::{Command, Operation, Plan},
+    schedule::{Cursor, MAX_PIECES},
+};
+use crate::Result;
+use ash::vk;
 use std::{collections::HashMap, time::Duration};
 
 /// Device time of a run, by scope and kernel.
@@ -23,6 +30,8 @@ pub struct ProfileRow {
     pub time: Duration,
     /// Arithmetic they had to do.
     pub flops: u64,
+    /// Bytes of the tensors that they read and wrote, each counted once a command.
+    pub bytes: u64,
 }
 
 impl Profile {
@@ -34,6 +43,11 @@ impl Profile {
             .fold((Duration::ZERO, 0), |(time, flops), r| (time + r.time, flops + r.flops))
     }
 
+    /// The rows of a plan that has not run: their times are zero.
+    pub fn outline(plan: &Plan) -> Self {
+        Self::new(plan, &vec![0.0; plan.len()])
+    }
+
     pub(super) fn new(plan: &Plan, nanoseconds: &[f64]) -> Self {
         let mut rows: Vec<ProfileRow> = Vec::new();
         let mut known = HashMap::new();
@@ -41,12 +55,14 @@ impl Profile {
             let kernel = kernel_name(command);
             let row = *known.entry((command.scope, kernel)).or_insert_with(|| {
                 let scope = plan.scopes[command.scope as usize].clone();
-                rows.push(ProfileRow { scope, kernel: kernel.to_owned(), count: 0, time: Duration::ZERO, flops: 0 });
+                let (kernel, time) = (kernel.to_owned(), Duration::ZERO);
+                rows.push(ProfileRow { scope, kernel, count: 0, time, flops: 0, bytes: 0 });
                 rows.len() - 1
             });
             rows[row].count += 1;
             rows[row].time += Duration::from_nanos(*ns as u64);
             rows[row].flops += command.flops;
+            rows[row].bytes += command.bytes();
         }
         Self { rows }
     }
@@ -57,5 +73,56 @@ fn kernel_name(command: &Command) -> &'static str {
         Operation::Dispatch(dispatch) => dispatch.module.name,
         Operation::Fill { .. } => "fill",
         Operation::Copy { .. } => "copy",
+    }
+}
+
+impl Run {
+    /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
+    ///
+    /// # Errors
+    /// As [`Run::execute`].
+    pub fn profile(&mut self) -> Result<Profile> {
+        self.settle()?;
+        self.check_inputs()?;
+        if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {
+            let value = self.submit(upload)?;
+            self.wait(value)?;
+        }
+        let raw = self.device.0.raw.clone();
+        let count = 2 * MAX_PIECES as u32;
+        let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(count);
+        // SAFETY: destroyed below, after the last submission was waited for.
+        let queries = unsafe { raw.create_query_pool(&info, None) }.map_err(|e| driver("vkCreateQueryPool", e))?;
+        let times = self.profiled(queries, count);
+        // SAFETY: `profiled` waits for each of its submissions, also when one fails.
+        unsafe { raw.destroy_query_pool(queries, None) };
+        let times = times?;
+        self.forget_inputs();
+        self.device.0.check_messages()?;
+        Ok(Profile::new(&self.plan, &times))
+    }
+
+    fn profiled(&self, queries: vk::QueryPool, count: u32) -> Result<Vec<f64>> {
+        let raw = &self.device.0.raw;
+        let mut times = vec![0.0; self.plan.commands.len()];
+        let mut cursor = Cursor::default();
+        let commands = self.command_buffer()?;
+        while cursor.command < self.plan.commands.len() {
+            let (pieces, _) = cursor.next_pieces(&self.plan, self.budget());
+            self.record(commands, &pieces, Some((queries, count)))?;
+            let value = self.timeline_value()? + 1;
+            self.submit_as(commands, value)?;
+            self.wait(value)?;
+            let mut stamps = vec![0u64; 2 * pieces.len()];
+            // SAFETY: the submission that wrote these queries is done.
+            unsafe { raw.get_query_pool_results(queries, 0, &mut stamps, vk::QueryResultFlags::TYPE_64) }
+                .map_err(|e| driver("vkGetQueryPoolResults", e))?;
+            for (piece, t) in pieces.iter().zip(stamps.chunks_exact(2)) {
+                times[piece.command] += t[1].wrapping_sub(t[0]) as f64 * self.device.0.limits.timestamp_ns;
+            }
+        }
+        // SAFETY: not in use any more.
+        unsafe { raw.free_command_buffers(self.pool, &[commands]) };
+        Ok(times)
     }
 }

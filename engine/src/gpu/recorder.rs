@@ -15,6 +15,7 @@ pub struct Recorder {
     scope: u32,
     allocations: Vec<Allocation>,
     observed: Option<Vec<(String, Tensor)>>,
+    plain: bool,
     error: Option<Error>,
 }
 
@@ -28,6 +29,7 @@ impl Recorder {
             scope: 0,
             allocations: Vec::new(),
             observed: None,
+            plain: false,
             error: None,
         }
     }
@@ -62,6 +64,13 @@ impl Recorder {
     /// From here on, [`Recorder::observe`] keeps what it is shown.
     pub fn observing(mut self) -> Self {
         self.observed = Some(Vec::new());
+        self
+    }
+
+    /// From here on, kernels are those that were compiled without the code of any effect, to measure what effects cost
+    /// that are turned off. They ignore what asks for one.
+    pub fn plain(mut self) -> Self {
+        self.plain = true;
         self
     }
 
@@ -177,7 +186,7 @@ impl Recorder {
     }
 
     fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
-        let module = &K::MODULE;
+        let module = if self.plain { &K::PLAIN } else { &K::MODULE };
         let buffers = kernel.buffers();
         for (tensor, binding) in buffers.iter().zip(module.bindings) {
             if tensor.bytes > self.limits.max_binding_bytes {

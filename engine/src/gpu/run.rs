@@ -1,12 +1,13 @@
 //! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
 
 use super::{
-    Device, Plan, Profile, Resident, Tensor,
+    Device, Plan, Resident, Tensor,
     commands::{Bound, Encoder, driver},
     device::lock,
     memory::Memory,
     plan::{Command, Home, Role},
-    schedule::{Cursor, MAX_PIECES, Piece},
+    schedule::{Cursor, Piece},
+    twins::Twins,
 };
 use crate::{Error, Result};
 use ash::vk;
@@ -34,20 +35,23 @@ pub struct Progress<'a> {
 
 /// A plan on a device. Executing it again replays what was encoded the first time.
 pub struct Run {
-    device: Device,
-    plan: Plan,
-    arena: Memory,
+    pub(super) device: Device,
+    pub(super) plan: Plan,
+    pub(super) arena: Memory,
+    pub(super) twins: Option<Twins>,
     resident: Option<Arc<Resident>>,
-    pool: vk::CommandPool,
+    pub(super) pool: vk::CommandPool,
     timeline: vk::Semaphore,
-    signalled: u64,
-    batches: Vec<Batch>,
+    pub(super) signalled: u64,
+    pub(super) batches: Vec<Batch>,
     /// Inputs that were written since the last execution.
     written: Vec<bool>,
+    /// Whether what was started may still be going on.
+    pub(super) under_way: bool,
 }
 
-struct Batch {
-    commands: vk::CommandBuffer,
+pub(super) struct Batch {
+    pub commands: vk::CommandBuffer,
     cost: u64,
     first_command: usize,
 }
@@ -105,8 +109,19 @@ impl Run {
         let pool =
             unsafe { raw.create_command_pool(&pool_info, None) }.map_err(|e| driver("vkCreateCommandPool", e))?;
         let written = vec![false; plan.allocations.len()];
-        let device = device.clone();
-        Ok(Self { device, plan, arena, resident, pool, timeline, signalled: 0, batches: Vec::new(), written })
+        Ok(Self {
+            device: device.clone(),
+            plan,
+            arena,
+            twins: None,
+            resident,
+            pool,
+            timeline,
+            signalled: 0,
+            batches: Vec::new(),
+            written,
+            under_way: false,
+        })
     }
 
     /// The plan that runs.
@@ -124,8 +139,12 @@ impl Run {
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
+        self.settle()?;
         let id = arena_id(tensor);
         self.written[id] = true;
+        if self.twins.as_ref().map_or(Ok(false), |twins| twins.write(id, tensor.offset, bytes))? {
+            return Ok(());
+        }
         let place = self.plan.placements[id];
         self.arena.write(place.block, place.offset + tensor.offset, bytes)
     }
@@ -136,13 +155,17 @@ impl Run {
     /// Where the transfer fails.
     ///
     /// # Panics
-    /// Where the tensor is not an output of this plan.
+    /// Where the tensor is not an output of this plan, or what was started was not waited for.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = arena_id(tensor);
+        assert!(!self.under_way, "read before finish");
         assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
         let place = self.plan.placements[id];
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
-        self.arena.read(place.block, place.offset + tensor.offset, bytemuck::cast_slice_mut(&mut data))?;
+        let bytes = bytemuck::cast_slice_mut(&mut data);
+        if !self.twins.as_ref().map_or(Ok(false), |twins| twins.read(id, tensor.offset, bytes))? {
+            self.arena.read(place.block, place.offset + tensor.offset, bytes)?;
+        }
         Ok(data)
     }
 
@@ -164,6 +187,7 @@ impl Run {
     /// # Errors
     /// As [`Run::execute`], and [`Error::Cancelled`].
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
+        self.settle()?;
         self.check_inputs()?;
         let result = self.submit_all(&mut progress);
         // Whatever is under way ends before anything it uses may change.
@@ -185,6 +209,9 @@ impl Run {
         let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         let mut clock = Clock { times: StageTimes::default(), last: Instant::now(), done: 0 };
         let mut under_way = VecDeque::new();
+        if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {
+            self.submit(upload)?;
+        }
         for index in 0.. {
             if index == self.batches.len() && cursor.command < commands {
                 let batch = self.encode(&mut cursor)?;
@@ -204,6 +231,9 @@ impl Run {
         while !under_way.is_empty() {
             self.finish_one(&mut under_way, &mut clock)?;
         }
+        if let Some(download) = self.twins.as_ref().map(|twins| twins.download) {
+            self.submit(download)?;
+        }
         Ok(clock.times)
     }
 
@@ -219,51 +249,22 @@ impl Run {
         Ok(())
     }
 
-    /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
-    ///
-    /// # Errors
-    /// As [`Run::execute`].
-    pub fn profile(&mut self) -> Result<Profile> {
-        self.check_inputs()?;
-        let raw = self.device.0.raw.clone();
-        let count = 2 * MAX_PIECES as u32;
-        let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(count);
-        // SAFETY: destroyed below, after the last submission was waited for.
-        let queries = unsafe { raw.create_query_pool(&info, None) }.map_err(|e| driver("vkCreateQueryPool", e))?;
-        let times = self.profiled(queries, count);
-        // SAFETY: `profiled` waits for each of its submissions, also when one fails.
-        unsafe { raw.destroy_query_pool(queries, None) };
-        let times = times?;
-        self.forget_inputs();
-        self.device.0.check_messages()?;
-        Ok(Profile::new(&self.plan, &times))
-    }
-
-    fn profiled(&self, queries: vk::QueryPool, count: u32) -> Result<Vec<f64>> {
-        let raw = &self.device.0.raw;
-        let mut times = vec![0.0; self.plan.commands.len()];
-        let mut cursor = Cursor::default();
-        let commands = self.command_buffer()?;
+    /// Encodes what was not yet, for replay.
+    pub(super) fn encode_all(&mut self) -> Result<()> {
+        let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         while cursor.command < self.plan.commands.len() {
-            let (pieces, _) = cursor.next_pieces(&self.plan, self.budget());
-            self.record(commands, &pieces, Some((queries, count)))?;
-            let value = self.timeline_value()? + 1;
-            self.submit_as(commands, value)?;
-            self.wait(value)?;
-            let mut stamps = vec![0u64; 2 * pieces.len()];
-            // SAFETY: the submission that wrote these queries is done.
-            unsafe { raw.get_query_pool_results(queries, 0, &mut stamps, vk::QueryResultFlags::TYPE_64) }
-                .map_err(|e| driver("vkGetQueryPoolResults", e))?;
-            for (piece, t) in pieces.iter().zip(stamps.chunks_exact(2)) {
-                times[piece.command] += t[1].wrapping_sub(t[0]) as f64 * self.device.0.limits.timestamp_ns;
+            match self.encode(&mut cursor) {
+                Ok(batch) => self.batches.push(batch),
+                Err(error) => {
+                    self.discard_batches();
+                    return Err(error);
+                }
             }
         }
-        // SAFETY: not in use any more.
-        unsafe { raw.free_command_buffers(self.pool, &[commands]) };
-        Ok(times)
+        Ok(())
     }
 
-    fn check_inputs(&self) -> Result<()> {
+    pub(super) fn check_inputs(&self) -> Result<()> {
         for (allocation, written) in self.plan.allocations.iter().zip(&self.written) {
             if allocation.role != Role::Scratch && !written && allocation.bytes > 0 {
                 return Err(Error::argument(format!("input {}", allocation.name), "nothing", "a write before the run"));
@@ -273,7 +274,7 @@ impl Run {
     }
 
     /// Later tensors may share an input's bytes, so it has to be written again.
-    fn forget_inputs(&mut self) {
+    pub(super) fn forget_inputs(&mut self) {
         for (allocation, written) in self.plan.allocations.iter().zip(&mut self.written) {
             *written &= allocation.role == Role::Constant;
         }
@@ -291,7 +292,7 @@ impl Run {
         Ok(Batch { commands, cost, first_command })
     }
 
-    fn record(
+    pub(super) fn record(
         &self,
         commands: vk::CommandBuffer,
         pieces: &[Piece],
@@ -306,7 +307,7 @@ impl Run {
     }
 
     /// Cost of one submission.
-    fn budget(&self) -> u64 {
+    pub(super) fn budget(&self) -> u64 {
         self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64
     }
 
@@ -321,7 +322,7 @@ impl Run {
         }
     }
 
-    fn command_buffer(&self) -> Result<vk::CommandBuffer> {
+    pub(super) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
         let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
         // SAFETY: the pool is used by this run only, which is borrowed by one thread at a time.
         unsafe { self.device.0.raw.allocate_command_buffers(&info) }
@@ -329,13 +330,13 @@ impl Run {
             .map_err(|e| driver("vkAllocateCommandBuffers", e))
     }
 
-    fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
+    pub(super) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.signalled = self.timeline_value()?.max(self.signalled) + 1;
         self.submit_as(commands, self.signalled)?;
         Ok(self.signalled)
     }
 
-    fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
+    pub(super) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let signals = [vk::SemaphoreSubmitInfo::default()
             .semaphore(self.timeline)
@@ -348,13 +349,13 @@ impl Run {
             .map_err(|e| driver("vkQueueSubmit2", e))
     }
 
-    fn timeline_value(&self) -> Result<u64> {
+    pub(super) fn timeline_value(&self) -> Result<u64> {
         // SAFETY: the semaphore is alive.
         unsafe { self.device.0.raw.get_semaphore_counter_value(self.timeline) }
             .map_err(|e| driver("vkGetSemaphoreCounterValue", e))
     }
 
-    fn wait(&self, value: u64) -> Result<()> {
+    pub(super) fn wait(&self, value: u64) -> Result<()> {
         let (semaphores, values) = ([self.timeline], [value]);
         let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
         // SAFETY: the value was submitted for signalling.
@@ -372,8 +373,10 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
+        // A device that is lost has nothing under way any more.
+        let _ = self.settle();
         let raw = &self.device.0.raw;
-        // SAFETY: every execution waits for its submissions before it returns.
+        // SAFETY: nothing is under way.
         unsafe {
             raw.destroy_command_pool(self.pool, None);
             raw.destroy_semaphore(self.timeline, None);

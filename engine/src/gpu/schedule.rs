@@ -26,11 +26,16 @@ pub(super) struct Cursor {
 }
 
 impl Command {
-    /// Arithmetic that takes about as long as the command.
-    pub(super) fn cost(&self) -> u64 {
+    /// Bytes of everything that the command touches.
+    pub(super) fn bytes(&self) -> u64 {
         let mut bytes = 0;
         self.operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
-        self.flops.max(bytes * FLOPS_PER_BYTE)
+        bytes
+    }
+
+    /// Arithmetic that takes about as long as the command.
+    pub(super) fn cost(&self) -> u64 {
+        self.flops.max(self.bytes() * FLOPS_PER_BYTE)
     }
 }
 

@@ -6,7 +6,7 @@ use crate::{
         ViewGrid,
         cluster::{ROUNDS, auto_ratio, cluster_count},
     },
-    types::{Camera, Image},
+    types::{Camera, Image, LeftOut},
     weights::Architecture,
 };
 
@@ -125,6 +125,20 @@ impl Shape {
             Selection::Stride | Selection::Random(_) => Kept::Indices,
         };
         Ok(Self { grid, tokens, kept, cameras })
+    }
+
+    /// Stages and passes that a reconstruction of this shape does without, and why.
+    pub fn left_out(&self) -> Vec<LeftOut> {
+        let mut left_out = Vec::new();
+        match self.kept {
+            Kept::All => left_out.push(LeftOut::new("cluster", "every token is kept")),
+            Kept::Indices => left_out.push(LeftOut::new("cluster", "tokens are not chosen by k-means")),
+            Kept::Kmeans(_) => {}
+        }
+        if !self.cameras {
+            left_out.push(LeftOut::new("camera encoder", "no cameras are given"));
+        }
+        left_out
     }
 }
 

@@ -5,6 +5,7 @@ mod camera;
 mod file;
 mod gltf;
 mod image;
+mod left_out;
 mod ply;
 pub mod poses;
 pub mod preprocess;
@@ -20,6 +21,7 @@ pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encodin
 pub use file::{Unfinished, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
+pub use left_out::LeftOut;
 pub use ply::{read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
 pub use scene_file::{SceneFormat, WriteOptions, read_scene, write_scene};

@@ -79,7 +79,7 @@ fn clusters_as_the_goldens() {
         let mut case = Case::new();
         case.rec = case.rec.observing();
         let (tokens, initial) = (case.input(&x), case.input(&cluster::even_indices(count, clusters)));
-        let nearest = cluster::record(&mut case.rec, tokens, initial, count, clusters, width);
+        let nearest = cluster::record(&mut case.rec, tokens, initial, [count, clusters, width], cluster::ROUNDS);
         case.rec.output(nearest);
         let run = case.run();
         let observed = |what: &str| run.observed().iter().find(|(name, _)| name == what).expect(what).1;

@@ -45,7 +45,6 @@ fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
         height: cameras[0].intrinsics.height,
         colour: true,
         sh_degree: scene.sh_degree,
-        sh_stride: scene.sh_coeffs_per_gaussian() as u32,
         antialiased,
     };
     rec.dispatch(kernel, pairs);

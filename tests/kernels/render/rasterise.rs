@@ -49,17 +49,21 @@ fn equals_brute_force_for_any_number_of_runs() {
             conics: rec.input::<[f32; 3]>("conics", splats.len()),
             colours: rec.input::<[f32; 3]>("colours", splats.len()),
             depths: rec.input::<f32>("depths", splats.len()),
+            normals: rec.input::<[f32; 3]>("normals", 1),
             frames: rec.tensor::<[f32; 5]>("frames", SIZE[0] * SIZE[1]),
             size: SIZE.map(|pixels| pixels as u32),
             grid: grid.map(|tiles| tiles as u32),
             first_tile_row: 0,
             row_count: SIZE[1] as u32,
             background: [0.1, 0.2, 0.3],
+            runs,
             colour: true,
+            has_background: true,
             alpha: true,
             depth: true,
             expected_depth: true,
-            runs,
+            normal: false,
+            token_pairs: 0,
         };
         rec.dispatch_groups(kernel, [grid[0] as u32 * all_runs / runs, grid[1] as u32, 1]);
         rec.output(kernel.frames);
@@ -78,6 +82,7 @@ fn equals_brute_force_for_any_number_of_runs() {
         run.write(kernel.conics, &each(completed)).unwrap();
         run.write(kernel.colours, &each(|s| s.colour)).unwrap();
         run.write(kernel.depths, &splats.iter().map(|s| s.depth as f32).collect::<Vec<_>>()).unwrap();
+        run.write(kernel.normals, &[[0.0f32; 3]]).unwrap();
         run.execute().unwrap();
 
         let frames: Vec<[f32; 5]> = run.read(kernel.frames).unwrap();

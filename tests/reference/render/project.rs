@@ -54,7 +54,8 @@ impl Camera {
         }
     }
 
-    fn centre(&self) -> DVec3 {
+    /// Its position in the world.
+    pub fn centre(&self) -> DVec3 {
         self.rotation.inverse() * -self.translation
     }
 }

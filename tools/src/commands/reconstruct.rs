@@ -2,6 +2,7 @@
 
 use crate::{
     cameras,
+    explain::Explanation,
     options::{Quality, Size, Weights, parse_length},
     outputs, photos,
     session::Session,
@@ -46,6 +47,9 @@ pub struct Reconstruct {
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else 1]
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
+    /// Also print the stages that ran, with time and bytes, and what was left out and why
+    #[arg(long)]
+    explain: bool,
 }
 
 impl Reconstruct {
@@ -99,19 +103,21 @@ impl Reconstruct {
         let tokens = shape.grid.tokens();
         let seconds: serde_json::Map<_, _> =
             times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
-        let json = json!({
+        let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
-            "unit": unit, "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
+            "unit": unit, "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
+            "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
             "seconds": seconds,
         });
         let mut text = format!(
-            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, at most {} of {}\n",
+            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} Gaussians each; at most {} of {}\n",
             self.output.display(),
             HumanCount(result.scene.len() as u64),
             images.len(),
             HumanCount(result.tokens as u64),
             HumanCount(tokens as u64),
+            result.scene.len() / result.tokens,
             bytes(result.peak_bytes),
             device.limits().name,
         );
@@ -119,6 +125,11 @@ impl Reconstruct {
             let rate = if *stage == "load weights" { format!("  ({}/s)", bytes(rate)) } else { String::new() };
             // Writing to a string cannot fail.
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
+        }
+        if self.explain {
+            let explanation = Explanation::of_stages(&result.times, &result.outline, result.left_out);
+            text += &format!("\n{explanation}");
+            json["explain"] = json!(explanation);
         }
         session.report(&json, text)
     }

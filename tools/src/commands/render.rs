@@ -3,30 +3,24 @@
 use crate::{
     animation::{self, Animation},
     cameras::CameraArgs,
+    explain::Explanation,
     outputs::{self, DEPTH_LEVELS},
-    session::{Session, Stage},
+    pictures::{self, Sinks},
+    session::Session,
 };
-use clap::{ArgGroup, Args};
+use clap::{ArgGroup, Args, ValueEnum};
 use indicatif::HumanCount;
-use rayon::prelude::*;
 use serde_json::json;
 use std::{
-    io::Write,
+    num::NonZeroU32,
     path::{Path, PathBuf},
     time::Duration,
 };
 use zipsplat::{
     Error, Result,
-    stages::render::{Depth, Frame, RenderRequest, Renderer},
-    types::{Camera, Image, contact_sheet, read_scene, resample::resize_lanczos},
+    stages::render::{Depth, RenderRequest, Renderer},
+    types::{Camera, contact_sheet, read_scene},
 };
-
-/// Longest side of a contact sheet: pictures are made smaller to fit.
-const SHEET_SIDE: u32 = 4096;
-/// Pictures that are drawn before they are written, all at once.
-const BATCH: u64 = 8;
-/// Pixels of them together, where they are large.
-const BATCH_PIXELS: u64 = 1 << 24;
 
 /// Pictures of a scene
 ///
@@ -54,11 +48,21 @@ pub struct Render {
     #[arg(long)]
     antialiased: bool,
     /// Also write NNN.depth.png: 16-bit grey, 1000 levels a world unit, 0 where nothing is
-    #[arg(long)]
-    depth: bool,
+    #[arg(long, value_name = "KIND", num_args = 0..=1, require_equals = true, default_missing_value = "expected")]
+    depth: Option<DepthKind>,
     /// Also write NNN.alpha.png: 8-bit grey
     #[arg(long)]
     alpha: bool,
+    /// Also write NNN.normal.png: the shortest axes of Gaussians, turned towards the camera; x, y, z of the world from -1
+    /// to 1 as red, green, blue from 0 to 255
+    #[arg(long)]
+    normals: bool,
+    /// Also write NNN.tokens.png: every N Gaussians, those of one token, in a colour of their own
+    #[arg(long, value_name = "N")]
+    group: Option<NonZeroU32>,
+    /// Also print the passes of the first picture, with time and bytes, and what was left out and why
+    #[arg(long)]
+    explain: bool,
     /// Folder to write to, made where it is missing; -: the pictures' bytes, rgb24, one picture after another, to standard
     /// output
     #[arg(long, short, value_name = "FOLDER|-")]
@@ -76,13 +80,13 @@ pub struct Render {
     ffmpeg: PathBuf,
 }
 
-/// Where pictures go.
-#[derive(Default)]
-struct Sinks<'a> {
-    folder: Option<&'a Path>,
-    /// Bytes of the pictures.
-    raw: Option<&'a mut dyn Write>,
-    animation: Option<Animation>,
+/// Kinds of depth.
+#[derive(Clone, Copy, ValueEnum)]
+enum DepthKind {
+    /// The mean depth of what is seen
+    Expected,
+    /// Depth times weight, added up
+    Accumulated,
 }
 
 fn parse_color(text: &str) -> Result<[f32; 3], String> {
@@ -104,25 +108,42 @@ impl Render {
         if sinks.folder.is_none() || sinks.animation.is_some() {
             animation::common_size(&cameras)?;
         }
-        let request = RenderRequest {
-            alpha: self.alpha,
-            depth: self.depth.then_some(Depth::Expected),
-            background: self.background,
-            antialiased: self.antialiased,
-            ..RenderRequest::default()
-        };
+        let request = self.request();
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
         session.stage("load scene", |_| renderer.load(&scene))?;
         if self.is_piped() {
             sinks.raw = Some(session.take_output());
         }
-        let (small, took) = session.stage("render", |stage| draw(&mut renderer, &cameras, &request, sinks, stage))?;
+        let (small, took) =
+            session.stage("render", |stage| pictures::draw(&mut renderer, &cameras, &request, sinks, stage))?;
         if let Some(folder) = self.folder() {
-            let columns = sheet_columns(cameras.len());
+            let columns = pictures::sheet_columns(cameras.len());
             session.stage("contact sheet", |_| contact_sheet(&small, columns)?.save_png(folder.join("contact.png")))?;
         }
-        self.report(session, device.limits().name.clone(), scene.len(), &cameras, took)
+        let explanation = match cameras.first() {
+            Some(camera) if self.explain => {
+                Some(Explanation::of_kernels(&renderer.profile(camera, &request)?, renderer.left_out(&request)))
+            }
+            _ => None,
+        };
+        self.report(session, device.limits().name.clone(), scene.len(), &cameras, took, explanation)
+    }
+
+    fn request(&self) -> RenderRequest {
+        let depth = |kind| match kind {
+            DepthKind::Expected => Depth::Expected,
+            DepthKind::Accumulated => Depth::Accumulated,
+        };
+        RenderRequest {
+            rgb: true,
+            alpha: self.alpha,
+            depth: self.depth.map(depth),
+            normals: self.normals,
+            token_group: self.group,
+            background: self.background,
+            antialiased: self.antialiased,
+        }
     }
 
     fn is_piped(&self) -> bool {
@@ -137,8 +158,9 @@ impl Render {
     fn sinks(&self) -> Result<Sinks<'_>> {
         let folder = self.folder();
         folder.map_or(Ok(()), outputs::check_folder)?;
-        if folder.is_none() && (self.depth || self.alpha) {
-            return Err(Error::argument("--depth and --alpha", "no folder", "-o FOLDER to write them to"));
+        if folder.is_none() && self.request().channels() > 3 {
+            let what = "--depth, --alpha, --normals and --group";
+            return Err(Error::argument(what, "no folder", "-o FOLDER to write them to"));
         }
         let animation = self.video.as_ref().map(|file| Animation::new(file, self.fps, &self.ffmpeg)).transpose()?;
         Ok(Sinks { folder, raw: None, animation })
@@ -151,11 +173,12 @@ impl Render {
         gaussians: usize,
         cameras: &[Camera],
         took: Duration,
+        explanation: Option<Explanation>,
     ) -> Result<()> {
         let seconds = took.as_secs_f64();
         let mut json = json!({
             "output": self.output, "video": self.video, "device": device, "gaussians": gaussians,
-            "frames": cameras.len(), "seconds": seconds, "depth_levels_per_unit": self.depth.then_some(DEPTH_LEVELS),
+            "frames": cameras.len(), "seconds": seconds, "depth_levels_per_unit": self.depth.map(|_| DEPTH_LEVELS),
         });
         let names: Vec<String> =
             [&self.output, &self.video].into_iter().flatten().map(|path| path.display().to_string()).collect();
@@ -171,91 +194,14 @@ impl Render {
             json["size"] = json!([width, height]);
             text += &format!("size: {width}x{height}\n");
         }
-        if self.depth {
+        if self.depth.is_some() {
             let most = f32::from(u16::MAX) / DEPTH_LEVELS;
-            text += &format!("depth: {DEPTH_LEVELS} levels a world unit, up to {most} units");
+            text += &format!("depth: {DEPTH_LEVELS} levels a world unit, up to {most} units\n");
+        }
+        if let Some(explanation) = explanation {
+            text += &format!("\n{explanation}");
+            json["explain"] = json!(explanation);
         }
         session.report(&json, text)
     }
-}
-
-/// Draws every picture, some at a time, and brings them where they go. Returns those of a folder as small as its contact
-/// sheet needs them.
-fn draw(
-    renderer: &mut Renderer,
-    cameras: &[Camera],
-    request: &RenderRequest,
-    mut sinks: Sinks<'_>,
-    stage: &Stage<'_>,
-) -> Result<Vec<Image>> {
-    let mut small = Vec::new();
-    let mut encoder = None;
-    let mut done = 0;
-    for batch in cameras.chunks(batch(cameras)) {
-        let mut frames = Vec::new();
-        for camera in batch {
-            stage.reach((done + frames.len()) as f64 / cameras.len() as f64)?;
-            frames.extend(renderer.render_loaded(std::slice::from_ref(camera), request)?);
-        }
-        let images: Vec<Result<Image>> = frames.par_iter().map(image).collect();
-        let images = images.into_iter().collect::<Result<Vec<Image>>>()?;
-        // No sink is made before there is something to put into it.
-        if let Some(folder) = sinks.folder {
-            outputs::make_folder(folder)?;
-            let save = |(i, (frame, image))| save(folder, done + i, frame, image, cameras.len());
-            let saved: Vec<Result<Image>> = frames.par_iter().zip(&images).enumerate().map(save).collect();
-            for image in saved {
-                small.push(image?);
-            }
-        }
-        if let Some(animation) = &sinks.animation {
-            if encoder.is_none() {
-                encoder = Some(animation.begin((images[0].width, images[0].height), cameras.len())?);
-            }
-            encoder.iter_mut().try_for_each(|encoder| encoder.push(&images))?;
-        }
-        if let Some(raw) = &mut sinks.raw {
-            let written = images.iter().try_for_each(|image| raw.write_all(&image.rgb)).and_then(|()| raw.flush());
-            written.map_err(|error| Error::io("standard output", error))?;
-        }
-        done += batch.len();
-    }
-    encoder.map_or(Ok(()), |encoder| encoder.finish(stage))?;
-    Ok(small)
-}
-
-/// How many pictures are drawn before they are written: up to [`BATCH`], fewer where they are large.
-fn batch(cameras: &[Camera]) -> usize {
-    let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
-    let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);
-    (BATCH_PIXELS / largest).clamp(1, BATCH) as usize
-}
-
-fn image(frame: &Frame) -> Result<Image> {
-    Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
-}
-
-/// Writes a picture and returns it as small as the contact sheet needs it.
-fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
-    let &Frame { width, height, .. } = frame;
-    let path = |suffix: &str| folder.join(format!("{number:03}{suffix}.png"));
-    image.save_png(path(""))?;
-    if let Some(depth) = &frame.depth {
-        outputs::save_depth(&path(".depth"), width, height, depth)?;
-    }
-    if let Some(alpha) = &frame.alpha {
-        outputs::save_alpha(&path(".alpha"), width, height, alpha)?;
-    }
-    let cell = SHEET_SIDE / sheet_columns(frames) as u32;
-    if width.max(height) <= cell {
-        return Ok(image.clone());
-    }
-    let scale = f64::from(cell) / f64::from(width.max(height));
-    let [width, height] = [width, height].map(|side| ((f64::from(side) * scale) as u32).max(1));
-    resize_lanczos(image, width, height)
-}
-
-/// As many columns as rows.
-fn sheet_columns(frames: usize) -> usize {
-    (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
 }

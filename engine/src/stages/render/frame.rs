@@ -1,5 +1,8 @@
 //! What a caller asks for and gets.
 
+use crate::types::{LeftOut, Scene};
+use std::num::NonZeroU32;
+
 /// What to draw and how. What is not asked for is neither computed nor stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderRequest {
@@ -9,7 +12,11 @@ pub struct RenderRequest {
     pub alpha: bool,
     /// Depth along the camera's z axis.
     pub depth: Option<Depth>,
-    /// Colour behind the scene.
+    /// Normals: the shortest axis of each Gaussian, turned towards the camera, blended as colour is.
+    pub normals: bool,
+    /// Colours that tell tokens apart, blended as colour is. A token has so many Gaussians, one after the other.
+    pub token_group: Option<NonZeroU32>,
+    /// Colour behind the scene; black costs nothing.
     pub background: [f32; 3],
     /// Whether Gaussians thinner than a pixel are made fainter by as much as the blur widens them (Mip-Splatting, Yu et
     /// al. 2024).
@@ -19,14 +26,47 @@ pub struct RenderRequest {
 impl Default for RenderRequest {
     /// Colour on black, without antialiasing.
     fn default() -> Self {
-        Self { rgb: true, alpha: false, depth: None, background: [0.0; 3], antialiased: false }
+        Self {
+            rgb: true,
+            alpha: false,
+            depth: None,
+            normals: false,
+            token_group: None,
+            background: [0.0; 3],
+            antialiased: false,
+        }
     }
 }
 
 impl RenderRequest {
     /// Floats a pixel.
     pub fn channels(&self) -> usize {
-        3 * usize::from(self.rgb) + usize::from(self.alpha) + usize::from(self.depth.is_some())
+        let triples = [self.rgb, self.normals, self.token_group.is_some()];
+        let singles = [self.alpha, self.depth.is_some()];
+        3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
+    }
+
+    /// Effects that pictures of a scene do without; `stored_degree` of its spherical harmonics are in the scene,
+    /// `used_degree` are not all zero.
+    pub(super) fn left_out(&self, stored_degree: u32, used_degree: u32) -> Vec<LeftOut> {
+        let asked = [
+            ("colour", self.rgb),
+            ("alpha", self.alpha),
+            ("depth", self.depth.is_some()),
+            ("normals", self.normals),
+            ("token colours", self.token_group.is_some()),
+            ("antialiasing", self.antialiased),
+        ];
+        let mut left_out: Vec<_> =
+            asked.iter().filter(|(_, on)| !on).map(|(what, _)| LeftOut::new(*what, "not asked for")).collect();
+        if self.background == [0.0; 3] {
+            left_out.push(LeftOut::new("background", "it is black"));
+        }
+        for degree in used_degree + 1..=Scene::MAX_SH_DEGREE {
+            let why = if degree <= stored_degree { "all zero in this scene" } else { "not in this scene" };
+            left_out.push(LeftOut::new(format!("spherical harmonics of band {degree}"), why));
+        }
+        left_out
     }
 }
 
@@ -52,6 +92,10 @@ pub struct Frame {
     pub alpha: Option<Vec<f32>>,
     /// `[height, width]` in world units.
     pub depth: Option<Vec<f32>>,
+    /// `[height, width, 3]` x, y, z in the world's frame, of length 1; 0 where nothing is.
+    pub normals: Option<Vec<f32>>,
+    /// `[height, width, 3]` red, green, blue in 0..1: tokens in colours of their own, on black.
+    pub token_colours: Option<Vec<f32>>,
 }
 
 impl Frame {
@@ -69,7 +113,14 @@ impl Frame {
                 values.chunks_exact(channels).flat_map(|pixel| &pixel[from..from + count]).copied().collect()
             })
         };
-        let (rgb, alpha, depth) = (take(request.rgb, 3), take(request.alpha, 1), take(request.depth.is_some(), 1));
-        Self { width, height, rgb, alpha, depth }
+        Self {
+            width,
+            height,
+            rgb: take(request.rgb, 3),
+            alpha: take(request.alpha, 1),
+            depth: take(request.depth.is_some(), 1),
+            normals: take(request.normals, 3),
+            token_colours: take(request.token_group.is_some(), 3),
+        }
     }
 }

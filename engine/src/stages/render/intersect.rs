@@ -1,4 +1,9 @@
 //! Ellipses to lists of Gaussians, one a tile, near to far.
+//!
+//! Gaussians are sorted by depth (31 bits), then their intersections by tile (8 to 15 bits), each stable and over the
+//! bits in use. Keys of tile and depth together need one sort, of the intersections by all bits in 12 bytes each:
+//! measured side by side on lavapipe 26 with 36 K Gaussians at 252x252 (102 K; 102 K at 1080p; 500 K at 1080p) all of
+//! this took 1.5 (1.3; 1.6; 1.2) times as long.
 
 use super::{FrameShape, project::Splats};
 use crate::{

@@ -3,6 +3,7 @@
 //! Gaussians are sorted by depth first, so that the intersections, several times as many, are only sorted by tile.
 //! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
 
+mod flights;
 mod frame;
 mod intersect;
 mod project;
@@ -32,7 +33,8 @@ pub struct FrameShape {
 /// What [`record`] leaves on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
-    /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped), alpha and depth those asked for.
+    /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped); alpha; depth; normal x, y, z; token
+    /// red, green, blue those asked for.
     pub frames: Tensor,
     /// `[3]` u32: intersections that were drawn, intersections that there are modulo 2^32, and whether that number
     /// wrapped. The frames hold only where the first two are equal and the third is 0; see [`RenderOutputs::needed`].

@@ -3,7 +3,7 @@
 use super::{FrameShape, RenderRequest};
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::render::Project,
+    kernels::render::{Normals, Project},
     types::Camera,
 };
 
@@ -22,10 +22,8 @@ pub struct SceneTensors {
     pub sh_coeffs: Tensor,
     /// Gaussians.
     pub len: usize,
-    /// Degree of the coefficients that there are.
+    /// Degree of the coefficients; bands above that are all zero need not be here.
     pub sh_degree: u32,
-    /// Degree of the highest band that is not all zero: higher ones are not evaluated.
-    pub sh_degree_used: u32,
 }
 
 /// A camera as kernels read it: three rows of world-to-camera, `(fx, fy, cx, cy)` in pixels, and its centre.
@@ -49,7 +47,10 @@ pub(super) struct Splats {
     pub pairs: usize,
     pub xy_opacities: Tensor,
     pub conics: Tensor,
-    pub colours: Tensor,
+    /// `[pairs, 3]` where asked for.
+    pub colours: Option<Tensor>,
+    /// `[pairs, 3]` where asked for.
+    pub normals: Option<Tensor>,
     pub depths: Tensor,
     pub tile_sets: Tensor,
     pub indices: Tensor,
@@ -72,7 +73,8 @@ pub(super) fn record(
         pairs,
         xy_opacities: tensor(rec, "xy_opacities", 3),
         conics: tensor(rec, "conics", 3),
-        colours: rec.tensor::<[f32; 3]>("colours", if request.rgb { pairs.max(1) } else { 1 }),
+        colours: request.rgb.then(|| tensor(rec, "colours", 3)),
+        normals: request.normals.then(|| tensor(rec, "normals", 3)),
         depths: tensor(rec, "depths", 1),
         tile_sets: tensor(rec, "tile_sets", 3),
         indices: tensor(rec, "indices", 1),
@@ -94,7 +96,8 @@ pub(super) fn record(
             cameras,
             xy_opacities: pair(splats.xy_opacities, 3),
             conics: pair(splats.conics, 3),
-            colours: if request.rgb { pair(splats.colours, 3) } else { splats.colours },
+            // A kernel without colours does not touch what is bound in their place.
+            colours: pair(splats.colours.unwrap_or(splats.xy_opacities), 3),
             depths: pair(splats.depths, 1),
             tile_sets: pair(splats.tile_sets, 3),
             indices: pair(splats.indices, 1),
@@ -104,11 +107,15 @@ pub(super) fn record(
             width: shape.width,
             height: shape.height,
             colour: request.rgb,
-            sh_degree: scene.sh_degree_used,
-            sh_stride: stride as u32,
+            sh_degree: scene.sh_degree,
             antialiased: request.antialiased,
         };
         rec.dispatch(kernel, len * shape.cameras);
+        if let Some(normals) = splats.normals {
+            let Project { means, scales, quats, pairs, camera_count, .. } = kernel;
+            let kernel = Normals { means, scales, quats, cameras, normals: pair(normals, 3), pairs, camera_count };
+            rec.dispatch(kernel, len * shape.cameras);
+        }
     }
     splats
 }

@@ -38,19 +38,24 @@ pub(super) fn record(
             tile_offsets: lists.tile_offsets,
             xy_opacities: splats.xy_opacities,
             conics: splats.conics,
-            colours: splats.colours,
-            depths: splats.depths,
+            // What is not asked for is not touched; something has to be bound.
+            colours: splats.colours.unwrap_or(splats.conics),
+            depths: request.depth.map_or(splats.conics, |_| splats.depths),
+            normals: splats.normals.unwrap_or(splats.conics),
             frames: frames.slice::<f32>(first * row, shape.cameras * rows * row),
             size: [shape.width, shape.height],
             grid: shape.grid(),
             first_tile_row: first as u32 / TILE,
             row_count: rows as u32,
             background: request.background,
+            runs,
             colour: request.rgb,
+            has_background: request.background != [0.0; 3],
             alpha: request.alpha,
             depth: request.depth.is_some(),
             expected_depth: request.depth == Some(Depth::Expected),
-            runs,
+            normal: request.normals,
+            token_pairs: request.token_group.map_or(0, |group| group.get().saturating_mul(shape.cameras as u32)),
         };
         let groups = [shape.grid()[0] * groups_a_tile, (rows as u32).div_ceil(TILE), shape.cameras as u32];
         rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);

@@ -4,12 +4,14 @@ use super::{CameraRows, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTe
 use crate::{
     Error, Result,
     gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
-    types::{Camera, Scene},
+    types::{Camera, LeftOut, Scene},
 };
 use std::sync::Arc;
 
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
+/// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
+const GPU_TOGETHER: usize = 8;
 /// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
 const MAX_SIDE: u32 = 1 << 15;
 
@@ -19,23 +21,37 @@ pub struct Renderer {
     scene: Option<Loaded>,
     /// Last used last.
     plans: Vec<Planned>,
-    /// Room for intersections in new plans; grows with what was drawn.
+    /// Room for intersections of a camera in new plans; grows with what was drawn.
     capacity: usize,
     /// More at once did not fit.
     cameras_at_once: usize,
+    /// Most pictures of one submission of [`Renderer::render_each`].
+    pub(super) together: usize,
+    /// Whether kernels have no code of effects.
+    plain: bool,
 }
 
 struct Loaded {
     memory: Arc<Resident>,
     tensors: SceneTensors,
+    /// Degree that the scene has, of which the tensors hold what is used.
+    stored_degree: u32,
 }
 
-struct Planned {
+/// What a plan is for.
+#[derive(Clone, Copy, PartialEq)]
+struct Key {
     shape: FrameShape,
     request: RenderRequest,
+    /// Which of the plans that are alike, for pictures in flight.
+    turn: usize,
+}
+
+pub(super) struct Planned {
+    key: Key,
     capacity: usize,
-    run: Run,
-    cameras: Tensor,
+    pub run: Run,
+    pub cameras: Tensor,
     outputs: RenderOutputs,
 }
 
@@ -45,10 +61,30 @@ impl Renderer {
         Self::with_capacity(device, 0)
     }
 
-    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles before it has to grow; 0
-    /// leaves that to the scene's size.
+    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles in a picture before it
+    /// has to grow; 0 leaves that to the scene's size.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
-        Self { device: device.clone(), scene: None, plans: Vec::new(), capacity, cameras_at_once: usize::MAX }
+        Self {
+            device: device.clone(),
+            scene: None,
+            plans: Vec::new(),
+            capacity,
+            cameras_at_once: usize::MAX,
+            together: if device.limits().cpu { 1 } else { GPU_TOGETHER },
+            plain: false,
+        }
+    }
+
+    /// Lets [`Renderer::render_each`] draw up to `most` pictures in a submission, where they are small.
+    pub fn together(mut self, most: usize) -> Self {
+        self.together = most.max(1);
+        self
+    }
+
+    /// A renderer whose kernels were compiled without the code of any effect, to measure what effects cost that are not
+    /// asked for. It draws colour without view dependence on black, and nothing else may be asked of it.
+    pub fn without_effects(device: &Device) -> Self {
+        Self { plain: true, ..Self::new(device) }
     }
 
     /// Draws `scene` with each camera, in their order.
@@ -67,22 +103,27 @@ impl Renderer {
     /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
-        let used = used_degree(scene);
-        let same = |s: &SceneTensors| (s.len, s.sh_degree, s.sh_degree_used) == (scene.len(), scene.sh_degree, used);
+        let degree = if self.plain { 0 } else { used_degree(scene) };
+        let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
         let loaded = match self.scene.take() {
             Some(loaded) if same(&loaded.tensors) => loaded,
             _ => {
                 self.plans.clear();
                 self.cameras_at_once = usize::MAX;
-                Loaded::allocate(&self.device, scene, used)?
+                Loaded::allocate(&self.device, scene.len(), degree)?
             }
         };
-        let Loaded { memory, tensors } = self.scene.insert(loaded);
+        let Loaded { memory, tensors, .. } = self.scene.insert(Loaded { stored_degree: scene.sh_degree, ..loaded });
         memory.write(tensors.means, &scene.means)?;
         memory.write(tensors.scales, &scene.scales)?;
         memory.write(tensors.quats, &scene.quats)?;
         memory.write(tensors.opacities, &scene.opacities)?;
-        memory.write(tensors.sh_coeffs, &scene.sh_coeffs)
+        if degree == scene.sh_degree {
+            return memory.write(tensors.sh_coeffs, &scene.sh_coeffs);
+        }
+        let used = coeffs_of(degree);
+        let coeffs = scene.sh_coeffs.chunks_exact(scene.sh_coeffs_per_gaussian()).flat_map(|all| &all[..used]);
+        memory.write(tensors.sh_coeffs, &coeffs.copied().collect::<Vec<_>>())
     }
 
     /// Draws the scene that was loaded last.
@@ -90,21 +131,10 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::render`], and [`Error::Argument`] where no scene was loaded.
     pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
-        if request.channels() == 0 {
-            return Err(Error::argument("render request", "no output", "one of rgb, alpha and depth"));
-        }
-        let mut sizes: Vec<(u32, u32)> = Vec::new();
-        for (i, camera) in cameras.iter().enumerate() {
-            camera.validate(&format!("camera {i}"))?;
-            let size = (camera.intrinsics.width, camera.intrinsics.height);
-            if size.0.max(size.1) > MAX_SIDE {
-                let found = format!("{} x {}", size.0, size.1);
-                return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
-            }
-            if !sizes.contains(&size) {
-                sizes.push(size);
-            }
-        }
+        check(cameras, request)?;
+        let mut sizes: Vec<(u32, u32)> = cameras.iter().map(|c| (c.intrinsics.width, c.intrinsics.height)).collect();
+        sizes.sort_unstable();
+        sizes.dedup();
         let mut frames: Vec<Option<Frame>> = cameras.iter().map(|_| None).collect();
         for size in sizes {
             let alike =
@@ -118,6 +148,20 @@ impl Renderer {
         Ok(frames.into_iter().flatten().collect())
     }
 
+    /// Intersections of Gaussians with tiles in what was drawn last.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn intersections(&self) -> Result<usize> {
+        self.plans.last().map_or(Ok(0), Planned::needed)
+    }
+
+    /// Effects that pictures of the scene that was loaded last do without, and why.
+    pub fn left_out(&self, request: &RenderRequest) -> Vec<LeftOut> {
+        let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree, scene.tensors.sh_degree));
+        request.left_out(degrees.0, degrees.1)
+    }
+
     /// Device time of drawing the scene that was loaded last with one camera, by kernel.
     ///
     /// # Errors
@@ -126,28 +170,25 @@ impl Renderer {
         // Afterwards there is a plan with room for every intersection.
         self.render_loaded(std::slice::from_ref(camera), request)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-        let plan = self.plan(shape, request)?;
+        let plan = self.plan(shape, request, 0)?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
         plan.run.profile()
     }
 
     /// Draws cameras of one size, as many at once as there is memory for.
-    fn render_alike(
+    pub(super) fn render_alike(
         &mut self,
         cameras: &[CameraRows],
         size: (u32, u32),
         request: &RenderRequest,
     ) -> Result<Vec<Frame>> {
-        let bytes_each = [
-            12 * self.scene.as_ref().map_or(0, |scene| scene.tensors.len),
-            4 * request.channels() * size.0 as usize * size.1 as usize,
-        ];
+        let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.device.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
             let together = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
-            match self.render_together(together, size, request) {
+            match self.render_together(together, size, request, 0) {
                 Ok(drawn) => frames.extend(drawn),
                 Err(Error::Memory { .. }) if together.len() > 1 => {
                     self.cameras_at_once = together.len() / 2;
@@ -159,41 +200,40 @@ impl Renderer {
         Ok(frames)
     }
 
-    fn render_together(
+    pub(super) fn render_together(
         &mut self,
         cameras: &[CameraRows],
         (width, height): (u32, u32),
         request: &RenderRequest,
+        turn: usize,
     ) -> Result<Vec<Frame>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
         let most = self.device.limits().max_binding_bytes / 4;
         loop {
-            let plan = self.plan(shape, request)?;
+            let plan = self.plan(shape, request, turn)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
-            let status: Vec<u32> = plan.run.read(plan.outputs.status)?;
-            let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
-            if needed <= plan.capacity {
-                let values: Vec<f32> = plan.run.read(plan.outputs.frames)?;
-                let frame = |values| Frame::from_channels(width, height, values, request);
-                return Ok(values.chunks_exact(values.len() / cameras.len()).map(frame).collect());
+            if let Some(frames) = plan.frames()? {
+                return Ok(frames);
             }
+            let needed = plan.needed()?;
             if needed as u64 > most {
                 let what = "a list of the intersections of Gaussians with tiles".into();
                 return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });
             }
             // A camera that moves a little should not outgrow it at once.
-            self.capacity = (needed + needed / 4).min(most as usize);
+            self.capacity = self.capacity.max((needed + needed / 4).div_ceil(cameras.len()));
             self.plans.pop();
         }
     }
 
-    /// The plan for `shape` and `request`, which is last among the plans afterwards.
-    fn plan(&mut self, shape: FrameShape, request: &RenderRequest) -> Result<&mut Planned> {
+    /// The plan for `shape` and `request`, of those alike the one of this turn. It is last among the plans afterwards.
+    pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut Planned> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let known = self.plans.iter().position(|p| p.shape == shape && p.request == *request);
+        let key = Key { shape, request: *request, turn };
+        let known = self.plans.iter().position(|planned| planned.key == key);
         let planned = match known {
             Some(index) => self.plans.remove(index),
             None => {
@@ -201,44 +241,98 @@ impl Renderer {
                     self.plans.remove(0);
                 }
                 if self.capacity == 0 {
-                    let most = self.device.limits().max_binding_bytes as usize / 4;
-                    self.capacity = (4 * scene.tensors.len * shape.cameras).clamp(1 << 16, most);
+                    self.capacity = (4 * scene.tensors.len).max(1 << 16);
                 }
-                scene.plan(&self.device, shape, request, self.capacity)?
+                let most = self.device.limits().max_binding_bytes as usize / 4;
+                let capacity = self.capacity.saturating_mul(shape.cameras).min(most);
+                let rec = Recorder::new(self.device.limits());
+                scene.plan(&self.device, if self.plain { rec.plain() } else { rec }, key, capacity)?
             }
         };
         self.plans.push(planned);
         Ok(self.plans.last_mut().expect("just pushed"))
     }
+
+    pub(super) fn forget_plans(&mut self) {
+        self.plans.clear();
+    }
+
+    /// Gaussians of the scene.
+    pub(super) fn gaussians(&self) -> usize {
+        self.scene.as_ref().map_or(0, |scene| scene.tensors.len)
+    }
+
+    /// Waits for everything that is under way.
+    pub(super) fn settle(&mut self) -> Result<()> {
+        self.plans.iter_mut().try_for_each(|plan| plan.run.finish())
+    }
+}
+
+impl Planned {
+    /// Intersections that the last run found; more than can be counted as 2^32.
+    fn needed(&self) -> Result<usize> {
+        let status: Vec<u32> = self.run.read(self.outputs.status)?;
+        Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))
+    }
+
+    /// The pictures of the last run, unless they needed more room.
+    pub(super) fn frames(&self) -> Result<Option<Vec<Frame>>> {
+        if self.needed()? > self.capacity {
+            return Ok(None);
+        }
+        let values: Vec<f32> = self.run.read(self.outputs.frames)?;
+        let FrameShape { cameras, width, height } = self.key.shape;
+        let frame = |values| Frame::from_channels(width, height, values, &self.key.request);
+        Ok(Some(values.chunks_exact(values.len() / cameras).map(frame).collect()))
+    }
 }
 
 impl Loaded {
-    fn allocate(device: &Device, scene: &Scene, sh_degree_used: u32) -> Result<Self> {
+    fn allocate(device: &Device, len: usize, sh_degree: u32) -> Result<Self> {
         let mut layout = ResidentLayout::new(device.limits());
-        let len = scene.len();
         let tensors = SceneTensors {
             means: layout.add::<[f32; 3]>(len),
             scales: layout.add::<[f32; 3]>(len),
             quats: layout.add::<[f32; 4]>(len),
             opacities: layout.add::<f32>(len),
-            sh_coeffs: layout.add::<[f32; 3]>(scene.sh_coeffs.len()),
+            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
             len,
-            sh_degree: scene.sh_degree,
-            sh_degree_used,
+            sh_degree,
         };
-        Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors })
+        Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
     }
 
-    fn plan(&self, device: &Device, shape: FrameShape, request: &RenderRequest, capacity: usize) -> Result<Planned> {
-        let mut rec = Recorder::new(device.limits());
-        let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
-        let outputs = record(&mut rec, &self.tensors, cameras, shape, request, capacity);
-        let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?;
-        Ok(Planned { shape, request: *request, capacity, run, cameras, outputs })
+    fn plan(&self, device: &Device, mut rec: Recorder, key: Key, capacity: usize) -> Result<Planned> {
+        let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
+        let outputs = record(&mut rec, &self.tensors, cameras, key.shape, &key.request, capacity);
+        let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
+        Ok(Planned { key, capacity, run, cameras, outputs })
     }
 }
 
-/// Degree of the highest band that is not all zero: what is above it need not be evaluated.
+/// Holds that these pictures can be drawn.
+pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
+    if request.channels() == 0 {
+        let expected = "one of rgb, alpha, depth, normals and token colours";
+        return Err(Error::argument("render request", "no output", expected));
+    }
+    for (i, camera) in cameras.iter().enumerate() {
+        camera.validate(&format!("camera {i}"))?;
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        if size.0.max(size.1) > MAX_SIDE {
+            let found = format!("{} x {}", size.0, size.1);
+            return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
+        }
+    }
+    Ok(())
+}
+
+/// Coefficients up to a degree.
+fn coeffs_of(degree: u32) -> usize {
+    (degree as usize + 1).pow(2)
+}
+
+/// Degree of the highest band that is not all zero: what is above it is neither stored nor evaluated.
 fn used_degree(scene: &Scene) -> u32 {
     let stride = scene.sh_coeffs_per_gaussian();
     let zero = |degree: u32| {

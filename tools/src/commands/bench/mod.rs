@@ -1,7 +1,10 @@
 //! `zipsplat bench`: times on a device, each the median of many with its least and greatest.
 
+mod effects;
 mod forward;
 mod gemm;
+mod gsplat;
+mod python;
 mod pytorch;
 mod render;
 mod tradeoff;

@@ -1,11 +1,7 @@
 //! The forward pass in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
 
 use serde::Deserialize;
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Stdio},
-};
+use std::{fs, path::Path, process::Command};
 use zipsplat::{Error, Result, weights::Architecture};
 
 /// What Python runs, under the names it imports.
@@ -14,6 +10,8 @@ const FILES: [(&str, &str); 3] = [
     ("model.py", include_str!("../../../train/model.py")),
     ("weights.py", include_str!("../../../train/weights.py")),
 ];
+
+const NEEDED: &str = "a Python with torch, numpy and safetensors";
 
 /// What PyTorch needed.
 #[derive(Deserialize)]
@@ -59,17 +57,7 @@ pub fn forward(
     command.args(["--views", &list(views.iter().map(usize::to_string).collect())]);
     command.args(["--ratio", &list(ratios.iter().map(f64::to_string).collect())]);
     command.args(["--warmup", &warmup.to_string(), "--repeats", &repeats.to_string()]);
-    let failed = |found: String| {
-        Error::argument(
-            "--pytorch",
-            format!("{}: {found}", python.display()),
-            "a Python with torch, numpy and safetensors",
-        )
-    };
-    let output = command.stdin(Stdio::null()).output().map_err(|error| failed(error.to_string()))?;
-    if !output.status.success() {
-        let told = String::from_utf8_lossy(&output.stderr);
-        return Err(failed(told.lines().last().unwrap_or("no message").to_owned()));
-    }
-    serde_json::from_slice(&output.stdout).map_err(|error| failed(format!("its output, {error}")))
+    let printed = super::python::run("--pytorch", NEEDED, &mut command)?;
+    serde_json::from_str(&printed)
+        .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }

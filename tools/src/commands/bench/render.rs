@@ -1,6 +1,6 @@
 //! `zipsplat bench render`: drawing random scenes.
 
-use super::{Repeats, Spread, group, timed_device};
+use super::{Repeats, Spread, effects, group, gsplat, timed_device};
 use crate::{
     noise::{self, Noise},
     options::Size,
@@ -9,22 +9,37 @@ use crate::{
 };
 use clap::Args;
 use serde::Serialize;
-use std::time::{Duration, Instant};
+use std::{
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 use zipsplat::{
     Result,
-    gpu::Device,
+    gpu::{Device, Profile, ProfileRow, Recorder, Run},
     stages::render::{RenderRequest, Renderer},
     types::Scene,
 };
 
 /// As many as a host has memory for.
 const MOST_GAUSSIANS: i64 = 50_000_000;
+/// Bytes that are copied to measure the memory's bandwidth: far more than caches hold, and one binding on every device.
+const COPIED: u64 = 96 << 20;
+/// Copies, of which the fastest counts.
+const COPIES: usize = 5;
 
-/// Time of a frame, by kernel
+/// Time of a frame, by pass
 #[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat bench render
+  zipsplat bench render --gaussians 36000,102000,500000,2000000,6000000 --size 252x252,1920x1080,3840x2160 --sh 0,1,3 --csv
+  zipsplat bench render --effects
+  zipsplat bench render --gsplat
+
+Of each case: its passes; device, all of them; host, one frame brought to the host, alone; in flight, a frame of many.
+The bandwidth's share counts every tensor of a pass once, against a copy measured in the same run.")]
 pub struct Render {
     /// Numbers of Gaussians
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000",
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",
         value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
     gaussians: Vec<u32>,
     /// Sizes of the picture
@@ -34,59 +49,83 @@ pub struct Render {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(Scene::MAX_SH_DEGREE)))]
     sh: Vec<u32>,
+    /// Print comma-separated values
+    #[arg(long, conflicts_with = "effects")]
+    csv: bool,
+    /// Measure instead, on the first of each list, every effect off, on, and with its code removed from the kernels
+    #[arg(long, conflicts_with = "gsplat")]
+    effects: bool,
+    /// Also time gsplat on the same scenes, with this Python, which has PyTorch and gsplat, on a CUDA GPU
+    #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
+    gsplat: Option<PathBuf>,
     #[command(flatten)]
     repeats: Repeats,
 }
 
-/// Times of one scene and size, or of a kernel of it.
+/// Times of one scene and size, or of a pass of it.
 #[derive(Serialize)]
 struct Row {
     gaussians: usize,
     width: u32,
     height: u32,
     sh_degree: u32,
-    /// Kernel, `device` for all of them, or `host` for a frame in the host's memory.
+    /// Tiles that Gaussians touch.
+    intersections: usize,
+    /// Pass; `device` for all of them, `host` for a frame in the host's memory, `in flight` for one of many, `gsplat`.
     what: String,
     commands: u32,
     ms: Spread,
     frames_per_s: f64,
+    /// Of the tensors that a pass touches, each once a command.
+    bytes: Option<u64>,
+    /// Of the bandwidth of a copy.
+    bandwidth_share: Option<f64>,
 }
 
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let device = timed_device(session)?;
+        if self.effects {
+            let (gaussians, size, sh) = (self.gaussians[0], self.size[0], self.sh[0].max(1));
+            let scene = Noise(1).scene(gaussians as usize, sh);
+            return effects::run(session, &device, &scene, size, &self.repeats);
+        }
+        self.gsplat.as_deref().map_or(Ok(()), gsplat::check)?;
+        let bandwidth = bandwidth(&device)?;
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
             for &sh_degree in &self.sh {
-                let scene = Noise(0).scene(gaussians as usize, sh_degree);
+                let scene = Noise(1).scene(gaussians as usize, sh_degree);
                 for size in &self.size {
                     let name = format!("{gaussians} at {size}");
-                    rows.extend(session.stage(&name, |stage| self.measure(&device, &scene, *size, stage))?.0);
+                    let measured = session.stage(&name, |stage| self.measure(&device, &scene, *size, bandwidth, stage));
+                    rows.extend(measured?.0);
                 }
             }
         }
-        let headings = ["kernel", "Gaussians", "size", "degree", "commands", "ms: median (min..max)", "frames/s"];
-        let mut table = Table::new(1, &headings);
-        for row in &rows {
-            table.row([
-                row.what.clone(),
-                row.gaussians.to_string(),
-                Size(row.width, row.height).to_string(),
-                row.sh_degree.to_string(),
-                row.commands.to_string(),
-                row.ms.to_string(),
-                format!("{:.1}", row.frames_per_s),
-            ]);
-        }
-        session.report(&rows, format!("{}\n{table}", device.limits().name))
+        let text = match self.csv {
+            true => csv(&rows),
+            false => format!("{}, copies {:.1} GB/s\n{}", device.limits().name, bandwidth / 1e9, table(&rows)),
+        };
+        session.report(&rows, text)
     }
 
-    fn measure(&self, device: &Device, scene: &Scene, size: Size, stage: &Stage<'_>) -> Result<Vec<Row>> {
-        let Size(width, height) = size;
-        let (camera, request) = (noise::camera(width, height), RenderRequest::default());
-        let mut renderer = Renderer::new(device);
-        renderer.load(scene)?;
+    fn measure(
+        &self,
+        device: &Device,
+        scene: &Scene,
+        size: Size,
+        bandwidth: f64,
+        stage: &Stage<'_>,
+    ) -> Result<Vec<Row>> {
+        let (camera, request) = (noise::camera(size.0, size.1), RenderRequest::default());
         let Repeats { warmup, repeats } = self.repeats;
+        // Room for what there is and no more, so that bytes of tensors are bytes in use.
+        let mut renderer = Renderer::new(device);
+        renderer.render(scene, &[camera], &request)?;
+        let intersections = renderer.intersections()?;
+        let mut renderer = Renderer::with_capacity(device, intersections.max(1));
+        renderer.load(scene)?;
         let (mut host, mut profiles) = (Vec::new(), Vec::new());
         for i in 0..warmup + repeats {
             stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
@@ -97,21 +136,125 @@ impl Render {
                 profiles.push(renderer.profile(&camera, &request)?);
             }
         }
-        let row = |what: &str, commands: u32, ms: Spread| Row {
+        let cameras = vec![camera; repeats as usize];
+        let mut in_flight = Duration::ZERO;
+        // The first time makes plans.
+        for _ in 0..2 {
+            let start = Instant::now();
+            renderer.render_each(&cameras, &request, |_, _| stage.reach(1.0))?;
+            in_flight = start.elapsed() / repeats;
+        }
+
+        let row = |what: &str, commands: u32, ms: Spread, bytes: Option<u64>| Row {
             gaussians: scene.len(),
-            width,
-            height,
+            width: size.0,
+            height: size.1,
             sh_degree: scene.sh_degree,
+            intersections,
             what: what.to_owned(),
             commands,
             ms,
             frames_per_s: 1e3 / ms.median.max(1e-6),
+            bytes,
+            bandwidth_share: bytes.map(|bytes| bytes as f64 / (1e-3 * ms.median.max(1e-6)) / bandwidth),
         };
-        let kernels = group(&profiles, |row| row.kernel.clone());
-        let commands = kernels.iter().map(|kernel| kernel.count).sum();
+        let passes = group(&profiles, pass);
+        let commands = passes.iter().map(|pass| pass.count).sum();
         let totals: Vec<Duration> = profiles.iter().map(|profile| profile.total("").0).collect();
-        let mut rows = vec![row("host", commands, Spread::of(host)), row("device", commands, Spread::of(totals))];
-        rows.extend(kernels.iter().map(|kernel| row(&kernel.name, kernel.count, kernel.ms)));
+        let bytes_of = |name: &str| bytes_where(&profiles, |row| pass(row) == name);
+        let mut rows: Vec<Row> =
+            passes.iter().map(|pass| row(&pass.name, pass.count, pass.ms, Some(bytes_of(&pass.name)))).collect();
+        rows.push(row("device", commands, Spread::of(totals), Some(bytes_where(&profiles, |_| true))));
+        rows.push(row("host", commands, Spread::of(host), None));
+        rows.push(row("in flight", commands, Spread::of([in_flight]), None));
+        if let Some(python) = &self.gsplat {
+            let ms = gsplat::milliseconds(python, scene, size, repeats)?;
+            rows.push(row("gsplat", 0, Spread { median: ms, min: ms, max: ms }, None));
+        }
         Ok(rows)
     }
+}
+
+/// What a row of a profile belongs to.
+fn pass(row: &ProfileRow) -> String {
+    match row.scope.split('/').nth(1) {
+        Some("by_depth") => "sort by depth".into(),
+        Some("by_tile") => "sort by tile".into(),
+        _ => row.kernel.clone(),
+    }
+}
+
+fn bytes_where(profiles: &[Profile], wanted: impl Fn(&ProfileRow) -> bool) -> u64 {
+    profiles.iter().take(1).flat_map(|profile| &profile.rows).filter(|row| wanted(row)).map(|row| row.bytes).sum()
+}
+
+/// Bytes a second, read and written, of a copy on the device.
+fn bandwidth(device: &Device) -> Result<f64> {
+    let len = COPIED.min(device.limits().max_binding_bytes) as usize;
+    let mut rec = Recorder::new(device.limits());
+    let (from, to) = (rec.tensor::<u8>("from", len), rec.tensor::<u8>("to", len));
+    rec.fill(from, 1);
+    rec.copy(from, to);
+    rec.output(to);
+    let mut run = Run::new(device, rec.finish()?)?;
+    let mut best = Duration::MAX;
+    for _ in 0..COPIES {
+        let profile = run.profile()?;
+        best = profile.rows.iter().filter(|row| row.kernel == "copy").map(|row| row.time).fold(best, Duration::min);
+    }
+    Ok(2.0 * len as f64 / best.as_secs_f64().max(1e-9))
+}
+
+fn table(rows: &[Row]) -> Table {
+    let headings =
+        ["pass", "Gaussians", "size", "degree", "commands", "ms: median (min..max)", "frames/s", "of bandwidth"];
+    let mut table = Table::new(1, &headings);
+    for row in rows {
+        let what = match row.what.as_str() {
+            "gsplat" => format!("gsplat, {:.2} of its time on the device", ratio(rows, row)),
+            what => what.to_owned(),
+        };
+        table.row([
+            what,
+            row.gaussians.to_string(),
+            Size(row.width, row.height).to_string(),
+            row.sh_degree.to_string(),
+            row.commands.to_string(),
+            row.ms.to_string(),
+            format!("{:.1}", row.frames_per_s),
+            row.bandwidth_share.map_or_else(String::new, |share| format!("{:.1} %", 100.0 * share)),
+        ]);
+    }
+    table
+}
+
+/// Our device time over that of gsplat on the same scene.
+fn ratio(rows: &[Row], gsplat: &Row) -> f64 {
+    let case = |row: &Row| (row.gaussians, row.width, row.height, row.sh_degree);
+    let ours = rows.iter().find(|row| row.what == "device" && case(row) == case(gsplat));
+    ours.map_or(f64::NAN, |ours| ours.ms.median / gsplat.ms.median)
+}
+
+fn csv(rows: &[Row]) -> String {
+    let mut text = String::from(
+        "pass,gaussians,width,height,sh_degree,intersections,commands,ms_median,ms_min,ms_max,frames_per_s,bytes,bandwidth_share\n",
+    );
+    for row in rows {
+        let (bytes, share) = (row.bytes.map(|b| b.to_string()), row.bandwidth_share.map(|s| format!("{s:.4}")));
+        let case = [row.width, row.height, row.sh_degree].map(|number| number.to_string()).join(",");
+        text += &format!(
+            "{},{},{case},{},{},{:.4},{:.4},{:.4},{:.2},{},{}\n",
+            row.what,
+            row.gaussians,
+            row.intersections,
+            row.commands,
+            row.ms.median,
+            row.ms.min,
+            row.ms.max,
+            row.frames_per_s,
+            bytes.unwrap_or_default(),
+            share.unwrap_or_default()
+        );
+    }
+    text
 }

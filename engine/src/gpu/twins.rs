@@ -1,0 +1,70 @@
+//! Twins of a plan's inputs and outputs in memory that the host sees, for devices whose own it does not see: copying is
+//! then part of what is submitted, and the host reads one run's results while the device works on another's.
+
+use super::{
+    Device, Plan,
+    arena::ALIGNMENT,
+    commands::record_copies,
+    memory::Memory,
+    plan::{Allocation, Role},
+};
+use crate::Result;
+use ash::vk;
+
+pub(super) struct Twins {
+    memory: Memory,
+    /// Where each allocation's twin is, if it has one.
+    offsets: Vec<Option<u64>>,
+    /// Copies the inputs in.
+    pub upload: vk::CommandBuffer,
+    /// Copies the outputs out.
+    pub download: vk::CommandBuffer,
+}
+
+impl Twins {
+    /// Records the copies into two command buffers of the run.
+    pub fn new(
+        device: &Device,
+        plan: &Plan,
+        arena: &Memory,
+        [upload, download]: [vk::CommandBuffer; 2],
+    ) -> Result<Self> {
+        let mut bytes = 0;
+        let offset = |allocation: &Allocation| {
+            (allocation.role == Role::Input || allocation.output).then(|| {
+                let offset = bytes;
+                bytes += allocation.bytes.next_multiple_of(ALIGNMENT);
+                offset
+            })
+        };
+        let offsets: Vec<Option<u64>> = plan.allocations.iter().map(offset).collect();
+        let memory = Memory::seen_by_host(device, "inputs and outputs", bytes.max(ALIGNMENT))?;
+        let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
+        for ((allocation, place), offset) in plan.allocations.iter().zip(&plan.placements).zip(&offsets) {
+            let Some(offset) = *offset else { continue };
+            let size = allocation.bytes.next_multiple_of(4);
+            let (twin, own) = (memory.buffer(0), arena.buffer(place.block));
+            if allocation.role == Role::Input && size > 0 {
+                inputs.push((twin, own, vk::BufferCopy { src_offset: offset, dst_offset: place.offset, size }));
+            }
+            if allocation.output && size > 0 {
+                outputs.push((own, twin, vk::BufferCopy { src_offset: place.offset, dst_offset: offset, size }));
+            }
+        }
+        record_copies(&device.0, upload, &inputs)?;
+        record_copies(&device.0, download, &outputs)?;
+        Ok(Self { memory, offsets, upload, download })
+    }
+
+    /// Writes into an allocation's twin; false where it has none.
+    pub fn write(&self, allocation: usize, offset: u64, bytes: &[u8]) -> Result<bool> {
+        let Some(twin) = self.offsets[allocation] else { return Ok(false) };
+        self.memory.write(0, twin + offset, bytes).map(|()| true)
+    }
+
+    /// Reads from an allocation's twin; false where it has none.
+    pub fn read(&self, allocation: usize, offset: u64, bytes: &mut [u8]) -> Result<bool> {
+        let Some(twin) = self.offsets[allocation] else { return Ok(false) };
+        self.memory.read(0, twin + offset, bytes).map(|()| true)
+    }
+}

@@ -1,0 +1,114 @@
+//! Many pictures one after another: the device draws the next ones while the host uses those that are done.
+
+use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, renderer::check};
+use crate::{Error, Result, types::Camera};
+use std::{collections::VecDeque, ops::Range};
+
+/// Plans that take turns.
+const TURNS: usize = 2;
+/// Pixels that are drawn together, at most.
+const PIXELS_TOGETHER: usize = 1 << 20;
+/// Pairs of a Gaussian and a camera that are drawn together, at most.
+const PAIRS_TOGETHER: usize = 1 << 21;
+
+/// Pictures that are being drawn.
+struct Flight {
+    cameras: Range<usize>,
+    shape: FrameShape,
+    turn: usize,
+}
+
+impl Renderer {
+    /// Draws the scene that was loaded last with each camera and hands every picture to `done` with its camera's index,
+    /// in their order. Meanwhile the device draws the next ones, several in a submission where they are small.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`], and the first error of `done`, which ends the drawing.
+    pub fn render_each(
+        &mut self,
+        cameras: &[Camera],
+        request: &RenderRequest,
+        mut done: impl FnMut(usize, Frame) -> Result<()>,
+    ) -> Result<()> {
+        check(cameras, request)?;
+        let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
+        let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
+        // Nothing stays under way, also where `done` stopped.
+        self.settle().and(result)
+    }
+
+    /// Cameras that follow each other and have one size, in groups for a submission each.
+    fn groups(&self, cameras: &[Camera]) -> Vec<(Range<usize>, FrameShape)> {
+        let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
+        for (i, camera) in cameras.iter().enumerate() {
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            let pixels = width as usize * height as usize;
+            let most = self.together.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / self.gaussians().max(1)).max(1);
+            match groups.last_mut() {
+                Some((range, shape)) if (shape.width, shape.height) == (width, height) && shape.cameras < most => {
+                    range.end += 1;
+                    shape.cameras += 1;
+                }
+                _ => groups.push((i..i + 1, FrameShape { cameras: 1, width, height })),
+            }
+        }
+        groups
+    }
+
+    fn fly(
+        &mut self,
+        groups: &[(Range<usize>, FrameShape)],
+        rows: &[CameraRows],
+        request: &RenderRequest,
+        done: &mut dyn FnMut(usize, Frame) -> Result<()>,
+    ) -> Result<()> {
+        let mut flights = VecDeque::new();
+        for (turn, (cameras, shape)) in groups.iter().enumerate() {
+            if flights.len() == TURNS {
+                self.land(&mut flights, rows, request, done)?;
+            }
+            let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % TURNS };
+            match self.start(&flight, rows, request) {
+                Ok(()) => flights.push_back(flight),
+                // Too little memory for all at once: one after the other, and as few together as it takes.
+                Err(Error::Memory { .. }) => {
+                    while !flights.is_empty() {
+                        self.land(&mut flights, rows, request, done)?;
+                    }
+                    self.forget_plans();
+                    let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), request)?;
+                    cameras.clone().zip(frames).try_for_each(|(i, frame)| done(i, frame))?;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        while !flights.is_empty() {
+            self.land(&mut flights, rows, request, done)?;
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, flight: &Flight, rows: &[CameraRows], request: &RenderRequest) -> Result<()> {
+        let plan = self.plan(flight.shape, request, flight.turn)?;
+        plan.run.write(plan.cameras, &rows[flight.cameras.clone()])?;
+        plan.run.start()
+    }
+
+    /// Waits for the oldest flight and hands its pictures on; draws them again where there was too little room.
+    fn land(
+        &mut self,
+        flights: &mut VecDeque<Flight>,
+        rows: &[CameraRows],
+        request: &RenderRequest,
+        done: &mut dyn FnMut(usize, Frame) -> Result<()>,
+    ) -> Result<()> {
+        let Some(Flight { cameras, shape, turn }) = flights.pop_front() else { return Ok(()) };
+        let plan = self.plan(shape, request, turn)?;
+        plan.run.finish()?;
+        let frames = match plan.frames()? {
+            Some(frames) => frames,
+            None => self.render_together(&rows[cameras.clone()], (shape.width, shape.height), request, turn)?,
+        };
+        cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame))
+    }
+}

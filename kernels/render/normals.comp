@@ -1,0 +1,27 @@
+// Finds the normals of Gaussians: the shortest axis of each, turned towards the camera.
+//
+// In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; cameras [C, 5, 4] as
+// render/project reads them. Out, for each pair of a Gaussian and a camera [N, C]: normals [3], unit vectors, world.
+// One invocation owns one pair. Of axes equally short the first is taken.
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+layout(local_size_x = 64) in;
+#include "shared/index.glsl"
+#include "shared/rotation.glsl"
+
+layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
+layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };
+layout(set = 0, binding = 2) readonly buffer Quats { vec4 quats[]; };
+layout(set = 0, binding = 3) readonly buffer Cameras { vec4 cameras[]; };
+layout(scalar, set = 0, binding = 4) writeonly buffer Normals { vec3 normals[]; };
+layout(push_constant) uniform Push { uint pairs; uint camera_count; };
+
+void main() {
+    uint pair = global_index();
+    if (pair >= pairs) return;
+    uint n = pair / camera_count, camera = pair % camera_count;
+    mat3 axes = rotation(normalize(quats[n]));
+    vec3 scale = scales[n];
+    vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
+    normals[pair] = dot(axis, cameras[5 * camera + 4].xyz - means[n]) < 0 ? -axis : axis;
+}

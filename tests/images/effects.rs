@@ -1,0 +1,189 @@
+//! Outputs and effects: each right where it is asked for, and of no cost where it is not.
+
+use crate::render::{ALL, render};
+use std::num::NonZeroU32;
+use zipsplat::{
+    gpu::{Limits, Plan, Profile, Recorder},
+    stages::render::{CameraRows, Depth, Frame, FrameShape, RenderRequest, Renderer, SceneTensors, record},
+    types::{Camera, Scene},
+};
+use zipsplat_tests::{
+    compare::{ImageTolerance, Picture, assert_images_close},
+    device::device,
+    reference::render::{normals, project, rasterise},
+    scenes::{camera, random_scene, reference_camera, reference_gaussians},
+};
+
+const SIZE: [usize; 2] = [70, 53];
+
+/// What blending `value` of every Gaussian gives, and the pixels that rounding decides.
+fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) -> (Vec<f64>, Vec<u8>) {
+    let mut splats = project::project(&reference_gaussians(scene), &reference_camera(camera), false);
+    for (i, splat) in splats.iter_mut().enumerate() {
+        splat.iter_mut().for_each(|splat| splat.colour = value(i));
+    }
+    let rendering = rasterise::rasterise(&splats, SIZE, [0.0; 3]);
+    (rendering.rgb, rendering.unstable)
+}
+
+fn hold(what: &str, values: &[f32], truth: &[f64], unstable: &[u8], tolerance: ImageTolerance) {
+    let picture = Picture { values, width: SIZE[0], channels: 3 };
+    assert_images_close(what, picture, truth, unstable, tolerance);
+}
+
+#[test]
+fn normals_are_blended_and_of_length_one() {
+    let (scene, camera) = (random_scene(300, 0, 0.3), camera(SIZE[0] as u32, SIZE[1] as u32));
+    let frame = render(&scene, &[camera], &RenderRequest { normals: true, ..RenderRequest::default() }).remove(0);
+    let (gaussians, reference) = (reference_gaussians(&scene), reference_camera(&camera));
+    let (mut truth, mut unstable) = blended(&scene, &camera, |i| normals::normal(&gaussians, i, &reference));
+    let got = frame.normals.unwrap();
+    for ((normal, got), unstable) in truth.chunks_exact_mut(3).zip(got.chunks_exact(3)).zip(&mut unstable) {
+        let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+        normal.iter_mut().for_each(|v| *v /= length.max(1e-10));
+        // Where normals cancel, rounding is amplified.
+        *unstable |= u8::from(length > 0.0 && length < 0.05);
+        let unit = got.iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!(if length == 0.0 { unit == 0.0 } else { (unit - 1.0).abs() < 1e-5 || *unstable != 0 }, "{got:?}");
+    }
+    hold("normals", &got, &truth, &unstable, ImageTolerance { absolute: 2e-4, psnr: 90.0, ..ImageTolerance::RGB });
+}
+
+#[test]
+fn tokens_have_colours_of_their_own() {
+    // PCG by its definition in 64 bits, a byte a channel.
+    let colour = |token: usize| {
+        let state = (token as u64 * 747_796_405 + 2_891_336_453) % (1 << 32);
+        let word = ((state >> ((state >> 28) + 4)) ^ state) * 277_803_737 % (1 << 32);
+        let hash = word >> 22 ^ word;
+        [0, 8, 16].map(|shift| (hash >> shift & 255) as f64 / 255.0)
+    };
+    assert_ne!(colour(0), colour(1));
+    let camera = camera(SIZE[0] as u32, SIZE[1] as u32);
+    let scene = random_scene(300, 0, 0.3);
+    for group in [1, 32, u32::MAX] {
+        let request = RenderRequest { token_group: NonZeroU32::new(group), ..RenderRequest::default() };
+        // With two cameras a token has twice as many pairs.
+        let frames = render(&scene, &[camera, camera], &request);
+        let (truth, unstable) = blended(&scene, &camera, |i| colour(i / group as usize));
+        for frame in frames {
+            hold("tokens", &frame.token_colours.unwrap(), &truth, &unstable, ImageTolerance::RGB);
+        }
+    }
+}
+
+#[test]
+fn what_is_not_asked_for_changes_nothing() {
+    let (scene, cameras) = (random_scene(2_000, 1, 0.1), [camera(100, 60)]);
+    let all = render(&scene, &cameras, &ALL).remove(0);
+    // A bit for each output.
+    for wanted in 1..32 {
+        let on = |output: u32| wanted >> output & 1 == 1;
+        let request = RenderRequest {
+            rgb: on(0),
+            alpha: on(1),
+            depth: ALL.depth.filter(|_| on(2)),
+            normals: on(3),
+            token_group: ALL.token_group.filter(|_| on(4)),
+            ..ALL
+        };
+        let expected = Frame {
+            rgb: all.rgb.clone().filter(|_| on(0)),
+            alpha: all.alpha.clone().filter(|_| on(1)),
+            depth: all.depth.clone().filter(|_| on(2)),
+            normals: all.normals.clone().filter(|_| on(3)),
+            token_colours: all.token_colours.clone().filter(|_| on(4)),
+            ..all
+        };
+        assert_eq!(render(&scene, &cameras, &request), [expected], "{request:?}");
+    }
+}
+
+#[test]
+fn kernels_without_effects_draw_the_same() {
+    let (scene, camera) = (random_scene(2_000, 0, 0.1), camera(100, 60));
+    let mut plain = Renderer::without_effects(device());
+    let request = RenderRequest::default();
+    assert_eq!(plain.render(&scene, &[camera], &request).unwrap(), render(&scene, &[camera], &request));
+    // Of a scene with more bands they draw the first.
+    let more = random_scene(50, 2, 0.2);
+    let mut first = Scene { sh_degree: 0, sh_coeffs: Vec::new(), ..more.clone() };
+    first.sh_coeffs.extend(more.sh_coeffs.iter().step_by(9));
+    assert_eq!(plain.render(&more, &[camera], &request).unwrap(), render(&first, &[camera], &request));
+}
+
+/// The plan of 5,000 Gaussians in a picture of 64 x 64.
+fn plan(request: &RenderRequest) -> Plan {
+    let (len, sh_degree) = (5_000, 1);
+    let mut rec = Recorder::new(&Limits::default());
+    let scene = SceneTensors {
+        means: rec.input::<[f32; 3]>("means", len),
+        scales: rec.input::<[f32; 3]>("scales", len),
+        quats: rec.input::<[f32; 4]>("quats", len),
+        opacities: rec.input::<f32>("opacities", len),
+        sh_coeffs: rec.input::<[[f32; 3]; 4]>("sh_coeffs", len),
+        len,
+        sh_degree,
+    };
+    let cameras = rec.input::<CameraRows>("cameras", 1);
+    record(&mut rec, &scene, cameras, FrameShape { cameras: 1, width: 64, height: 64 }, request, 1 << 14);
+    rec.finish().unwrap()
+}
+
+/// Names of kernels, and names of tensors with their bytes.
+fn contents(plan: &Plan) -> (Vec<String>, Vec<(String, u64)>) {
+    let kernels = Profile::outline(plan).rows.into_iter().map(|row| row.kernel).collect();
+    let mut tensors: Vec<_> = plan.arena_map().into_iter().map(|row| (row.name, row.bytes)).collect();
+    tensors.sort();
+    (kernels, tensors)
+}
+
+#[test]
+fn what_is_not_asked_for_costs_nothing() {
+    let colour = RenderRequest::default();
+    let (kernels, tensors) = contents(&plan(&colour));
+    let has = |tensors: &[(String, u64)], name: &str| tensors.iter().any(|(other, _)| other.ends_with(name));
+    assert!(has(&tensors, "/colours") && !has(&tensors, "/normals"), "{tensors:?}");
+
+    let (with_normals, its_tensors) = contents(&plan(&RenderRequest { normals: true, ..colour }));
+    assert!(has(&its_tensors, "/normals") && with_normals.len() == kernels.len() + 1);
+    assert!(with_normals.contains(&"render/normals".into()) && !kernels.contains(&"render/normals".into()));
+    let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..colour }));
+    assert!(!has(&alone, "/colours"), "{alone:?}");
+
+    // These are in no pass and no tensor but the picture itself.
+    let specialised = [
+        RenderRequest { alpha: true, ..colour },
+        RenderRequest { depth: Some(Depth::Expected), ..colour },
+        RenderRequest { token_group: NonZeroU32::new(4), ..colour },
+        RenderRequest { background: [1.0; 3], ..colour },
+        RenderRequest { antialiased: true, ..colour },
+    ];
+    for request in specialised {
+        let (its_kernels, mut its_tensors) = contents(&plan(&request));
+        let frames = its_tensors.iter_mut().find(|(name, _)| name.ends_with("/frames")).unwrap();
+        assert_eq!(frames.1, 4 * 64 * 64 * request.channels() as u64);
+        frames.1 = 4 * 64 * 64 * colour.channels() as u64;
+        assert_eq!((its_kernels, its_tensors), (kernels.clone(), tensors.clone()), "{request:?}");
+    }
+}
+
+#[test]
+fn bands_of_zeros_are_neither_stored_nor_drawn() {
+    let (low, camera) = (random_scene(500, 1, 0.2), camera(40, 30));
+    let mut high = Scene { sh_degree: 3, sh_coeffs: Vec::new(), ..low.clone() };
+    for coeffs in low.sh_coeffs.chunks_exact(4) {
+        high.sh_coeffs.extend(coeffs);
+        high.sh_coeffs.extend([[0.0; 3]; 12]);
+    }
+    assert_eq!(render(&high, &[camera], &ALL), render(&low, &[camera], &ALL));
+    let mut renderer = Renderer::new(device());
+    renderer.load(&high).unwrap();
+    let why = |what: &str| renderer.left_out(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
+    assert_eq!(why("spherical harmonics of band 1"), None);
+    assert_eq!(why("spherical harmonics of band 2").as_deref(), Some("all zero in this scene"));
+    renderer.load(&low).unwrap();
+    let why = |what: &str| renderer.left_out(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
+    assert_eq!(why("spherical harmonics of band 2").as_deref(), Some("not in this scene"));
+    assert_eq!(why("normals"), None);
+}

@@ -1,0 +1,123 @@
+//! What holds for every scene and camera, over seeded random ones.
+
+use crate::render::{ALL, bits, render};
+use glam::{DMat3, DVec3};
+use zipsplat::{
+    stages::render::RenderRequest,
+    types::{Camera, Pose, Scene},
+};
+use zipsplat_tests::{
+    compare::{ImageTolerance, Picture, assert_images_close},
+    reference::render::rasterise,
+    scenes::{camera, random_scene, reference_camera, reference_gaussians},
+};
+
+/// Scenes and cameras of all kinds: from specks to splats wider than the picture.
+fn cases() -> impl Iterator<Item = (Scene, Camera)> {
+    let poses = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (-0.5, -0.2, 0.4), (0.1, 2.9, 4.0)];
+    let sizes = [(0.02, 90, 61), (0.1, 64, 64), (0.5, 33, 100), (3.0, 128, 17)];
+    sizes.into_iter().zip(poses).enumerate().map(|(i, ((size, width, height), (x, turn, z)))| {
+        let pose = Pose { rotation: DMat3::from_rotation_y(turn), translation: DVec3::new(x, 0.1 * x, z) };
+        (random_scene(1_500 + 100 * i, i as u32, size), Camera { pose, ..camera(width, height) })
+    })
+}
+
+#[test]
+fn the_order_of_gaussians_changes_nothing() {
+    for (scene, camera) in cases() {
+        let stride = scene.sh_coeffs_per_gaussian();
+        for step in [1_237, 7] {
+            let mut shuffled = Scene { sh_degree: scene.sh_degree, ..Scene::default() };
+            for i in (0..scene.len()).map(|i| i * step % scene.len()) {
+                shuffled.means.push(scene.means[i]);
+                shuffled.scales.push(scene.scales[i]);
+                shuffled.quats.push(scene.quats[i]);
+                shuffled.opacities.push(scene.opacities[i]);
+                shuffled.sh_coeffs.extend_from_slice(&scene.sh_coeffs[stride * i..][..stride]);
+            }
+            // No two of these depths are equal: ties are broken by the index. Tokens follow the index, too.
+            let request = RenderRequest { token_group: None, ..ALL };
+            assert_eq!(bits(&render(&scene, &[camera], &request)), bits(&render(&shuffled, &[camera], &request)));
+        }
+    }
+}
+
+#[test]
+fn cutting_a_picture_changes_nothing() {
+    // A part is drawn by moving the principal point, which rounds anew. Gaussians this small reach nowhere from where the
+    // part's view, being smaller, is clamped and the whole's is not.
+    let (scene, whole) = (random_scene(2_000, 1, 0.05), camera(96, 80));
+    let frame = render(&scene, &[whole], &ALL).remove(0);
+    let unstable = rasterise::render(&reference_gaussians(&scene), &reference_camera(&whole), false, [0.0; 3]).unstable;
+    for (left, top, width, height) in [(0, 0, 48, 80), (48, 0, 48, 80), (16, 32, 64, 48), (5, 3, 64, 51)] {
+        let mut part = whole;
+        part.intrinsics.cx -= left as f64;
+        part.intrinsics.cy -= top as f64;
+        (part.intrinsics.width, part.intrinsics.height) = (width as u32, height as u32);
+        let drawn = render(&scene, &[part], &ALL).remove(0);
+        let places = || (top..top + height).flat_map(|y| (left..left + width).map(move |x| y * 96 + x));
+        let rgb = frame.rgb.as_ref().unwrap();
+        let expected: Vec<f32> = places().flat_map(|at| rgb[3 * at..][..3].to_vec()).collect();
+        let unstable: Vec<u8> = places().map(|at| unstable[at]).collect();
+        let picture = Picture { values: drawn.rgb.as_ref().unwrap(), width, channels: 3 };
+        let tolerance = ImageTolerance { absolute: 1e-4, psnr: 60.0, ..ImageTolerance::RGB };
+        assert_images_close(&format!("part at {left}, {top}"), picture, &expected, &unstable, tolerance);
+    }
+}
+
+#[test]
+fn the_scale_of_the_world_cancels() {
+    for (mut scene, camera) in cases() {
+        // The near plane does not scale: the scene keeps away from it.
+        let depth = |mean: &[f32; 3]| camera.view_matrix().transform_point3(DVec3::from(mean.map(f64::from))).z;
+        for (opacity, mean) in scene.opacities.iter_mut().zip(&scene.means) {
+            if (0.0..0.05).contains(&depth(mean)) {
+                *opacity = 0.0;
+            }
+        }
+        let frame = render(&scene, &[camera], &ALL).remove(0);
+        // Powers of two round nothing.
+        for scale in [0.25f32, 4.0, 1024.0] {
+            let scaled = |v: &[f32; 3]| v.map(|x| scale * x);
+            let other = Scene {
+                means: scene.means.iter().map(scaled).collect(),
+                scales: scene.scales.iter().map(scaled).collect(),
+                ..scene.clone()
+            };
+            let mut there = camera;
+            there.pose.translation *= f64::from(scale);
+            let got = render(&other, &[there], &ALL).remove(0);
+            let depth: Vec<f32> = frame.depth.as_ref().unwrap().iter().map(|z| scale * z).collect();
+            assert_eq!(got.depth.as_ref(), Some(&depth), "scale {scale}");
+            assert_eq!(
+                (&got.rgb, &got.alpha, &got.normals),
+                (&frame.rgb, &frame.alpha, &frame.normals),
+                "scale {scale}"
+            );
+        }
+    }
+}
+
+#[test]
+fn alpha_is_the_sum_of_weights_within_bounds() {
+    for (mut scene, camera) in cases() {
+        // White whatever the direction: 0.5 + 0.28209479 c = 1.
+        let stride = scene.sh_coeffs_per_gaussian();
+        for coeffs in scene.sh_coeffs.chunks_exact_mut(stride) {
+            coeffs.fill([0.0; 3]);
+            coeffs[0] = [1.772_453_9; 3];
+        }
+        for opaque in [false, true] {
+            if opaque {
+                scene.opacities.fill(1.0);
+            }
+            let frame = render(&scene, &[camera], &ALL).remove(0);
+            let (rgb, alpha) = (frame.rgb.unwrap(), frame.alpha.unwrap());
+            assert!(alpha.iter().any(|a| *a > 0.1), "something is seen");
+            for (rgb, alpha) in rgb.chunks_exact(3).zip(&alpha) {
+                assert!((0.0..=1.0).contains(alpha), "alpha {alpha}");
+                assert!(rgb.iter().all(|weights| (weights - alpha).abs() < 2e-5), "{rgb:?}, alpha {alpha}");
+            }
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! Normals against eigenvectors of the covariances.
+
+use zipsplat::{
+    gpu::{Recorder, Run},
+    kernels::render::Normals,
+    stages::render::{CameraRows, camera_rows},
+    types::{Camera, Pose},
+};
+use zipsplat_tests::{
+    device::device,
+    reference::render::normals,
+    scenes::{camera, random_scene, reference_camera, reference_gaussians},
+};
+
+#[test]
+fn equals_the_eigenvectors_of_the_covariances() {
+    let turned = Pose { rotation: glam::DMat3::from_rotation_y(0.7), translation: [3.0, 0.5, 2.0].into() };
+    let cameras = [camera(64, 64), Camera { pose: turned, ..camera(64, 64) }];
+    for count in [0, 1, 63, 64, 1000] {
+        let scene = random_scene(count, 0, 0.3);
+        let mut rec = Recorder::new(device().limits());
+        let pairs = count * cameras.len();
+        let kernel = Normals {
+            means: rec.input::<[f32; 3]>("means", count),
+            scales: rec.input::<[f32; 3]>("scales", count),
+            quats: rec.input::<[f32; 4]>("quats", count),
+            cameras: rec.input::<CameraRows>("cameras", cameras.len()),
+            normals: rec.tensor::<[f32; 3]>("normals", pairs),
+            pairs: pairs as u32,
+            camera_count: cameras.len() as u32,
+        };
+        rec.dispatch(kernel, pairs);
+        rec.output(kernel.normals);
+        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+        run.write(kernel.means, &scene.means).unwrap();
+        run.write(kernel.scales, &scene.scales).unwrap();
+        run.write(kernel.quats, &scene.quats).unwrap();
+        run.write(kernel.cameras, &cameras.map(|camera| camera_rows(&camera))).unwrap();
+        run.execute().unwrap();
+        let got: Vec<[f32; 3]> = run.read(kernel.normals).unwrap();
+        let gaussians = reference_gaussians(&scene);
+        for (pair, normal) in got.iter().enumerate() {
+            let (i, camera) = (pair / cameras.len(), reference_camera(&cameras[pair % cameras.len()]));
+            let mut lengths = scene.scales[i];
+            lengths.sort_by(f32::total_cmp);
+            // Nearly equal axes may be exchanged, and across the line of sight either sign is right.
+            let truth = normals::normal(&gaussians, i, &camera);
+            let across =
+                glam::DVec3::from(truth).dot((camera.centre() - glam::DVec3::from(gaussians.means[i])).normalize());
+            if lengths[0] > 0.999 * lengths[1] || across.abs() < 1e-5 {
+                continue;
+            }
+            let error = (0..3).map(|k| (f64::from(normal[k]) - truth[k]).abs()).fold(0.0, f64::max);
+            assert!(error < 2e-6, "pair {pair}: {normal:?}, not {truth:?}");
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! `--explain`: the passes that a command ran, and what it did without.
+
+use crate::table::{Table, bytes};
+use serde::Serialize;
+use std::{fmt, time::Duration};
+use zipsplat::{
+    gpu::{Profile, ProfileRow, StageTimes},
+    types::LeftOut,
+};
+
+/// What ran and what did not.
+#[derive(Serialize)]
+pub struct Explanation {
+    passes: Vec<Pass>,
+    left_out: Vec<LeftOut>,
+}
+
+/// Commands that are told as one.
+#[derive(Serialize)]
+struct Pass {
+    pass: String,
+    commands: u32,
+    seconds: f64,
+    /// Of the tensors that the commands read and wrote, each counted once a command.
+    bytes: u64,
+}
+
+impl Explanation {
+    /// One pass for each kernel of each scope.
+    pub fn of_kernels(profile: &Profile, left_out: Vec<LeftOut>) -> Self {
+        let pass = |row: &ProfileRow| {
+            let pass = if row.kernel.starts_with(&row.scope) {
+                row.kernel.clone()
+            } else {
+                format!("{}: {}", row.scope, row.kernel)
+            };
+            Pass { pass, commands: row.count, seconds: row.time.as_secs_f64(), bytes: row.bytes }
+        };
+        Self { passes: profile.rows.iter().map(pass).collect(), left_out }
+    }
+
+    /// One pass for each stage that has a time.
+    pub fn of_stages(times: &StageTimes, outline: &Profile, left_out: Vec<LeftOut>) -> Self {
+        let pass = |(stage, time): &(String, Duration)| {
+            let inside = |row: &&ProfileRow| row.scope.split('/').next() == Some(stage);
+            let (commands, bytes) = outline
+                .rows
+                .iter()
+                .filter(inside)
+                .fold((0, 0), |(count, bytes), row| (count + row.count, bytes + row.bytes));
+            Pass { pass: stage.clone(), commands, seconds: time.as_secs_f64(), bytes }
+        };
+        Self { passes: times.0.iter().map(pass).collect(), left_out }
+    }
+}
+
+impl fmt::Display for Explanation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut table = Table::new(1, &["pass", "commands", "ms", "bytes"]);
+        for pass in &self.passes {
+            let ms = format!("{:.3}", 1e3 * pass.seconds);
+            table.row([pass.pass.clone(), pass.commands.to_string(), ms, bytes(pass.bytes)]);
+        }
+        let seconds: f64 = self.passes.iter().map(|pass| pass.seconds).sum();
+        let commands: u32 = self.passes.iter().map(|pass| pass.commands).sum();
+        let moved: u64 = self.passes.iter().map(|pass| pass.bytes).sum();
+        table.row(["together".into(), commands.to_string(), format!("{:.3}", 1e3 * seconds), bytes(moved)]);
+        writeln!(f, "{table}")?;
+        let mut table = Table::new(2, &["left out", "why"]);
+        self.left_out.iter().for_each(|left| table.row([left.what.clone(), left.why.clone()]));
+        write!(f, "{table}")
+    }
+}

@@ -1,0 +1,153 @@
+//! Pictures of a scene, encoded and written while the next ones are drawn.
+
+use crate::{
+    animation::{Animation, Encoder},
+    outputs,
+    session::Stage,
+};
+use rayon::prelude::*;
+use std::{
+    io::Write,
+    path::Path,
+    sync::mpsc::{Receiver, sync_channel},
+    thread,
+};
+use zipsplat::{
+    Error, Result,
+    stages::render::{Frame, RenderRequest, Renderer},
+    types::{Camera, Image, resample::resize_lanczos},
+};
+
+/// Longest side of a contact sheet: pictures are made smaller to fit.
+const SHEET_SIDE: u32 = 4096;
+/// Pictures that are written at once, and as many again that wait for it.
+const BATCH: u64 = 8;
+/// Pixels of them together, where they are large.
+const BATCH_PIXELS: u64 = 1 << 24;
+
+/// Where pictures go.
+#[derive(Default)]
+pub struct Sinks<'a> {
+    pub folder: Option<&'a Path>,
+    /// Bytes of the pictures.
+    pub raw: Option<&'a mut dyn Write>,
+    pub animation: Option<Animation>,
+}
+
+/// Draws every picture and brings it where it goes. Returns those of a folder as small as its contact sheet needs them.
+pub fn draw(
+    renderer: &mut Renderer,
+    cameras: &[Camera],
+    request: &RenderRequest,
+    sinks: Sinks<'_>,
+    stage: &Stage<'_>,
+) -> Result<Vec<Image>> {
+    let batch = batch(cameras);
+    let mut writer = Writer { sinks, encoder: None, small: Vec::new(), frames: cameras.len() };
+    thread::scope(|scope| {
+        let (sender, frames) = sync_channel(batch);
+        let drawing = scope.spawn(move || {
+            renderer.render_each(cameras, request, |index, frame| {
+                stage.reach(index as f64 / cameras.len() as f64)?;
+                // Nobody receives where writing has failed, and that error is the one to tell.
+                sender.send(frame).map_err(|_| Error::Cancelled)
+            })
+        });
+        let written = writer.write_all(frames, batch);
+        let drawn = drawing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        written.and(drawn)
+    })?;
+    writer.encoder.map_or(Ok(()), |encoder| encoder.finish(stage))?;
+    Ok(writer.small)
+}
+
+/// As many columns as rows.
+pub fn sheet_columns(frames: usize) -> usize {
+    (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
+}
+
+/// How many pictures are written at once: up to [`BATCH`], fewer where they are large.
+fn batch(cameras: &[Camera]) -> usize {
+    let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
+    let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);
+    (BATCH_PIXELS / largest).clamp(1, BATCH) as usize
+}
+
+struct Writer<'a> {
+    sinks: Sinks<'a>,
+    /// No sink is made before there is something to put into it.
+    encoder: Option<Box<dyn Encoder>>,
+    small: Vec<Image>,
+    /// Pictures in all.
+    frames: usize,
+}
+
+impl Writer<'_> {
+    /// Writes pictures in their order, whatever waits at once, until no more come.
+    fn write_all(&mut self, frames: Receiver<Frame>, batch: usize) -> Result<()> {
+        let mut done = 0;
+        while let Ok(first) = frames.recv() {
+            let mut waiting = vec![first];
+            waiting.extend(frames.try_iter().take(batch - 1));
+            self.write(done, &waiting)?;
+            done += waiting.len();
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, done: usize, frames: &[Frame]) -> Result<()> {
+        let images: Vec<Result<Image>> = frames.par_iter().map(image).collect();
+        let images = images.into_iter().collect::<Result<Vec<Image>>>()?;
+        let Sinks { folder, raw, animation } = &mut self.sinks;
+        if let Some(folder) = *folder {
+            outputs::make_folder(folder)?;
+            let save = |(i, (frame, image))| save(folder, done + i, frame, image, self.frames);
+            let saved: Vec<Result<Image>> = frames.par_iter().zip(&images).enumerate().map(save).collect();
+            for image in saved {
+                self.small.push(image?);
+            }
+        }
+        if let Some(animation) = animation {
+            if self.encoder.is_none() {
+                self.encoder = Some(animation.begin((images[0].width, images[0].height), self.frames)?);
+            }
+            self.encoder.iter_mut().try_for_each(|encoder| encoder.push(&images))?;
+        }
+        if let Some(raw) = raw {
+            let written = images.iter().try_for_each(|image| raw.write_all(&image.rgb)).and_then(|()| raw.flush());
+            written.map_err(|error| Error::io("standard output", error))?;
+        }
+        Ok(())
+    }
+}
+
+fn image(frame: &Frame) -> Result<Image> {
+    Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
+}
+
+/// Writes a picture and returns it as small as the contact sheet needs it.
+fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
+    let &Frame { width, height, .. } = frame;
+    let path = |suffix: &str| folder.join(format!("{number:03}{suffix}.png"));
+    image.save_png(path(""))?;
+    if let Some(depth) = &frame.depth {
+        outputs::save_depth(&path(".depth"), width, height, depth)?;
+    }
+    if let Some(alpha) = &frame.alpha {
+        outputs::save_alpha(&path(".alpha"), width, height, alpha)?;
+    }
+    if let Some(normals) = &frame.normals {
+        let half: Vec<f32> = normals.iter().map(|n| 0.5 + 0.5 * n).collect();
+        Image::from_rgb_f32(width, height, &half)?.save_png(path(".normal"))?;
+    }
+    if let Some(colours) = &frame.token_colours {
+        Image::from_rgb_f32(width, height, colours)?.save_png(path(".tokens"))?;
+    }
+    let cell = SHEET_SIDE / sheet_columns(frames) as u32;
+    if width.max(height) <= cell {
+        return Ok(image.clone());
+    }
+    let scale = f64::from(cell) / f64::from(width.max(height));
+    let [width, height] = [width, height].map(|side| ((f64::from(side) * scale) as u32).max(1));
+    resize_lanczos(image, width, height)
+}
