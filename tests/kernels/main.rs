@@ -30,6 +30,7 @@ mod ops {
 }
 mod render {
     mod intersect;
+    mod pack;
     mod project;
     mod rasterise;
 }

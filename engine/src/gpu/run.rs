@@ -1,9 +1,12 @@
 //! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
 
+mod present;
+
+pub use present::{ImagePlace, Point, Target};
+
 use super::{
     Device, Plan, Profile, Resident, Tensor,
     commands::{Bound, Encoder, driver},
-    device::lock,
     memory::Memory,
     plan::{Command, Home, Role},
     schedule::{Cursor, MAX_PIECES, Piece},
@@ -44,6 +47,8 @@ pub struct Run {
     batches: Vec<Batch>,
     /// Inputs that were written since the last execution.
     written: Vec<bool>,
+    /// The commands of the last copy to a target.
+    presenting: Option<vk::CommandBuffer>,
 }
 
 struct Batch {
@@ -106,7 +111,8 @@ impl Run {
             unsafe { raw.create_command_pool(&pool_info, None) }.map_err(|e| driver("vkCreateCommandPool", e))?;
         let written = vec![false; plan.allocations.len()];
         let device = device.clone();
-        Ok(Self { device, plan, arena, resident, pool, timeline, signalled: 0, batches: Vec::new(), written })
+        let (batches, presenting) = (Vec::new(), None);
+        Ok(Self { device, plan, arena, resident, pool, timeline, signalled: 0, batches, written, presenting })
     }
 
     /// The plan that runs.
@@ -124,6 +130,7 @@ impl Run {
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
+        self.settle()?;
         let id = arena_id(tensor);
         self.written[id] = true;
         let place = self.plan.placements[id];
@@ -342,9 +349,8 @@ impl Run {
             .value(value)
             .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
         let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
-        let queue = lock(&self.device.0.queue);
-        // SAFETY: the queue is locked and the command buffer is recorded and not under way.
-        unsafe { self.device.0.raw.queue_submit2(*queue, &[info], vk::Fence::null()) }
+        // SAFETY: the command buffer is recorded and not under way.
+        unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
             .map_err(|e| driver("vkQueueSubmit2", e))
     }
 
@@ -372,6 +378,8 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
+        // Fails only where the device is lost: then nothing is under way.
+        let _ = self.settle();
         let raw = &self.device.0.raw;
         // SAFETY: every execution waits for its submissions before it returns.
         unsafe {

@@ -5,6 +5,7 @@
 
 mod frame;
 mod intersect;
+mod pack;
 mod project;
 mod rasterise;
 mod renderer;
@@ -15,6 +16,7 @@ use crate::{
 };
 
 pub use frame::{Depth, Frame, RenderRequest};
+pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
 pub use renderer::Renderer;
 
