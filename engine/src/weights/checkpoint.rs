@@ -1,8 +1,9 @@
 //! A network's weights, wherever they come from.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::BufWriter;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Deref};
 use std::path::{Path, PathBuf};
 
 use memmap2::Mmap;
@@ -26,13 +27,31 @@ pub struct Checkpoint {
 #[derive(Debug)]
 enum Source {
     /// A tensor for each parameter.
-    Mapped {
-        file: Mmap,
+    Stored {
+        file: Bytes,
         tensors: Vec<Stored>,
     },
     Seeded {
         key: String,
     },
+}
+
+/// A file's contents.
+#[derive(Debug)]
+enum Bytes {
+    Mapped(Mmap),
+    Held(Cow<'static, [u8]>),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Mapped(file) => file,
+            Self::Held(bytes) => bytes,
+        }
+    }
 }
 
 impl Checkpoint {
@@ -57,6 +76,16 @@ impl Checkpoint {
     /// not what the file states; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
     pub fn open(path: impl AsRef<Path>, variant: Option<&str>) -> Result<Self> {
         Self::load(path.as_ref(), |contents, path| contents.architecture(path, variant))
+    }
+
+    /// As [`Checkpoint::open`], from a file's contents; `name` stands for them in messages.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`].
+    pub fn from_bytes(name: &str, bytes: impl Into<Cow<'static, [u8]>>, variant: Option<&str>) -> Result<Self> {
+        Self::from_file(Path::new(name), Bytes::Held(bytes.into()), |contents, path| {
+            contents.architecture(path, variant)
+        })
     }
 
     /// Opens a file whose architecture the caller knows, whatever the file says; otherwise as [`Checkpoint::open`].
@@ -84,13 +113,22 @@ impl Checkpoint {
         // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
         #[allow(unsafe_code)]
         let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
+        Self::from_file(path, Bytes::Mapped(file), architecture)
+    }
+
+    /// `path` only names the file in messages.
+    fn from_file(
+        path: &Path,
+        file: Bytes,
+        architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>,
+    ) -> Result<Self> {
         let contents =
             if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };
         let architecture = architecture(&contents, path)?;
         let parameters = architecture.parameters();
         let tensors = matching(path, &architecture, &parameters, contents)?;
         let provenance = path.display().to_string();
-        Ok(Self { architecture, parameters, source: Source::Mapped { file, tensors }, provenance })
+        Ok(Self { architecture, parameters, source: Source::Stored { file, tensors }, provenance })
     }
 
     /// The network that these are the weights of.
@@ -125,7 +163,7 @@ impl Checkpoint {
             return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
         }
         match &self.source {
-            Source::Mapped { file, tensors } => tensors[index].read(file, out),
+            Source::Stored { file, tensors } => tensors[index].read(file, out),
             Source::Seeded { key } => seeded::fill(key, name, shape, out),
         }
         match out.iter().position(|value| !value.is_finite()) {
@@ -140,7 +178,7 @@ impl Checkpoint {
     /// Bytes of all tensors as they are stored; of a seed, as f32.
     pub fn bytes(&self) -> u64 {
         let size = |i: usize| match &self.source {
-            Source::Mapped { tensors, .. } => tensors[i].dtype.size(),
+            Source::Stored { tensors, .. } => tensors[i].dtype.size(),
             Source::Seeded { .. } => Dtype::F32.size(),
         };
         let tensors = self.parameters.iter().enumerate();

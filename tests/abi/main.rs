@@ -1,0 +1,3 @@
+//! The C ABI, as C, C++ and Python see it.
+
+mod header;
