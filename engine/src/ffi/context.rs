@@ -1,7 +1,9 @@
 //! Devices and contexts.
 
 use super::{
-    pointers::{Versioned, borrow, destroy, optional_text, produce, read_versioned, write_defaults, write_versioned},
+    pointers::{
+        POINTER, Versioned, borrow, destroy, optional_text, produce, read_versioned, write_defaults, write_versioned,
+    },
     status::{Failure, guard, zs_status},
 };
 use crate::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
@@ -86,7 +88,7 @@ unsafe impl Versioned for zs_device_info {
 // SAFETY: repr(C), two u32 and a pointer: no padding.
 unsafe impl Versioned for zs_context_options {
     const NAME: &str = "zs_context_options";
-    const FIRST_SIZE: usize = 8 + size_of::<usize>();
+    const FIRST_SIZE: usize = 8 + POINTER;
     fn defaults() -> Self {
         let validation = DeviceOptions::default().validation.into();
         Self { struct_size: size_of::<Self>() as u32, validation, device: std::ptr::null() }

@@ -4,7 +4,7 @@ use super::{
     context::zs_context,
     picture::{zs_camera, zs_image},
     pointers::{
-        Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_defaults,
+        POINTER, Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_defaults,
         write_versioned,
     },
     scene::zs_scene,
@@ -135,7 +135,7 @@ pub struct zs_reconstruct_options {
 // SAFETY: repr(C), two u32 and pointers: no padding.
 unsafe impl Versioned for zs_model_options {
     const NAME: &str = "zs_model_options";
-    const FIRST_SIZE: usize = 8 + 3 * size_of::<usize>();
+    const FIRST_SIZE: usize = 8 + 3 * POINTER;
     fn defaults() -> Self {
         let (struct_size, user_data) = (size_of::<Self>() as u32, std::ptr::null_mut());
         Self { struct_size, reserved: 0, variant: std::ptr::null(), progress: None, user_data }
@@ -162,7 +162,7 @@ unsafe impl Versioned for zs_model_info {
 // SAFETY: repr(C), pairs of u32, an f64, a u64 and pointers: no padding.
 unsafe impl Versioned for zs_reconstruct_options {
     const NAME: &str = "zs_reconstruct_options";
-    const FIRST_SIZE: usize = 40 + 3 * size_of::<usize>();
+    const FIRST_SIZE: usize = 40 + 3 * POINTER;
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>() as u32,

@@ -11,6 +11,9 @@ type Result<T> = std::result::Result<T, Failure>;
 /// More elements than this are no array of an app.
 const MAX_ELEMENTS: usize = 1 << 32;
 
+/// Bytes of a pointer.
+pub(super) const POINTER: usize = size_of::<*const ()>();
+
 /// A structure that begins with its size, so that later versions can add fields at its end.
 ///
 /// # Safety

@@ -8,7 +8,7 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use crate::{
-    stages::render::{Depth, Frame, RenderRequest, Renderer},
+    stages::render::{Depth, Frame, MAX_SIDE, RenderRequest, Renderer},
     types::Camera,
 };
 use std::{
@@ -162,9 +162,14 @@ pub unsafe extern "C" fn zs_render(
         let mut strides = Vec::with_capacity(count);
         for (i, (camera, picture)) in cameras.iter().zip(pictures).enumerate() {
             camera.validate(&format!("camera {i}"))?;
-            let row_bytes = camera.intrinsics.width as usize * format.bytes();
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            if width.max(height) > MAX_SIDE {
+                let (found, expected) = (format!("{width} x {height}"), format!("sides up to {MAX_SIDE}"));
+                return Err(Failure::argument(format!("size of camera {i}"), found, expected));
+            }
+            let row_bytes = width as usize * format.bytes();
             let name = format!("picture {i}, stride");
-            strides.push(checked_stride(picture.stride, row_bytes, camera.intrinsics.height, &name)?);
+            strides.push(checked_stride(picture.stride, row_bytes, height, &name)?);
         }
         let request = options.request(format, pictures)?;
         let mut renderer = renderer.lock();

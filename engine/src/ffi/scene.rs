@@ -2,7 +2,8 @@
 
 use super::{
     pointers::{
-        Versioned, array, array_mut, borrow, destroy, produce, read_versioned, text, write_defaults, write_versioned,
+        POINTER, Versioned, array, array_mut, borrow, destroy, produce, read_versioned, text, write_defaults,
+        write_versioned,
     },
     status::{Failure, guard, zs_status},
 };
@@ -72,7 +73,7 @@ unsafe impl Versioned for zs_scene_info {
 // SAFETY: repr(C), two u32, a u64 and pointers: no padding.
 unsafe impl Versioned for zs_gaussians {
     const NAME: &str = "zs_gaussians";
-    const FIRST_SIZE: usize = 16 + 5 * size_of::<usize>();
+    const FIRST_SIZE: usize = 16 + 5 * POINTER;
     fn defaults() -> Self {
         let none = std::ptr::null_mut();
         let struct_size = size_of::<Self>() as u32;

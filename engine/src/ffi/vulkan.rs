@@ -3,7 +3,7 @@
 use super::{
     context::zs_context,
     picture::{zs_camera, zs_pixel_format},
-    pointers::{Versioned, array, borrow, produce, read_versioned, write_defaults},
+    pointers::{POINTER, Versioned, array, borrow, produce, read_versioned, write_defaults},
     renderer::{zs_render_options, zs_renderer},
     status::{Failure, guard, zs_status},
 };
@@ -133,7 +133,7 @@ pub struct zs_vulkan_target {
 // SAFETY: repr(C), two u32 and pointers: no padding.
 unsafe impl Versioned for zs_vulkan_device {
     const NAME: &str = "zs_vulkan_device";
-    const FIRST_SIZE: usize = 8 + 8 * size_of::<usize>();
+    const FIRST_SIZE: usize = 8 + 8 * POINTER;
     fn defaults() -> Self {
         let none = std::ptr::null_mut();
         Self {
@@ -157,7 +157,7 @@ const SHADER_READ_ONLY: i32 = 5;
 // SAFETY: repr(C), pairs of four bytes, u64 and pointers: no padding.
 unsafe impl Versioned for zs_vulkan_target {
     const NAME: &str = "zs_vulkan_target";
-    const FIRST_SIZE: usize = 72 + 2 * size_of::<usize>();
+    const FIRST_SIZE: usize = 72 + 2 * POINTER;
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>() as u32,

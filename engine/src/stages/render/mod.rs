@@ -18,7 +18,7 @@ use crate::{
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
-pub use renderer::Renderer;
+pub use renderer::{MAX_SIDE, Renderer};
 
 /// The pictures of one plan: all of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
 /// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
-const MAX_SIDE: u32 = 1 << 15;
+pub const MAX_SIDE: u32 = 1 << 15;
 
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
