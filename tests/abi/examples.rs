@@ -62,6 +62,25 @@ fn reconstruct_in_c() {
     }
 }
 
+/// The whole process: the engine's memory as well as the example's.
+#[test]
+fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
+    let (folder, photos) = inputs();
+    let program = installation().compile(&example("reconstruct.c"), Linking::Sanitised, &[]);
+    let [model, scene, picture] =
+        ["micro.safetensors", "scene.ply", "picture.png"].map(|name| folder.path().join(name));
+    // Without the validation layer, which has leaks of its own.
+    let run = |model: &Path| {
+        let mut command = runner(&program);
+        command.arg(model).args([&scene, &picture]).args(&photos).env("ZIPSPLAT_VALIDATION", "0");
+        command
+    };
+    success(run(&model));
+    let failed = run(&folder.path().join("none")).output().expect("the program runs");
+    let message = String::from_utf8_lossy(&failed.stderr);
+    assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
+}
+
 #[test]
 fn reconstruct_in_cpp() {
     let (folder, photos) = inputs();

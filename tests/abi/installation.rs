@@ -15,6 +15,8 @@ pub struct Installation {
 pub enum Linking {
     Shared,
     Static,
+    /// Shared, with AddressSanitizer, which also looks for leaks of the whole process at its end.
+    Sanitised,
 }
 
 /// Installed once for all tests of a process, from what cargo built beside them.
@@ -44,13 +46,16 @@ impl Installation {
         let (compiler, standard) = if cpp { ("c++", "-std=c++17") } else { ("cc", "-std=c99") };
         let stem = source.file_name().expect("a file").to_string_lossy().replace('.', "-");
         let program = self.prefix.join(format!("{stem}-{linking:?}"));
-        let package = if matches!(linking, Linking::Shared) { "zipsplat" } else { "zipsplat-static" };
+        let package = if matches!(linking, Linking::Static) { "zipsplat-static" } else { "zipsplat" };
         let mut command = Command::new(compiler);
         command
             .args([standard, "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-g", "-o"])
             .arg(&program)
             .arg(source);
         command.args(self.pkg_config(&["--cflags", "--libs", package])).args(more);
+        if matches!(linking, Linking::Sanitised) {
+            command.arg("-fsanitize=address,undefined");
+        }
         command.arg(format!("-Wl,-rpath,{}", self.prefix.join("lib").display()));
         success(command);
         program
