@@ -17,8 +17,14 @@ use zipsplat_tests::{
     scenes::{camera, golden_cameras, golden_scene, random_scene},
 };
 
-const ALL: RenderRequest =
-    RenderRequest { rgb: true, alpha: true, depth: Some(Depth::Accumulated), background: [0.0; 3], antialiased: false };
+const ALL: RenderRequest = RenderRequest {
+    rgb: true,
+    alpha: true,
+    depth: Some(Depth::Accumulated),
+    background: [0.0; 3],
+    antialiased: false,
+    layout: None,
+};
 
 fn render(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Vec<Frame> {
     Renderer::new(device()).render(scene, cameras, request).unwrap()

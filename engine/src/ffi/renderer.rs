@@ -221,6 +221,7 @@ impl zs_render_options {
             depth: wants_depth.then_some(depth),
             background: self.background,
             antialiased: self.antialiased != 0,
+            ..RenderRequest::default()
         })
     }
 }

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, requirements},
-    stages::render::PixelLayout,
+    stages::render::{PixelLayout, RenderRequest},
 };
 use std::{
     ffi::{c_char, c_void},
@@ -312,8 +312,9 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
         };
         // SAFETY: a structure or NULL, whose handles the caller vouches for.
         let target = unsafe { read_versioned(target)?.target(&camera, layout) }?;
-        let antialiased = options.antialiased != 0;
-        Ok(renderer.lock().render_to(&camera, options.background, antialiased, layout, &target)?)
+        let (background, antialiased) = (options.background, options.antialiased != 0);
+        let request = RenderRequest { background, antialiased, ..RenderRequest::default() };
+        Ok(renderer.lock().render_to(&camera, &request, layout, &target)?)
     })
 }
 

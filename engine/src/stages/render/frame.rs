@@ -1,5 +1,7 @@
 //! What a caller asks for and gets.
 
+use super::PixelLayout;
+
 /// What to draw and how. What is not asked for is neither computed nor stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderRequest {
@@ -14,12 +16,15 @@ pub struct RenderRequest {
     /// Whether Gaussians thinner than a pixel are made fainter by as much as the blur widens them (Mip-Splatting, Yu et
     /// al. 2024).
     pub antialiased: bool,
+    /// Pixels of this layout stay on the device, made of colour and alpha, and nothing is read: for
+    /// [`super::Renderer::render_to`].
+    pub layout: Option<PixelLayout>,
 }
 
 impl Default for RenderRequest {
     /// Colour on black, without antialiasing.
     fn default() -> Self {
-        Self { rgb: true, alpha: false, depth: None, background: [0.0; 3], antialiased: false }
+        Self { rgb: true, alpha: false, depth: None, background: [0.0; 3], antialiased: false, layout: None }
     }
 }
 

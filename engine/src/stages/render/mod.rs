@@ -36,6 +36,8 @@ pub struct FrameShape {
 pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped), alpha and depth those asked for.
     pub frames: Tensor,
+    /// The frames as [`RenderRequest::layout`] has them.
+    pub pixels: Tensor,
     /// `[3]` u32: intersections that were drawn, intersections that there are modulo 2^32, and whether that number
     /// wrapped. The frames hold only where the first two are equal and the third is 0; see [`RenderOutputs::needed`].
     pub status: Tensor,
@@ -63,9 +65,10 @@ pub fn record(
         let splats = project::record(rec, scene, cameras, shape, request);
         let lists = intersect::record(rec, &splats, shape, capacity);
         let frames = rasterise::record(rec, &splats, &lists, shape, request);
+        let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
         rec.output(frames);
         rec.output(lists.status);
-        RenderOutputs { frames, status: lists.status }
+        RenderOutputs { frames, pixels, status: lists.status }
     })
 }
 

@@ -31,21 +31,19 @@ pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) ->
     if layout == PixelLayout::RgbaF32 {
         return frames;
     }
-    rec.scope("render", |rec| {
-        let pixels = frames.bytes() as usize / PixelLayout::RgbaF32.bytes();
-        let packed = rec.tensor::<u32>("packed", pixels);
-        let part = (rec.limits().max_binding_bytes as usize / PixelLayout::RgbaF32.bytes() / PART * PART).max(PART);
-        for first in (0..pixels).step_by(part) {
-            let count = part.min(pixels - first);
-            let kernel = Pack {
-                frames: frames.slice::<[f32; 4]>(first, count),
-                packed: packed.slice::<u32>(first, count),
-                count: count as u32,
-                blue_first: layout == PixelLayout::Bgra8,
-            };
-            rec.dispatch(kernel, count);
-        }
-        rec.output(packed);
-        packed
-    })
+    let pixels = frames.bytes() as usize / PixelLayout::RgbaF32.bytes();
+    let packed = rec.tensor::<u32>("packed", pixels);
+    let part = (rec.limits().max_binding_bytes as usize / PixelLayout::RgbaF32.bytes() / PART * PART).max(PART);
+    for first in (0..pixels).step_by(part) {
+        let count = part.min(pixels - first);
+        let kernel = Pack {
+            frames: frames.slice::<[f32; 4]>(first, count),
+            packed: packed.slice::<u32>(first, count),
+            count: count as u32,
+            blue_first: layout == PixelLayout::Bgra8,
+        };
+        rec.dispatch(kernel, count);
+    }
+    rec.output(packed);
+    packed
 }

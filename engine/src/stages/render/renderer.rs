@@ -1,7 +1,7 @@
 //! Draws a scene again and again: keeps it on the device, and keeps plans.
 
 use super::{
-    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows, pack, record,
+    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record,
 };
 use crate::{
     Error, Result,
@@ -35,13 +35,10 @@ struct Loaded {
 struct Planned {
     shape: FrameShape,
     request: RenderRequest,
-    layout: Option<PixelLayout>,
     capacity: usize,
     run: Run,
     cameras: Tensor,
     outputs: RenderOutputs,
-    /// The frames as `layout` has them.
-    pixels: Tensor,
 }
 
 impl Renderer {
@@ -95,12 +92,10 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::render`], and [`Error::Argument`] where no scene was loaded.
     pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
-        if request.channels() == 0 {
-            return Err(Error::argument("render request", "no output", "one of rgb, alpha and depth"));
-        }
+        check(cameras, request)?;
         let mut sizes: Vec<(u32, u32)> = Vec::new();
-        for (i, camera) in cameras.iter().enumerate() {
-            let size = checked_size(camera, i)?;
+        for camera in cameras {
+            let size = (camera.intrinsics.width, camera.intrinsics.height);
             if !sizes.contains(&size) {
                 sizes.push(size);
             }
@@ -120,24 +115,23 @@ impl Renderer {
 
     /// Draws the scene that was loaded last with one camera into an app's image or buffer, without the host: when this
     /// returns the picture is drawn, and its copy to `target` was submitted. The next drawing of the same size waits for
-    /// that copy. Colour is as [`RenderRequest`] has it, with alpha.
+    /// that copy. Of `request`, background and antialiasing count; drawn are colour and alpha.
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`], and those of [`Run::present`].
     pub fn render_to(
         &mut self,
         camera: &Camera,
-        background: [f32; 3],
-        antialiased: bool,
+        request: &RenderRequest,
         layout: PixelLayout,
         target: &Target,
     ) -> Result<()> {
-        let request = RenderRequest { rgb: true, alpha: true, depth: None, background, antialiased };
-        let (width, height) = checked_size(camera, 0)?;
-        let shape = FrameShape { cameras: 1, width, height };
-        self.draw(&[camera_rows(camera)], shape, &request, Some(layout))?;
-        let plan = self.plan(shape, &request, Some(layout))?;
-        plan.run.present(plan.pixels, target)
+        let request = RenderRequest { rgb: true, alpha: true, depth: None, layout: Some(layout), ..*request };
+        check(std::slice::from_ref(camera), &request)?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        self.render_together(&[camera_rows(camera)], (width, height), &request)?;
+        let plan = self.plan(FrameShape { cameras: 1, width, height }, &request)?;
+        plan.run.present(plan.outputs.pixels, target)
     }
 
     /// Device time of drawing the scene that was loaded last with one camera, by kernel.
@@ -148,7 +142,7 @@ impl Renderer {
         // Afterwards there is a plan with room for every intersection.
         self.render_loaded(std::slice::from_ref(camera), request)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-        let plan = self.plan(shape, request, None)?;
+        let plan = self.plan(shape, request)?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
         plan.run.profile()
     }
@@ -188,30 +182,20 @@ impl Renderer {
         request: &RenderRequest,
     ) -> Result<Vec<Frame>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
-        self.draw(cameras, shape, request, None)?;
-        let plan = self.plan(shape, request, None)?;
-        let values: Vec<f32> = plan.run.read(plan.outputs.frames)?;
-        let frame = |values| Frame::from_channels(width, height, values, request);
-        Ok(values.chunks_exact(values.len() / cameras.len()).map(frame).collect())
-    }
-
-    /// Runs the plan for these pictures with as much room for intersections as they need.
-    fn draw(
-        &mut self,
-        cameras: &[CameraRows],
-        shape: FrameShape,
-        request: &RenderRequest,
-        layout: Option<PixelLayout>,
-    ) -> Result<()> {
         let most = self.device.limits().max_binding_bytes / 4;
         loop {
-            let plan = self.plan(shape, request, layout)?;
+            let plan = self.plan(shape, request)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
             let status: Vec<u32> = plan.run.read(plan.outputs.status)?;
             let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
+            if needed <= plan.capacity && request.layout.is_some() {
+                return Ok(Vec::new()); // Nobody reads them on the host.
+            }
             if needed <= plan.capacity {
-                return Ok(());
+                let values: Vec<f32> = plan.run.read(plan.outputs.frames)?;
+                let frame = |values| Frame::from_channels(width, height, values, request);
+                return Ok(values.chunks_exact(values.len() / cameras.len()).map(frame).collect());
             }
             if needed as u64 > most {
                 let what = "a list of the intersections of Gaussians with tiles".into();
@@ -224,16 +208,11 @@ impl Renderer {
     }
 
     /// The plan for `shape` and `request`, which is last among the plans afterwards.
-    fn plan(
-        &mut self,
-        shape: FrameShape,
-        request: &RenderRequest,
-        layout: Option<PixelLayout>,
-    ) -> Result<&mut Planned> {
+    fn plan(&mut self, shape: FrameShape, request: &RenderRequest) -> Result<&mut Planned> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let known = self.plans.iter().position(|p| p.shape == shape && p.request == *request && p.layout == layout);
+        let known = self.plans.iter().position(|p| p.shape == shape && p.request == *request);
         let planned = match known {
             Some(index) => self.plans.remove(index),
             None => {
@@ -244,7 +223,7 @@ impl Renderer {
                     let most = self.device.limits().max_binding_bytes as usize / 4;
                     self.capacity = (4 * scene.tensors.len * shape.cameras).clamp(1 << 16, most);
                 }
-                scene.plan(&self.device, shape, request, layout, self.capacity)?
+                scene.plan(&self.device, shape, request, self.capacity)?
             }
         };
         self.plans.push(planned);
@@ -269,35 +248,29 @@ impl Loaded {
         Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors })
     }
 
-    fn plan(
-        &self,
-        device: &Device,
-        shape: FrameShape,
-        request: &RenderRequest,
-        layout: Option<PixelLayout>,
-        capacity: usize,
-    ) -> Result<Planned> {
+    fn plan(&self, device: &Device, shape: FrameShape, request: &RenderRequest, capacity: usize) -> Result<Planned> {
         let mut rec = Recorder::new(device.limits());
         let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
         let outputs = record(&mut rec, &self.tensors, cameras, shape, request, capacity);
-        let pixels = match layout {
-            Some(layout) => pack::record(&mut rec, outputs.frames, layout),
-            None => outputs.frames,
-        };
         let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?;
-        Ok(Planned { shape, request: *request, layout, capacity, run, cameras, outputs, pixels })
+        Ok(Planned { shape, request: *request, capacity, run, cameras, outputs })
     }
 }
 
-/// Width and height of a camera that can be drawn.
-fn checked_size(camera: &Camera, index: usize) -> Result<(u32, u32)> {
-    camera.validate(&format!("camera {index}"))?;
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    if width.max(height) > MAX_SIDE {
-        let found = format!("{width} x {height}");
-        return Err(Error::argument(format!("size of camera {index}"), found, format!("sides up to {MAX_SIDE}")));
+/// Holds that these pictures can be drawn.
+fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
+    if request.channels() == 0 {
+        return Err(Error::argument("render request", "no output", "one of rgb, alpha and depth"));
     }
-    Ok((width, height))
+    for (i, camera) in cameras.iter().enumerate() {
+        camera.validate(&format!("camera {i}"))?;
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        if size.0.max(size.1) > MAX_SIDE {
+            let found = format!("{} x {}", size.0, size.1);
+            return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
+        }
+    }
+    Ok(())
 }
 
 /// Degree of the highest band that is not all zero: what is above it need not be evaluated.
