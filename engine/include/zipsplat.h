@@ -307,15 +307,15 @@ typedef struct zs_gaussians {
     uint32_t sh_degree;
     // N, the number of Gaussians that the arrays have room for.
     uint64_t count;
-    // [N][3] centres.
+    // N x 3 centres.
     float *means;
-    // [N][3] standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
+    // N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
     float *scales;
-    // [N][4] rotations as quaternions w, x, y, z; of any length but zero.
+    // N x 4 rotations as quaternions w, x, y, z; of any length but zero.
     float *quats;
-    // [N] opacities from 0 to 1.
+    // N opacities from 0 to 1.
     float *opacities;
-    // [N][K][3] coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
+    // N x K x 3 coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
     float *sh_coeffs;
 } zs_gaussians;
 
@@ -442,9 +442,9 @@ typedef struct zs_picture {
     // Bytes from a row to the one below it; negative to store the picture bottom-up; 0 for row after row. What lies between
     // rows is left as it is.
     int64_t stride;
-    // [height][width] alpha from 0 to 1.
+    // height x width: alpha from 0 to 1.
     float *alpha;
-    // [height][width] depth in world units.
+    // height x width: depth in world units.
     float *depth;
 } zs_picture;
 

@@ -147,7 +147,8 @@ impl World {
             depth: null_mut(),
         };
         let mut options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
-        options.format = random.mostly(random.0 as i32 % 5 + 1, &[0, 6, i32::MIN]).max(i32::MIN);
+        let format = 1 + random.below(5) as i32;
+        options.format = random.mostly(format, &[0, 6, i32::MIN]);
         options.background[1] = random.mostly(0.5, &[f32::NAN, f32::INFINITY, 1e38]);
         // SAFETY: a live object or NULL, memory as large as any of these pictures.
         let status = unsafe { zs_render(renderer, &camera, &picture, 1, &options) };

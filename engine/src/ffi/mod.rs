@@ -1,7 +1,7 @@
 //! The C ABI. `engine/include/zipsplat.h` is generated from these files (`tests/abi/header.rs`), their comments included,
 //! so they speak to whoever reads the header: what a pointer's caller owes is said there, not in `# Safety` sections.
 //!
-//! Every entry point runs inside [`status::guard`]: no panic crosses, a failure leaves a message for its thread. Values that
+//! Every entry point runs inside `status::guard`: no panic crosses, a failure leaves a message for its thread. Values that
 //! C can get wrong (enumerations, booleans) arrive as plain integers and are checked.
 #![allow(unsafe_code, non_camel_case_types, clippy::missing_safety_doc)]
 

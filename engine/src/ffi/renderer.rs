@@ -89,9 +89,9 @@ pub struct zs_picture {
     /// Bytes from a row to the one below it; negative to store the picture bottom-up; 0 for row after row. What lies between
     /// rows is left as it is.
     pub stride: i64,
-    /// [height][width] alpha from 0 to 1.
+    /// height x width: alpha from 0 to 1.
     pub alpha: *mut f32,
-    /// [height][width] depth in world units.
+    /// height x width: depth in world units.
     pub depth: *mut f32,
 }
 

@@ -39,15 +39,15 @@ pub struct zs_gaussians {
     pub sh_degree: u32,
     /// N, the number of Gaussians that the arrays have room for.
     pub count: u64,
-    /// [N][3] centres.
+    /// N x 3 centres.
     pub means: *mut f32,
-    /// [N][3] standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
+    /// N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
     pub scales: *mut f32,
-    /// [N][4] rotations as quaternions w, x, y, z; of any length but zero.
+    /// N x 4 rotations as quaternions w, x, y, z; of any length but zero.
     pub quats: *mut f32,
-    /// [N] opacities from 0 to 1.
+    /// N opacities from 0 to 1.
     pub opacities: *mut f32,
-    /// [N][K][3] coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
+    /// N x K x 3 coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
     pub sh_coeffs: *mut f32,
 }
 
