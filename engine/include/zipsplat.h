@@ -483,7 +483,8 @@ typedef struct zs_vulkan_device {
     // VkQueue. The engine submits to it from the threads that call the engine, never from one of its own.
     void *queue;
     // Called before each submission to `queue`, on the thread that submits; `unlock_queue` right after it, and never is the
-    // lock held while the engine waits. NULL where nobody else uses the queue while a call runs. Default NULL.
+    // lock held while the engine waits. Do not hold the lock yourself when you call the engine. NULL where nobody else uses
+    // the queue while a call runs. Default NULL.
     zs_queue_lock lock_queue;
     // Both or none.
     zs_queue_lock unlock_queue;

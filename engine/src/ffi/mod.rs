@@ -16,6 +16,16 @@ mod status;
 mod version;
 mod vulkan;
 
+/// What the header says of threads.
+const _: () = {
+    const fn any_thread<T: Send + Sync>() {}
+    any_thread::<zs_context>();
+    any_thread::<zs_model>();
+    any_thread::<zs_photo>();
+    any_thread::<zs_renderer>();
+    any_thread::<zs_scene>();
+};
+
 pub use context::*;
 pub use model::*;
 pub use photo::*;

@@ -8,9 +8,6 @@ use std::{
 
 type Result<T> = std::result::Result<T, Failure>;
 
-/// More elements than this are no array of an app.
-const MAX_ELEMENTS: usize = 1 << 32;
-
 /// Bytes of a pointer.
 pub(super) const POINTER: usize = size_of::<*const ()>();
 
@@ -156,8 +153,9 @@ fn check_array<T>(pointer: *const T, count: usize, name: &str) -> Result<()> {
     if pointer.is_null() {
         return Err(Failure::argument(name, "NULL", format!("{count} elements")));
     }
-    if count > MAX_ELEMENTS {
-        return Err(Failure::argument(format!("number of {name}"), count, format!("at most {MAX_ELEMENTS}")));
+    let most = isize::MAX as usize / size_of::<T>();
+    if count > most {
+        return Err(Failure::argument(format!("number of {name}"), count, format!("at most {most}")));
     }
     if !pointer.is_aligned() {
         return Err(Failure::argument(name, format!("{pointer:p}"), format!("a multiple of {}", align_of::<T>())));

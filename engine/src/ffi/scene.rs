@@ -160,7 +160,7 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
                 scales: array::<[f32; 3]>(arrays.scales.cast(), n, "scales")?.to_vec(),
                 quats: array::<[f32; 4]>(arrays.quats.cast(), n, "quats")?.to_vec(),
                 opacities: array::<f32>(arrays.opacities, n, "opacities")?.to_vec(),
-                sh_coeffs: array::<[f32; 3]>(arrays.sh_coeffs.cast(), n * k, "sh_coeffs")?.to_vec(),
+                sh_coeffs: array::<[f32; 3]>(arrays.sh_coeffs.cast(), n.saturating_mul(k), "sh_coeffs")?.to_vec(),
                 sh_degree: arrays.sh_degree,
             }
         };
