@@ -1,28 +1,29 @@
 #!/usr/bin/env bash
-# Photos of one place to a 3D scene and pictures of it: out/scene.ply, out/NNN.png, out/contact.png. Without photos it makes
-# a procedural place first, and also draws that from its exact depth: out/place/.
-# usage: tools/demo.sh [PHOTO...]      ZIPSPLAT_WEIGHTS: a checkpoint, default seeded:vits
+# A procedural place that the model has never seen, reconstructed from 8 of its photos and compared with the others:
+# out/place/comparison.png, and a flight around it: out/place/contact.png. Photos given are reconstructed as well:
+# out/scene.ply, out/NNN.png, out/contact.png.
+# usage: tools/demo.sh [PHOTO...]      ZIPSPLAT_WEIGHTS: a checkpoint, default the embedded model
 set -euo pipefail
 # shellcheck source-path=SCRIPTDIR
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
-weights=${ZIPSPLAT_WEIGHTS:-seeded:vits}
 out=$root/out
+seed=2199023255571
+weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out"
-rm -f "$out"/[0-9][0-9][0-9].png
+rm -f "$out"/[0-9][0-9][0-9].png "$out"/place/[0-9][0-9][0-9].png
 
 zipsplat() { cargo run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli -- "$@"; }
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
-photos=("$@")
-if [[ $# == 0 ]]; then
-  stage place zipsplat scene --seed 11 --views 8 --splats -o "$out/place"
-  stage 'drawing the place' zipsplat render "$out/place/splats.ply" --wiggle --frames 8 -o "$out/place"
-  say "the place's photos are $out/place/images, drawn from its exact depth it is $out/place/contact.png"
-  photos=("$out/place/images")
+stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
+stage reconstruct zipsplat eval "$out/place" --views 8 "${weights[@]}" -o "$out/place"
+stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 -o "$out/place"
+say "photos that it was not shown, what it drew in their place, and the nearest it was shown: $out/place/comparison.png"
+if [[ $# != 0 ]]; then
+  stage 'reconstruct your photos' zipsplat reconstruct "$@" "${weights[@]}" -o "$out/scene.ply"
+  stage render zipsplat render "$out/scene.ply" --wiggle --frames 8 -o "$out"
+  say "your photos are $out/scene.ply, pictures of it $out/000.png and on, all of them together $out/contact.png"
 fi
-stage reconstruct zipsplat reconstruct "${photos[@]}" --weights "$weights" -o "$out/scene.ply"
-stage render zipsplat render "$out/scene.ply" --wiggle --frames 8 -o "$out"
-say "the scene is $out/scene.ply, its pictures $out/000.png and on, all of them together $out/contact.png"
-[[ $weights != seeded:* ]] ||
-  say "the weights $weights are random numbers, so these pictures show noise and NOT a reconstruction of the photos"
+[[ ${ZIPSPLAT_WEIGHTS:-} != seeded:* ]] ||
+  say "the weights $ZIPSPLAT_WEIGHTS are random numbers, so these pictures show noise and NOT a reconstruction of the photos"

@@ -161,7 +161,7 @@ impl Model {
         }
         if let Some(tensor) = tensors.indices {
             let indices = match &request.selection {
-                Selection::Kmeans | Selection::Stride => even_indices(grid.tokens(), shape.tokens),
+                Selection::Kmeans(_) | Selection::Stride => even_indices(grid.tokens(), shape.tokens),
                 Selection::Random(seed) => random_indices(grid.tokens(), shape.tokens, *seed),
                 Selection::Given(indices) => indices.clone(),
             };

@@ -96,10 +96,10 @@ fn options_and_cameras_give_rusts_scene() {
     let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
     let relative: Vec<_> = cameras.iter().map(relative).collect();
     let cases = [
-        (ZS_RATIO_AUTO, Ratio::Auto, zs_selection::ZS_SELECT_KMEANS, Selection::Kmeans, false),
+        (ZS_RATIO_AUTO, Ratio::Auto, zs_selection::ZS_SELECT_KMEANS, Selection::KMEANS, false),
         (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_STRIDE, Selection::Stride, true),
         (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_RANDOM, Selection::Random(7), false),
-        (1.0, Ratio::Fixed(1.0), zs_selection::ZS_SELECT_KMEANS, Selection::Kmeans, true),
+        (1.0, Ratio::Fixed(1.0), zs_selection::ZS_SELECT_KMEANS, Selection::KMEANS, true),
     ];
     for (number, ratio, choice, selection, posed) in cases {
         let mut options =

@@ -3,6 +3,7 @@
 mod cancel;
 mod convert;
 mod errors;
+mod eval;
 mod info;
 mod measure;
 mod reconstruct;

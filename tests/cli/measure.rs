@@ -56,3 +56,67 @@ fn frames_are_measured_by_kernel() {
     let text = folder.run("bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
     assert!(text.contains("frames/s") && text.contains("render/rasterise"), "{text}");
 }
+
+/// A Python that prints what it was asked for as if it had measured it, and one that fails.
+#[cfg(unix)]
+#[test]
+fn pytorch_stands_beside_ours() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new();
+    let row = |views: u32, ratio: f64, ms: &str| {
+        format!(r#"{{"precision": "f32", "views": {views}, "ratio": {ratio}, {ms}, "peak_bytes": null}}"#)
+    };
+    let rows = [row(1, 1.0, r#""ms": [4, 2, 3]"#), row(2, 1.0, r#""failed": "out of memory""#)].join(",");
+    let measured = format!("cat > /dev/null\necho '{{\"device\": \"a GPU\", \"torch\": \"9.9\", \"rows\": [{rows}]}}'");
+    for (name, body) in [("python", measured), ("broken", "echo 'No module named torch' >&2; exit 1".into())] {
+        let path = folder.path(name);
+        std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).expect("written");
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("a program");
+    }
+    let line =
+        "bench forward --weights @/micro.safetensors --views 1,2 --size 28x28 --warmup 0 --repeats 1 --pytorch @/";
+    let text = folder.run(&format!("{line}python")).success();
+    for word in ["PyTorch 9.9 on a GPU", "3.000 (2.000..4.000)", "out of memory", "its time / ours"] {
+        assert!(text.contains(word), "'{word}' is not in: {text}");
+    }
+    folder.run(&format!("{line}broken")).fails(3, &["--pytorch", "No module named torch"]);
+    folder.run(&format!("{line}absent")).fails(3, &["--pytorch", "absent"]);
+}
+
+#[test]
+fn what_accuracy_costs_is_a_page_and_a_table() {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
+    let line = "bench tradeoff @/place --weights @/micro.safetensors --size 42x28 --views 2,3 --ratio 1,0.5 \
+                --select kmeans,kmeans:1,random:3 --keep 4,1 --repeats 1 --targets 2 -o @/report --json";
+    let points = folder.run(line).json();
+    let points = points.as_array().expect("a list");
+    // Of each number of photos all tokens once, and half of them chosen in three ways; two of each.
+    assert_eq!(points.len(), 2 * (1 + 3) * 2);
+    let csv = std::fs::read_to_string(folder.path("report/tradeoff.csv")).expect("a table");
+    assert_eq!(csv.lines().count(), 1 + points.len());
+    let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
+    assert_eq!(html.matches("<svg").count(), 11);
+    // Two photos, and with k-means two ratios: data, nothing to be fetched.
+    assert_eq!(html.matches("src=\"data:image/png;base64,").count(), 4);
+    assert!(!html.contains("src=\"http") && !html.contains("href"), "it needs other files");
+    for point in points {
+        let number = |key: &str| point[key].as_f64().unwrap_or(f64::NAN);
+        assert_eq!(number("gaussians"), number("tokens") * number("keep"));
+        assert!(number("forward_ms") > 0.0 && number("render_ms") > 0.0 && number("psnr") > 0.0, "{point}");
+        // What a point's command prints is what the point says.
+        let command = point["command"].as_str().expect("a command");
+        let command = command.strip_prefix("zipsplat ").expect("it is ours").to_owned();
+        if number("views") == 3.0 {
+            let told = crate::zipsplat(&format!("{command} --json")).json();
+            assert_eq!(told["gaussians"], point["gaussians"], "{command}");
+            let psnr = told["mean"]["psnr"].as_f64().expect("a number");
+            assert!((psnr - number("psnr")).abs() < 1e-9, "{command}: {psnr} and {point}");
+        }
+    }
+    folder.run("bench tradeoff @/place --views 6 --weights @/micro.safetensors -o @/r").fails(3, &["more than"]);
+    folder
+        .run("bench tradeoff @/place --views 2 --select kmeans:0 -o @/r")
+        .fails(3, &["rounds of k-means", "1 to 100"]);
+    assert!(!folder.path("r").exists());
+}

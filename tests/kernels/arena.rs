@@ -145,7 +145,7 @@ fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, 
     if observe {
         rec = rec.observing();
     }
-    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kept: Kept::Kmeans, cameras: true });
+    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kept: Kept::Kmeans(5), cameras: true });
     let plan = rec.finish().unwrap();
     (plan.arena_map(), plan.arena_bytes())
 }

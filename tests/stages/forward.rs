@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use zipsplat::gpu::Run;
 use zipsplat::reconstruct::{Model, Ratio, Request, Selection};
-use zipsplat::types::{Camera, Image, Intrinsics, Pose};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
 use zipsplat::weights::{Architecture, Checkpoint};
 use zipsplat_tests::architectures;
 use zipsplat_tests::compare::{assert_gaussians_close, assert_nearest, assert_same, assert_tap};
@@ -88,20 +88,22 @@ fn check(file: &str) {
             compared += 1;
         }
         let scene = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene;
-        let packed: Vec<f32> = (0..scene.len())
-            .flat_map(|i| {
-                let k = scene.sh_coeffs_per_gaussian();
-                let sh = scene.sh_coeffs[i * k..(i + 1) * k].as_flattened().iter().copied();
-                let head = scene.means[i].into_iter().chain(scene.scales[i]).chain(scene.quats[i]);
-                head.chain([scene.opacities[i]]).chain(sh).collect::<Vec<_>>()
-            })
-            .collect();
-        check_gaussians(&golden, &key("gauss"), &packed, model.architecture().gaussian_width());
+        check_gaussians(&golden, &key("gauss"), &packed(&scene), model.architecture().gaussian_width());
         if ratio < 1.0 {
-            check_clusters(&golden, &model, &images, Request { selection: Selection::Kmeans, ..request }, &prefix);
+            check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
         }
     }
     assert!(compared > 10, "{file}: only {compared} taps compared");
+}
+
+/// A scene as the goldens have it: `[n, width]` of means, scales, quats, opacity and SH coefficients.
+fn packed(scene: &Scene) -> Vec<f32> {
+    let k = scene.sh_coeffs_per_gaussian();
+    let gaussian = |i: usize| {
+        let head = scene.means[i].into_iter().chain(scene.scales[i]).chain(scene.quats[i]);
+        head.chain([scene.opacities[i]]).chain(scene.sh_coeffs[i * k..][..k].as_flattened().iter().copied())
+    };
+    (0..scene.len()).flat_map(gaussian).collect()
 }
 
 /// Packed Gaussians `[n, width]`, of which large goldens store every `sub_step`-th.
@@ -135,6 +137,26 @@ fn check_all(config: &str) {
     let files = golden::list(&format!("{config}."));
     for file in files.iter().filter(|f| f.ends_with(".safetensors") && !f.contains(".weights.")) {
         check(file);
+    }
+}
+
+/// The model that is shipped, with and without cameras, all tokens and half of them: against our own PyTorch code in f64
+/// (`tools/train/check.py dump`).
+#[test]
+fn embedded() {
+    let golden = Golden::open("embedded.safetensors").expect("it is committed");
+    let checkpoint = Checkpoint::embedded().expect("the feature is on");
+    let model = Model::load(device(), &checkpoint, |_| std::ops::ControlFlow::Continue(())).expect("it fits");
+    let images = images(&golden);
+    for (case, cameras) in [("plain", None), ("priors", cameras(&golden))] {
+        for (ratio, name) in [(1.0, "r1"), (0.5, "r0.5")] {
+            let key = |part: &str| format!("{case}/{name}/{part}");
+            let nearest = |key| Selection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
+            let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
+            let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone() };
+            let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
+            check_gaussians(&golden, &key("gauss"), &packed(&found.scene), model.architecture().gaussian_width());
+        }
     }
 }
 

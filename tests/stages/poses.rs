@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat4, DVec3};
 use serde_json::{Value, json};
 use zipsplat::Error;
-use zipsplat::types::poses::{Poses, read_poses, write_transforms};
+use zipsplat::types::poses::{Poses, read_cloud, read_poses, write_transforms};
 use zipsplat::types::{Camera, Image, Intrinsics, Orbit, Pose, quaternion_from_matrix};
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
@@ -377,4 +377,53 @@ fn malformed_colmap_models_are_refused() {
     }
     fs::remove_file(path.join("images.bin")).unwrap();
     assert!(matches!(read_poses(path), Err(Error::Io { path, .. }) if path.ends_with("images.bin")));
+}
+
+#[test]
+fn point_clouds_are_found_and_read() {
+    let (truth, names) = cameras();
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let points = [[1.5, -2.0, 3.25], [0.0, 4.0, 8.0]];
+    text_model(&path("text"), "PINHOLE 64 48 70.0 71.5 31.25 24.5", &truth, &names);
+    assert_eq!(read_poses(path("text")).unwrap().points, None);
+    let lines = "# 3D point list\n7 1.5 -2.0 3.25 10 20 30 0.5 1 2 2 9\n9 0 4 8 1 2 3 0.25\n";
+    fs::write(path("text/points3D.txt"), lines).unwrap();
+
+    binary_model(&path("binary"), 1, &PINHOLE, &truth, &names);
+    let mut bytes = 2u64.to_le_bytes().to_vec();
+    for (i, point) in points.iter().enumerate() {
+        bytes.extend((i as u64).to_le_bytes());
+        point.iter().for_each(|value: &f64| bytes.extend(value.to_le_bytes()));
+        bytes.extend([1; 11]);
+        bytes.extend((i as u64).to_le_bytes());
+        bytes.extend(vec![2; 8 * i]);
+    }
+    fs::write(path("binary/points3D.bin"), &bytes).unwrap();
+
+    fs::create_dir(path("json")).unwrap();
+    write_transforms(path("json/transforms.json"), &truth, &names).unwrap();
+    assert_eq!(read_poses(path("json")).unwrap().points, None);
+    let narrow = points.map(|point| point.map(|value| value as f32));
+    zipsplat::types::write_points(path("json/points.ply"), &narrow.map(|point| (point, [1, 2, 3]))).unwrap();
+
+    for (model, file) in [("text", "points3D.txt"), ("binary", "points3D.bin"), ("json", "points.ply")] {
+        let found = read_poses(path(model)).unwrap().points;
+        assert_eq!(found, Some(path(model).join(file)));
+        assert_eq!(read_cloud(found.unwrap()).unwrap(), narrow, "{file}");
+    }
+    for (file, bytes, reason) in [
+        ("binary/points3D.bin", bytes[..bytes.len() - 1].to_vec(), "truncated"),
+        ("text/points3D.txt", b"7 1.5 here 3.25\n".to_vec(), "line 1: Y"),
+        ("text/points3D.txt", b"7 1.5 NaN 3.25\n".to_vec(), "finite"),
+        (
+            "json/points.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n".to_vec(),
+            "y",
+        ),
+    ] {
+        fs::write(path(file), bytes).unwrap();
+        let error = read_cloud(path(file)).unwrap_err().to_string();
+        assert!(error.contains(reason) && error.contains("points"), "{error}");
+    }
 }

@@ -283,3 +283,33 @@ fn values_that_are_no_numbers_are_counted() {
     short.quats.pop();
     assert!(short.validate().is_err());
 }
+
+#[test]
+fn the_most_visible_of_each_token_stay() {
+    let whole = scene(10, 1);
+    let mut kept = whole.clone();
+    kept.keep_most_visible(4, 2);
+    // Two of each four, and the two of the last, unfinished group.
+    assert_eq!(kept.len(), 6);
+    kept.validate().unwrap();
+    let shows = |scene: &Scene, i: usize| {
+        let mut scales = scene.scales[i];
+        scales.sort_by(f32::total_cmp);
+        scene.opacities[i] * scales[1] * scales[2]
+    };
+    let mut place = 0;
+    for (i, mean) in kept.means.iter().enumerate() {
+        place += whole.means[place..].iter().position(|other| other == mean).expect("in the order of before");
+        assert_eq!(kept.sh_coeffs[4 * i..4 * i + 4], whole.sh_coeffs[4 * place..4 * place + 4]);
+        assert_eq!(
+            (kept.scales[i], kept.quats[i], kept.opacities[i]),
+            (whole.scales[place], whole.quats[place], whole.opacities[place])
+        );
+        let group = place / 4 * 4..(place / 4 * 4 + 4).min(10);
+        assert!(group.filter(|other| shows(&whole, *other) > shows(&whole, place)).count() < 2, "Gaussian {place}");
+        place += 1;
+    }
+    let mut same = whole.clone();
+    same.keep_most_visible(4, 4);
+    assert_eq!(same, whole);
+}

@@ -2,12 +2,13 @@
 
 use crate::options::Size;
 use clap::{ArgGroup, Args};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{
         Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline,
-        poses::{Poses, read_cameras},
+        poses::{Poses, read_cameras, read_cloud},
         preprocess::{View, crop_to_aspect},
     },
 };
@@ -24,6 +25,33 @@ pub fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
         Ok(Camera { intrinsics, pose: camera.pose.relative_to(&first.pose) })
     };
     cameras.iter().zip(views).map(of_view).collect()
+}
+
+/// The network's unit of length for cameras whose first one is the world: the median distance from it of those points of
+/// their capture (a file of [`read_cloud`] in the cameras' own world, `origin` the first one's pose there) that any of them sees.
+///
+/// # Errors
+/// Where the point cloud cannot be read, or the cameras see none of it.
+pub fn unit(points: &Path, cameras: &[Camera], origin: &Pose) -> Result<f64> {
+    let to_world = origin.inverse();
+    let mut distances: Vec<f64> = (read_cloud(points)?.into_iter())
+        .map(|point| to_world.transform(DVec3::from(point.map(f64::from))))
+        .filter(|point| cameras.iter().any(|camera| sees(camera, *point)))
+        .map(DVec3::length)
+        .collect();
+    if distances.is_empty() {
+        let found = format!("{}, of which no chosen camera sees any point", points.display());
+        return Err(Error::argument("point cloud", found, "points that the cameras see"));
+    }
+    let middle = distances.len() / 2;
+    Ok(*distances.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Whether a world point falls into a camera's picture.
+fn sees(camera: &Camera, point: DVec3) -> bool {
+    let (i, p) = (&camera.intrinsics, camera.pose.inverse().transform(point));
+    let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
+    p.z > 0.0 && (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y)
 }
 
 /// Size of pictures whose cameras have none.

@@ -4,11 +4,14 @@
 
 mod animation;
 mod cameras;
+mod capture;
 mod commands;
+pub mod metrics;
 mod noise;
 mod options;
 mod outputs;
 mod photos;
+mod plot;
 pub mod procedural;
 mod session;
 mod table;

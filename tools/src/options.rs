@@ -4,9 +4,10 @@ use crate::commands::Command;
 use clap::{Args, Parser, ValueEnum};
 use std::{fmt, str::FromStr};
 use zipsplat::{
-    Error, Result,
+    Result,
     reconstruct::{Ratio, Selection},
-    weights::Checkpoint,
+    types::Scene,
+    weights::{Architecture, Checkpoint},
 };
 
 /// Photos without poses to a compact 3D Gaussian scene, on any Vulkan device.
@@ -16,7 +17,7 @@ use zipsplat::{
     version,
     disable_help_subcommand = true,
     after_help = "Examples:
-  zipsplat reconstruct photos/ --weights zipsplat.safetensors -o scene.ply
+  zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat info
 
@@ -48,7 +49,7 @@ pub struct Global {
 /// Which weights.
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers
+    /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers [default: the model that is built in]
     #[arg(long, value_name = "PATH|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
@@ -59,12 +60,16 @@ pub struct Weights {
 impl Weights {
     /// Opens them.
     pub fn open(&self) -> Result<Checkpoint> {
-        let Some(weights) = &self.weights else {
-            let expected =
-                "a checkpoint, as no model is built in yet; seeded:vits stands for random numbers, enough to try";
-            return Err(Error::argument("--weights", "nothing", expected));
-        };
-        self.open_as(weights)
+        match &self.weights {
+            Some(weights) => self.open_as(weights),
+            None => Checkpoint::embedded(),
+        }
+    }
+
+    /// These options again, each with a space before it.
+    pub fn as_arguments(&self) -> String {
+        let named = [("--weights", &self.weights), ("--variant", &self.variant)];
+        named.iter().filter_map(|(name, value)| Some(format!(" {name} {}", value.as_ref()?))).collect()
     }
 
     /// Opens others, of the variant given.
@@ -79,15 +84,32 @@ pub struct Quality {
     /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
-    /// How those tokens are chosen: kmeans, stride or random[:SEED]
+    /// How those tokens are chosen: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
-    /// Pixels that the network sees of each photo: multiples of the patch (14)
-    #[arg(long, value_name = "WxH", default_value = "252x252")]
-    pub size: Size,
+    /// Keep of every token only the N Gaussians that show most [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    keep: Option<u32>,
+    /// Pixels that the network sees of each photo: multiples of the patch (14) [default: what the weights are best with]
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
     /// Arithmetic
     #[arg(long, value_enum, default_value = "exact")]
     pub precision: Precision,
+}
+
+impl Quality {
+    /// Leaves out the Gaussians that were not asked for.
+    pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
+        if let Some(keep) = self.keep {
+            scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
+        }
+    }
+
+    /// The size asked for, or the one that a network is best with.
+    pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
+        self.size.unwrap_or(Size(checkpoint.picture_side(), checkpoint.picture_side()))
+    }
 }
 
 /// Arithmetic of a reconstruction.
@@ -124,13 +146,20 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     }
 }
 
-fn parse_selection(text: &str) -> Result<Selection, String> {
+/// A length that something can be measured in.
+pub fn parse_length(text: &str) -> Result<f64, String> {
+    let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
+    length.ok_or_else(|| "expected a number above 0".into())
+}
+
+pub fn parse_selection(text: &str) -> Result<Selection, String> {
     let random = |seed: &str| seed.parse().map(Selection::Random).map_err(|_| format!("{seed} is no seed"));
     match text.split_once(':') {
-        None if text == "kmeans" => Ok(Selection::Kmeans),
+        None if text == "kmeans" => Ok(Selection::KMEANS),
         None if text == "stride" => Ok(Selection::Stride),
         None if text == "random" => Ok(Selection::Random(0)),
         Some(("random", seed)) => random(seed),
-        _ => Err("expected kmeans, stride or random[:SEED]".into()),
+        Some(("kmeans", rounds)) => rounds.parse().map(Selection::Kmeans).map_err(|_| format!("{rounds} is no number")),
+        _ => Err("expected kmeans[:ROUNDS], stride or random[:SEED]".into()),
     }
 }

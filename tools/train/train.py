@@ -2,6 +2,7 @@
 
     python tools/train/train.py --config tools/train/nano.json --out DIR --minutes 25 --zipsplat target/release/zipsplat
 
+On CPUs a process a core is faster than one with a thread a core: `torchrun --nproc-per-node 2 tools/train/train.py ...`.
 DIR receives model.safetensors (averaged weights, f16, for the engine), state.pt (to go on from), log.csv, curve.png and
 samples/. `--resume DIR` goes on where a run stopped, within the same time box; `--resume FILE.safetensors` starts a new
 schedule from weights.
@@ -23,16 +24,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.distributed as dist
 from PIL import Image
 
 import losses
 import weights as files
 from data import Pool, Shards, batch, fixed_split, generator_command
-from model import ZipSplat, initialise
+from initialise import initialise
+from model import ZipSplat
 from rasterise import rasterise
 
-# Seeds of the scenes that are only for evaluation; training's start at 0.
+# Seeds of the scenes that are only for evaluation; those of training start at 0, of its second process at 2^36.
 UNSEEN_SEED = 1 << 40
+SEEDS_A_PROCESS = 1 << 36
 UNSEEN_SCENES = 16
 
 
@@ -80,9 +84,12 @@ class Schedule:
 class Trainer:
     def __init__(self, args, config):
         self.args, self.config = args, config
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.rank, self.processes = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        self.device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
+        if self.processes > 1:
+            dist.init_process_group("nccl" if self.device.type == "cuda" else "gloo")
         torch.manual_seed(config["seed"])
-        self.rng = random.Random(config["seed"])
+        self.rng = random.Random(config["seed"] + self.rank)
         self.out = Path(args.out)
         (self.out / "samples").mkdir(parents=True, exist_ok=True)
         self.step = self.samples = self.first_seed = self.steps_before = 0
@@ -90,7 +97,7 @@ class Trainer:
         self.log = []
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
-        model = initialise(ZipSplat(self.architecture), **config["initial"])
+        model = initialise(ZipSplat(self.architecture), config["anchor_cells"], **config["initial"])
         state = self.resume(model)
         self.model = model.to(self.device)
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
@@ -104,11 +111,14 @@ class Trainer:
             self.compile()
         self.schedule = Schedule(config, args.minutes)
 
+        # The same weights so far; from here on every process draws its own.
+        torch.manual_seed(config["seed"] + self.rank)
+
         def command(seed, scenes=None):
             return generator_command(args.zipsplat, config["size"], config["record_views"], seed, args.textures, scenes)
 
-        self.shards = Shards(command(self.first_seed, config["scenes"]))
-        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
+        self.shards = Shards(command(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"]))
+        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.processes / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
         self.evaluated = self.pool
         if not config["scenes"]:
@@ -172,7 +182,7 @@ class Trainer:
 
     def train_step(self):
         views, ratio = self.schedule.draw(self.elapsed, self.rng)
-        scenes = max(self.config["batch_views"] // views, 1)
+        scenes = max(self.config["batch_views"] // self.processes // views, 1)
         data = self.pool.sample(scenes, views, self.config["targets"], *self.geometry())
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
         gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
@@ -180,6 +190,7 @@ class Trainer:
         sample = self.config["chamfer_gaussians"]
         loss, parts = losses.total(gaussians, tokens, pictures, data, weights, sample, self.perceptual)
         loss.backward()
+        self.share_gradients()
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config["clip"])
         # The fused optimiser skips a step whose gradients are not finite, without asking the device.
         self.optimiser.found_inf = (~norm.isfinite()).float()
@@ -188,7 +199,7 @@ class Trainer:
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
         self.step += 1
-        self.samples += scenes
+        self.samples += scenes * self.processes
         decay = min(self.config["ema"], self.step / (10 + self.step))
         with torch.no_grad():
             torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
@@ -202,6 +213,20 @@ class Trainer:
                 "median_scale": gaussians[:, ::7, 3:6].median(),
                 **{name: value.detach() for name, value in parts.items()},
             }
+
+    def share_gradients(self):
+        """Averages them over all processes, and moves the clock of all to the first one's time."""
+        now = time.perf_counter() - self.started
+        if self.processes == 1:
+            self.elapsed = now
+            return
+        gradients = [parameter.grad for parameter in self.model.parameters()]
+        clock = torch.tensor([now if self.rank == 0 else 0.0], device=self.device)
+        flat = torch.cat([gradient.flatten() for gradient in gradients] + [clock])
+        dist.all_reduce(flat)
+        self.elapsed = flat[-1].item()
+        for gradient, mean in zip(gradients, (flat[:-1] / self.processes).split([g.numel() for g in gradients])):
+            gradient.copy_(mean.view_as(gradient))
 
     def warm_up(self):
         """Compiles what is compiled at first use, before the clock starts."""
@@ -221,28 +246,30 @@ class Trainer:
     def run(self):
         config, end = self.config, 60 * min(self.args.minutes, self.elapsed / 60 + self.args.stop_after)
         self.warm_up()
-        print(f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.2f} M parameters, {self.device}, "
+        print(f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.2f} M parameters, {self.device}, process {self.rank}, "
               f"{self.pool.filled()} scenes to start with, pool of {self.pool.capacity}")  # fmt: skip
-        started, before = time.perf_counter(), self.elapsed
+        before = self.elapsed
+        self.started = time.perf_counter() - before
         saved = logged = before
         sums, count, first_sample = {}, 0, self.samples
         while self.elapsed < end:
             for name, value in self.train_step().items():
                 sums[name] = sums.get(name, 0) + value
             count += 1
-            self.elapsed = before + time.perf_counter() - started
+            if self.rank > 0:
+                continue
             if count % 10 == 0 and self.elapsed - logged > config["log_seconds"]:
                 row = {name: float(value) / count for name, value in sums.items()}
-                self.elapsed = before + time.perf_counter() - started
                 rate = (self.samples - first_sample) / (self.elapsed - logged)
                 self.report(row, rate, self.pool.waited / (self.elapsed - before))
                 sums, count, first_sample, logged = {}, 0, self.samples, self.elapsed
             if self.elapsed - saved > 60 * config["save_minutes"]:
                 pause = time.perf_counter()
                 self.save()
-                started += time.perf_counter() - pause
+                self.started += time.perf_counter() - pause
                 saved = self.elapsed
-        self.save()
+        if self.rank == 0:
+            self.save()
         self.shards.close()
 
     def report(self, row, rate, waited):
@@ -297,6 +324,8 @@ class Trainer:
             for t in range(min(2, given.shape[1])):
                 tiles += [data.colours[i, t], given[i, t], plain[i, t], nearness[i, t]]
             lines.append(torch.cat(tiles, 1))
+        if self.rank > 0:
+            return
         pixels = (torch.cat(lines).float().clamp(0, 1) * 255).byte().cpu().numpy()
         Image.fromarray(pixels).save(self.out / "samples" / f"{self.step + self.steps_before:07}.png")
 
@@ -323,7 +352,7 @@ class Trainer:
                     "seconds": round(self.elapsed + self.seconds_before), "device": device,
                     "next_seed": counters["first_seed"], "unseen_psnr": scores, "config": self.config}  # fmt: skip
         files.save(self.out / "model.safetensors", self.architecture, self.average.state_dict(), torch.float16,
-                   {"zipsplat.training": json.dumps(training)})  # fmt: skip
+                   {"zipsplat.training": json.dumps(training), "zipsplat.picture_side": str(self.config["size"])})  # fmt: skip
         if self.log:
             names = list(dict.fromkeys(name for row in self.log for name in row))
             with open(self.out / "log.csv", "w", newline="") as file:

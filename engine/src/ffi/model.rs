@@ -16,7 +16,7 @@ use crate::{
     reconstruct::{MAX_VIEWS, Model, Ratio, Request, Selection, Shape},
     types::{
         Camera,
-        preprocess::{DEFAULT_SIZE, View, fit},
+        preprocess::{View, fit},
     },
     weights::Checkpoint,
 };
@@ -233,9 +233,12 @@ pub unsafe extern "C" fn zs_model_embedded(
     unsafe { load(context, options, model, |_| embedded()) }
 }
 
-/// The checkpoint that is built in.
+/// The checkpoint that is built in; where a build has none, that is no mistake of the caller's.
 fn embedded() -> Result<Checkpoint, Failure> {
-    Err(Failure::unsupported("this build of zipsplat has no embedded model: open a checkpoint"))
+    Checkpoint::embedded().map_err(|error| match error {
+        Error::Argument { .. } => Failure::unsupported(error.to_string()),
+        other => other.into(),
+    })
 }
 
 /// Says what a model is.
@@ -331,7 +334,7 @@ impl zs_reconstruct_options {
 
     fn selection(&self) -> Result<Selection, Failure> {
         match self.selection {
-            0 => Ok(Selection::Kmeans),
+            0 => Ok(Selection::KMEANS),
             1 => Ok(Selection::Stride),
             2 => Ok(Selection::Random(self.seed)),
             other => Err(Failure::argument("selection", other, "a zs_selection")),
@@ -372,7 +375,7 @@ unsafe fn load(
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         let model = Model::load(&context.device, &checkpoint, progress)?;
-        Ok(zs_model { model, picture_side: DEFAULT_SIZE })
+        Ok(zs_model { model, picture_side: checkpoint.picture_side() })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(out, load) }

@@ -58,11 +58,12 @@ impl Network {
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
 
         let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, grid));
-        let chosen = rec.scope("cluster", |rec| match indices {
-            Some(initial) if shape.kept == Kept::Kmeans => {
-                Some(cluster::record(rec, layers[0], initial, grid.tokens(), tokens, self.architecture.width))
+        let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
+            (Some(initial), Kept::Kmeans(rounds)) => {
+                let sizes = [grid.tokens(), tokens, self.architecture.width];
+                Some(cluster::record(rec, layers[0], initial, sizes, rounds))
             }
-            given => given,
+            (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
         let scene = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));

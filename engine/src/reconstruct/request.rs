@@ -4,7 +4,7 @@ use crate::{
     Error, Result,
     stages::{
         ViewGrid,
-        cluster::{auto_ratio, cluster_count},
+        cluster::{ROUNDS, auto_ratio, cluster_count},
     },
     types::{Camera, Image},
     weights::Architecture,
@@ -15,6 +15,9 @@ pub const MAX_VIEWS: usize = 192;
 
 /// Most patches of all views: what kernels count of each fits 32 bits.
 pub const MAX_PATCHES: usize = 1 << 20;
+
+/// Most rounds of k-means; it has settled long before.
+const MAX_ROUNDS: usize = 100;
 
 /// Share of the tokens that are kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,14 +31,20 @@ pub enum Ratio {
 /// How the kept tokens are chosen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selection {
-    /// The nearest token of each centroid of k-means.
-    Kmeans,
+    /// The nearest token of each centroid after so many rounds of k-means, at least one; the paper's are
+    /// [`Selection::KMEANS`].
+    Kmeans(usize),
     /// Evenly spread.
     Stride,
     /// Random ones, the same for the same seed.
     Random(u64),
     /// These.
     Given(Vec<u32>),
+}
+
+impl Selection {
+    /// k-means with the reference's number of rounds.
+    pub const KMEANS: Self = Self::Kmeans(ROUNDS);
 }
 
 /// What to reconstruct.
@@ -52,7 +61,7 @@ pub struct Request {
 impl Default for Request {
     /// Every token, no cameras.
     fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::Kmeans, cameras: None }
+        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None }
     }
 }
 
@@ -74,8 +83,8 @@ pub struct Shape {
 pub enum Kept {
     /// All: nothing is chosen and nothing gathered.
     All,
-    /// The nearest of each centroid of k-means.
-    Kmeans,
+    /// The nearest of each centroid after so many rounds of k-means.
+    Kmeans(usize),
     /// Those whose indices are an input.
     Indices,
 }
@@ -94,6 +103,11 @@ impl Shape {
     ) -> Result<Self> {
         let grid = grid(architecture.patch, views, width as usize, height as usize)?;
         let all = grid.tokens();
+        if let Selection::Kmeans(rounds) = chosen.1
+            && !(1..=MAX_ROUNDS).contains(rounds)
+        {
+            return Err(Error::argument("rounds of k-means", rounds, format!("1 to {MAX_ROUNDS}")));
+        }
         let tokens = match chosen {
             (_, Selection::Given(indices)) => {
                 if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
@@ -107,7 +121,7 @@ impl Shape {
         let kept = match chosen.1 {
             Selection::Given(_) => Kept::Indices,
             _ if tokens == all => Kept::All,
-            Selection::Kmeans => Kept::Kmeans,
+            Selection::Kmeans(rounds) => Kept::Kmeans(*rounds),
             Selection::Stride | Selection::Random(_) => Kept::Indices,
         };
         Ok(Self { grid, tokens, kept, cameras })

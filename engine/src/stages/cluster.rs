@@ -8,8 +8,8 @@ use crate::{
     ops::gather_rows,
 };
 
-/// Rounds of assignment and mean.
-const ROUNDS: usize = 5;
+/// Rounds of assignment and mean of the reference.
+pub const ROUNDS: usize = 5;
 
 /// Tokens kept of `tokens` at `ratio` in (0, 1]: truncated, at least one.
 pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
@@ -64,12 +64,11 @@ pub fn record(
     rec: &mut Recorder,
     tokens: Tensor,
     initial: Tensor,
-    count: usize,
-    clusters: usize,
-    width: usize,
+    [count, clusters, width]: [usize; 3],
+    rounds: usize,
 ) -> Tensor {
     let centroids = gather_rows(rec, tokens, count, initial, clusters, width);
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         let cluster_of_point = nearest(rec, (tokens, count), (centroids, clusters), width);
         let kernel = kernels::Mean {
             points: tokens,
@@ -80,7 +79,7 @@ pub fn record(
             width: width as u32,
         };
         rec.dispatch_groups(kernel, clusters);
-        if round + 1 == ROUNDS {
+        if round + 1 == rounds {
             rec.observe("assign", cluster_of_point);
         }
     }

@@ -20,7 +20,7 @@ pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encodin
 pub use file::{Unfinished, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
-pub use ply::{read_ply, write_ply};
+pub use ply::{read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
 pub use scene_file::{SceneFormat, WriteOptions, read_scene, write_scene};
 pub use splat::{read_splat, write_splat};

@@ -78,6 +78,28 @@ impl Scene {
         self.means.iter_mut().chain(&mut self.scales).flatten().for_each(|value| *value *= factor);
     }
 
+    /// Keeps of every `group` consecutive Gaussians, such as those of a token, the `count` that show most: by opacity times
+    /// the product of the two largest scales, and of equal ones the first. The order stays.
+    pub fn keep_most_visible(&mut self, group: usize, count: usize) {
+        let area = |[x, y, z]: [f32; 3]| (x * y).max(y * z).max(x * z);
+        let visible: Vec<f32> = self.opacities.iter().zip(&self.scales).map(|(o, scales)| o * area(*scales)).collect();
+        let mut kept = Vec::new();
+        for start in (0..self.len()).step_by(group.max(1)) {
+            let mut order: Vec<usize> = (start..self.len().min(start + group.max(1))).collect();
+            // Stable, so that of equal ones the first stays.
+            order.sort_by(|a, b| visible[*b].total_cmp(&visible[*a]));
+            order.truncate(count);
+            order.sort_unstable();
+            kept.extend(order);
+        }
+        let k = self.sh_coeffs_per_gaussian();
+        self.sh_coeffs = kept.iter().flat_map(|i| &self.sh_coeffs[i * k..][..k]).copied().collect();
+        self.means = kept.iter().map(|i| self.means[*i]).collect();
+        self.scales = kept.iter().map(|i| self.scales[*i]).collect();
+        self.quats = kept.iter().map(|i| self.quats[*i]).collect();
+        self.opacities = kept.iter().map(|i| self.opacities[*i]).collect();
+    }
+
     /// Checks that the arrays fit each other and that every value is finite and in its range.
     ///
     /// # Errors

@@ -11,6 +11,7 @@ use memmap2::Mmap;
 use super::contents::Contents;
 use super::tensor::Stored;
 use super::{Architecture, Dtype, safetensors, seeded, torch};
+use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
 
 /// Exactly the tensors of an [`Architecture`], read one at a time: neither a file nor a seed is ever expanded whole.
@@ -19,10 +20,15 @@ pub struct Checkpoint {
     architecture: Architecture,
     /// Name and shape, in the architecture's order.
     parameters: Vec<(String, Vec<usize>)>,
+    /// Side of the pictures that it is best with, in pixels.
+    picture_side: u32,
     source: Source,
     /// The file, or what [`Checkpoint::parse`] accepts for a seed.
     provenance: String,
 }
+
+#[cfg(feature = "embedded-model")]
+const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
 
 #[derive(Debug)]
 enum Source {
@@ -55,6 +61,21 @@ impl Deref for Bytes {
 }
 
 impl Checkpoint {
+    /// The model that is built in; `engine/models/README.md` says what it is and how good.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the library was built without the feature `embedded-model`.
+    pub fn embedded() -> Result<Self> {
+        #[cfg(feature = "embedded-model")]
+        let found = Self::from_bytes("the embedded model", EMBEDDED, None);
+        #[cfg(not(feature = "embedded-model"))]
+        let found = {
+            let expected = "a checkpoint: this build has no embedded model (cargo feature embedded-model)";
+            Err(Error::argument("weights", "none", expected))
+        };
+        found
+    }
+
     /// `seeded:VARIANT[:KEY]` or the path of a file; `variant` is as in [`Checkpoint::open`] and only for files.
     pub fn parse(text: &str, variant: Option<&str>) -> Result<Self> {
         match text.strip_prefix("seeded:") {
@@ -104,7 +125,8 @@ impl Checkpoint {
         architecture.validate()?;
         let provenance = format!("seeded:{}:{key}", architecture.name);
         let parameters = architecture.parameters();
-        Ok(Self { architecture, parameters, source: Source::Seeded { key: key.into() }, provenance })
+        let source = Source::Seeded { key: key.into() };
+        Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance })
     }
 
     fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>) -> Result<Self> {
@@ -126,14 +148,21 @@ impl Checkpoint {
             if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };
         let architecture = architecture(&contents, path)?;
         let parameters = architecture.parameters();
+        let picture_side = contents.picture_side.unwrap_or(DEFAULT_SIZE);
         let tensors = matching(path, &architecture, &parameters, contents)?;
         let provenance = path.display().to_string();
-        Ok(Self { architecture, parameters, source: Source::Stored { file, tensors }, provenance })
+        Ok(Self { architecture, parameters, picture_side, source: Source::Stored { file, tensors }, provenance })
     }
 
     /// The network that these are the weights of.
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
+    }
+
+    /// Side in pixels of the pictures that the network was trained with and is best with: what the file says, or 252 as
+    /// for the released models.
+    pub fn picture_side(&self) -> u32 {
+        self.picture_side
     }
 
     /// Name and shape of every tensor, in the order of [`Architecture::parameters`].

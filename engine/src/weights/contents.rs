@@ -13,6 +13,8 @@ pub(super) struct Contents {
     pub tensors: HashMap<String, Stored>,
     /// Stated whole, in the metadata of our own files.
     pub architecture: Option<Architecture>,
+    /// Stated in the metadata: side of the pictures it was trained with, in pixels.
+    pub picture_side: Option<u32>,
     /// Stated in part, in the training configuration of a PyTorch checkpoint.
     pub conf: Conf,
 }

@@ -1,6 +1,5 @@
 //! The safetensors format: a length, a JSON header, then the values.
 
-use std::collections::HashMap;
 use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -11,12 +10,17 @@ use safetensors::tensor::{Metadata, TensorInfo};
 
 use super::contents::{Contents, add};
 use super::{Architecture, Checkpoint, Dtype};
+use crate::types::preprocess::PATCH;
 use crate::{Error, Result};
 
 /// Key of the metadata that holds the architecture as JSON.
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
+/// Key of the metadata that holds the side of the pictures a network is best with, in pixels.
+const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
 /// Bytes of the header's length.
 const PREFIX: usize = 8;
+/// A larger side in a file is a mistake.
+const MAX_PICTURE_SIDE: u32 = 8192;
 /// The format's own limit.
 const MAX_HEADER: u64 = 100_000_000;
 
@@ -50,7 +54,14 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         let tensor = super::tensor::Stored::dense(dtype, info.shape.clone(), start + from, start + to);
         add(&mut found.tensors, &name, tensor).map_err(malformed)?;
     }
-    if let Some(json) = header.metadata().as_ref().and_then(|metadata| metadata.get(ARCHITECTURE_KEY)) {
+    let stated = |key: &str| header.metadata().as_ref().and_then(|metadata| metadata.get(key));
+    if let Some(side) = stated(PICTURE_SIDE_KEY) {
+        let parsed = side.parse().ok().filter(|side| (PATCH..=MAX_PICTURE_SIDE).contains(side) && side % PATCH == 0);
+        let expected = format!("a multiple of {PATCH} up to {MAX_PICTURE_SIDE}");
+        let side = parsed.ok_or_else(|| malformed(format!("{PICTURE_SIDE_KEY}: found {side}, expected {expected}")))?;
+        found.picture_side = Some(side);
+    }
+    if let Some(json) = stated(ARCHITECTURE_KEY) {
         let architecture: Architecture =
             serde_json::from_str(json).map_err(|error| malformed(format!("{ARCHITECTURE_KEY}: {error}")))?;
         architecture.validate().map_err(|error| malformed(format!("{ARCHITECTURE_KEY}: {error}")))?;
@@ -96,9 +107,12 @@ fn header(checkpoint: &Checkpoint, dtype: Dtype) -> Result<String, String> {
         (name.clone(), TensorInfo { dtype: file_dtype, shape: shape.clone(), data_offsets: (start, end) })
     });
     let architecture = serde_json::to_string(checkpoint.architecture()).map_err(|error| error.to_string())?;
-    let metadata = HashMap::from([(ARCHITECTURE_KEY.to_string(), architecture)]);
+    let side = checkpoint.picture_side().to_string();
+    let metadata = [(ARCHITECTURE_KEY, architecture), (PICTURE_SIDE_KEY, side)];
+    let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
     let header = Metadata::new(Some(metadata), tensors.collect()).map_err(|error| error.to_string())?;
-    let json = serde_json::to_string(&header).map_err(|error| error.to_string())?;
+    // By way of a value, whose keys are sorted: the same file every time.
+    let json = serde_json::to_value(&header).map_err(|error| error.to_string())?.to_string();
     // The format pads with spaces, so that values start at a multiple of 8 bytes.
     let padded = json.len().next_multiple_of(PREFIX);
     Ok(format!("{json:padded$}"))

@@ -2,6 +2,7 @@
 
 mod bench;
 mod convert;
+pub mod eval;
 mod info;
 mod reconstruct;
 mod render;
@@ -18,6 +19,7 @@ pub enum Command {
     Render(render::Render),
     Info(info::Info),
     Convert(convert::Convert),
+    Eval(eval::Eval),
     Bench(bench::Bench),
     Scene(scene::Scene),
 }
@@ -29,6 +31,7 @@ impl Command {
             Command::Render(command) => command.run(session),
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
+            Command::Eval(command) => command.run(session),
             Command::Bench(command) => command.run(session),
             Command::Scene(command) => command.run(session),
         }

@@ -2,7 +2,7 @@
 
 use crate::{
     cameras,
-    options::{Quality, Size, Weights},
+    options::{Quality, Size, Weights, parse_length},
     outputs, photos,
     session::Session,
     table::{bytes, time},
@@ -22,9 +22,9 @@ use zipsplat::{
 /// The scene's world is the first photo's camera: x right, y down, z forward.
 #[derive(Args)]
 #[command(after_help = format!("Examples:
-  zipsplat reconstruct photos/ --weights zipsplat.safetensors -o scene.ply
+  zipsplat reconstruct photos/ -o scene.ply
+  zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat.pt --variant vitg --ratio auto -o scene.ply
-  zipsplat reconstruct photos/ --poses transforms.json --weights zipsplat.safetensors -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
 seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
@@ -39,15 +39,18 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
-    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name. Best in a unit near
-    /// the median distance of what the first photo sees
+    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
     #[arg(long, value_name = "PATH")]
     poses: Option<PathBuf>,
+    /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
+    /// distance from the first camera of the points in points.ply or points3D beside the cameras, else 1]
+    #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
+    unit: Option<f64>,
 }
 
 impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let Quality { ratio, select, size, precision: _ } = &self.quality;
+        let Quality { ratio, select, .. } = &self.quality;
         // Whatever can be refused is refused before anything that takes time.
         outputs::check_file(&self.output)?;
         if SceneFormat::of_extension(&self.output).is_none() {
@@ -56,7 +59,8 @@ impl Reconstruct {
         }
         let checkpoint = self.weights.open()?;
         let photos = photos::list(&self.photos)?;
-        let Size(width, height) = *size;
+        let size = self.quality.size_for(&checkpoint);
+        let Size(width, height) = size;
         let chosen = (*ratio, select);
         let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
         let poses = self.poses.as_ref().map(read_poses).transpose()?;
@@ -64,18 +68,27 @@ impl Reconstruct {
         poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
 
-        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, *size, stage))?;
-        let cameras = photo_cameras.map(|cameras| cameras::of_views(&cameras, &views)).transpose()?;
+        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
+        let mut cameras =
+            photo_cameras.as_ref().map(|cameras| cameras::of_views(cameras, &views)).transpose()?.unwrap_or_default();
+        let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref()), &photo_cameras) {
+            (None, Some(points), Some(photos)) => cameras::unit(points, &cameras, &photos[0].pose)?,
+            (given, ..) => given.unwrap_or(1.0),
+        };
+        cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let (model, load_weights) =
             session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
-        let (result, _) = session.stage("reconstruct", |stage| {
+        let (mut result, _) = session.stage("reconstruct", |stage| {
             model.reconstruct(&images, &request, |progress| {
                 stage.name(progress.scope);
                 stage.at(progress.fraction)
             })
         })?;
+        self.quality.prune(&mut result.scene, checkpoint.architecture());
+        result.scene.scale(unit as f32);
         let (_, write) =
             session.stage("write", |_| write_scene(&self.output, &result.scene, &WriteOptions::default()))?;
 
@@ -89,7 +102,7 @@ impl Reconstruct {
         let json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
-            "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
+            "unit": unit, "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
             "seconds": seconds,
         });
         let mut text = format!(

@@ -3,13 +3,17 @@
 use std::path::Path;
 
 use serde_json::json;
-use zipsplat::types::{poses::write_transforms, write_atomic};
+use zipsplat::types::{poses::write_transforms, write_atomic, write_points};
 use zipsplat::{Error, Result};
 
 use super::{Capture, Crop, VERSION};
 
+/// Pixels between those that become points of the cloud, along x and y.
+const POINT_STEP: usize = 8;
+
 /// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z in the unit of the cameras, 0 in the
-/// sky), `transforms.json`, and `scene.json`: what it was made from and the overlap of the views.
+/// sky), `transforms.json`, `points.ply`: some of the points that the photos show, and `scene.json`: what it was made from
+/// and the overlap of the views.
 ///
 /// # Errors
 /// [`Error::Io`] when the folder or a file cannot be written.
@@ -25,6 +29,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         write_atomic(&path, |out| out.write_all(&npy([image.height, image.width], depth)))?;
     }
     write_transforms(folder.join("transforms.json"), &capture.cameras, &names)?;
+    write_points(folder.join("points.ply"), &points(capture))?;
     let scene = json!({
         "generator_version": VERSION,
         "seed": capture.seed,
@@ -38,6 +43,21 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         serde_json::to_writer_pretty(&mut *out, &scene)?;
         writeln!(out)
     })
+}
+
+/// Every [`POINT_STEP`]th pixel's point, in the world of the cameras, with its colour.
+fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {
+    let mut points = Vec::new();
+    for (view, image) in capture.images.iter().enumerate() {
+        for y in (0..image.height).step_by(POINT_STEP) {
+            for x in (0..image.width).step_by(POINT_STEP) {
+                let at = 3 * (y as usize * image.width as usize + x as usize);
+                let rgb = [image.rgb[at], image.rgb[at + 1], image.rgb[at + 2]];
+                points.extend(capture.point(view, x, y).map(|point| (point.as_vec3().to_array(), rgb)));
+            }
+        }
+    }
+    points
 }
 
 /// NumPy's format 1.0: a header padded to 128 bytes, then little-endian values.

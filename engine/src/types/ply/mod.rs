@@ -1,6 +1,7 @@
 //! The PLY layout of 3D Gaussian Splatting that viewers read (Kerbl et al. 2023): logit opacity, log scale,
 //! channel-first `f_rest_*`.
 
+mod points;
 mod table;
 
 use std::path::Path;
@@ -10,6 +11,8 @@ use rayon::prelude::*;
 use super::{Scene, file::write_atomic};
 use crate::{Error, Result};
 use table::{Column, Fault, Table};
+
+pub use points::{read_points, write_points};
 
 /// Gaussians that are encoded before they are written.
 const BATCH: usize = 1 << 16;

@@ -24,6 +24,10 @@ const ONE_FOCAL: [&str; 3] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 
 /// Bytes of one 2D point in `images.bin`: x and y as f64 and the 3D point's id.
 const POINT_BYTES: u64 = 24;
+/// Bytes of a 3D point in `points3D.bin` between its position and its track: red, green, blue and an f64.
+const COLOUR_AND_ERROR_BYTES: u64 = 3 + 8;
+/// Bytes of one image that sees it: the image's id and the 2D point's, u32 each.
+const TRACK_BYTES: u64 = 8;
 
 /// Whether a folder holds a model's cameras.
 pub(super) fn is_model(folder: &Path) -> bool {
@@ -50,7 +54,8 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
     // The order of a model is that of a hash table.
     views.sort_by(|a, b| a.name.cmp(&b.name));
 
-    let mut poses = Poses::default();
+    let points = images.with_file_name("points3D").with_extension(if binary { "bin" } else { "txt" });
+    let mut poses = Poses { points: Some(points).filter(|path| path.is_file()), ..Poses::default() };
     let mut distorted = 0;
     for view in views {
         let fail = |reason: String| Error::format(&images, None, reason);
@@ -66,6 +71,18 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
         poses.notes.push(format!("lens distortion of {distorted} frames is ignored: undistort the photos"));
     }
     Ok(poses)
+}
+
+/// Positions of a `points3D.bin` or `points3D.txt`, in the model's world.
+pub(super) fn read_points(path: &Path) -> Result<Vec<[f32; 3]>> {
+    let bytes = load(path)?;
+    let binary = path.extension().is_some_and(|extension| extension == "bin");
+    let points = if binary { binary_points(&bytes) } else { text_points(&bytes) };
+    let points = points.map_err(|fault| fault.in_file(path))?;
+    match points.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
+        Some(i) => Err(Error::format(path, None, format!("point {i}: found {:?}, expected finite numbers", points[i]))),
+        None => Ok(points),
+    }
 }
 
 fn load(path: &Path) -> Result<Vec<u8>> {
@@ -199,6 +216,14 @@ fn text_images(bytes: &[u8]) -> Parsed<Vec<View>> {
     Ok(views)
 }
 
+fn text_points(bytes: &[u8]) -> Parsed<Vec<[f32; 3]>> {
+    let point = |mut line: Line| {
+        let _: u64 = line.next("POINT3D_ID")?;
+        Ok([line.next("X")?, line.next("Y")?, line.next("Z")?])
+    };
+    lines(bytes)?.filter(|line| !is_comment(line)).map(point).collect()
+}
+
 /// A binary file's values in order.
 struct Values<'a> {
     bytes: &'a [u8],
@@ -280,4 +305,17 @@ fn binary_images(bytes: &[u8]) -> Parsed<Vec<View>> {
         values.skip(points, POINT_BYTES, "2D points")?;
     }
     Ok(views)
+}
+
+fn binary_points(bytes: &[u8]) -> Parsed<Vec<[f32; 3]>> {
+    let mut values = Values { bytes, at: 0 };
+    let mut points = Vec::new();
+    for _ in 0..values.u64("number of points")? {
+        values.u64("point id")?;
+        points.push([values.f64("x")?, values.f64("y")?, values.f64("z")?].map(|value| value as f32));
+        values.skip(1, COLOUR_AND_ERROR_BYTES, "colour and error")?;
+        let track = values.u64("length of a track")?;
+        values.skip(track, TRACK_BYTES, "elements of a track")?;
+    }
+    Ok(points)
 }

@@ -21,6 +21,9 @@ pub use transforms::write_transforms;
 pub struct Poses {
     /// In the file's order, or by name where the file has none.
     pub frames: Vec<Frame>,
+    /// The capture's point cloud, where one lies beside the cameras, for [`read_cloud`]: `ply_file_path` or `points.ply`, or
+    /// COLMAP's `points3D`.
+    pub points: Option<PathBuf>,
     /// What was ignored or left out, in words for the user.
     pub notes: Vec<String>,
 }
@@ -119,6 +122,16 @@ pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> 
         }
     }
     read_poses(path)
+}
+
+/// Positions of a capture's point cloud, in the world of its cameras: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
+///
+/// # Errors
+/// As [`read_points`](super::read_points).
+pub fn read_cloud(path: impl AsRef<Path>) -> Result<Vec<[f32; 3]>> {
+    let path = path.as_ref();
+    let is_colmap = path.file_stem().is_some_and(|stem| stem == "points3D");
+    if is_colmap { colmap::read_points(path) } else { super::read_points(path) }
 }
 
 /// A file's camera, its rotation made exactly one. `label` says where it stands in the file.

@@ -29,7 +29,9 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
 
 fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     let frames = shared.get("frames").and_then(Value::as_array).ok_or("frames: expected a list")?;
-    let mut poses = Poses::default();
+    let cloud = shared.get("ply_file_path").and_then(Value::as_str).unwrap_or("points.ply");
+    let cloud = Some(folder.join(cloud)).filter(|path| path.is_file());
+    let mut poses = Poses { points: cloud, ..Poses::default() };
     let (mut distorted, mut lost) = (0, 0);
     for (i, frame) in frames.iter().enumerate() {
         let fields = Fields { frame, shared, label: format!("frames[{i}]") };

@@ -1,6 +1,6 @@
 //! `zipsplat bench forward`: photos of noise to Gaussians.
 
-use super::{Group, Repeats, Spread, group, stage_of, timed_device};
+use super::{Group, Repeats, Spread, group, pytorch, stage_of, timed_device};
 use crate::{
     noise::Noise,
     options::{Size, Weights, parse_ratio},
@@ -9,12 +9,16 @@ use crate::{
 };
 use clap::Args;
 use serde::Serialize;
-use std::time::Instant;
+use std::{
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
 use zipsplat::{
     Result,
     gpu::Profile,
     reconstruct::{MAX_VIEWS, Model, Ratio, Request, Shape},
     types::Image,
+    weights::Checkpoint,
 };
 
 /// Time of the forward pass, by stage and kernel, and its memory
@@ -33,10 +37,19 @@ pub struct Forward {
     size: Size,
     #[command(flatten)]
     repeats: Repeats,
+    /// Also time the same network in PyTorch, by this Python, on its GPU or else on the CPU, and print the ratio
+    #[arg(long, value_name = "PYTHON")]
+    pytorch: Option<PathBuf>,
+}
+
+/// What another implementation needed.
+struct Compared {
+    text: String,
+    rows: Vec<Row>,
 }
 
 /// Times of one shape, or of a part of it.
-#[derive(Serialize)]
+#[derive(Clone, Serialize)]
 struct Row {
     views: usize,
     tokens: usize,
@@ -79,7 +92,48 @@ impl Forward {
             text += &describe(&measured, &device.limits().name);
             rows.extend(measured);
         }
+        if let Some(python) = &self.pytorch {
+            let totals: Vec<Row> = rows.iter().filter(|row| row.stage.is_empty()).cloned().collect();
+            let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, &totals))?;
+            text += &compared.text;
+            rows.extend(compared.rows);
+        }
         session.report(&rows, text)
+    }
+
+    /// PyTorch's times beside ours, `totals` in the order in which they were measured.
+    fn compare(&self, python: &Path, checkpoint: &Checkpoint, totals: &[Row]) -> Result<Compared> {
+        let ratios: Vec<f64> = totals.iter().map(|row| row.ratio).collect();
+        let Repeats { warmup, repeats } = self.repeats;
+        let times = [warmup, repeats];
+        let found =
+            pytorch::forward(python, checkpoint.architecture(), &self.views, &ratios, &self.size.to_string(), times)?;
+        let mut table =
+            Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
+        let mut rows = Vec::new();
+        for (theirs, ours) in found.rows.iter().zip(totals.iter().cycle()) {
+            let ms = theirs.ms.as_ref().map(|ms| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3))));
+            table.row([
+                theirs.precision.clone(),
+                theirs.views.to_string(),
+                format!("{:.3}", theirs.ratio),
+                ms.map_or_else(|| theirs.failed.clone().unwrap_or_default(), |ms| ms.to_string()),
+                theirs.peak_bytes.map_or_else(String::new, bytes),
+                ms.map_or_else(String::new, |ms| format!("{:.2}", ms.median / ours.ms.median)),
+            ]);
+            let Some(ms) = ms else { continue };
+            rows.push(Row {
+                stage: format!("PyTorch {}", theirs.precision),
+                kernel: String::new(),
+                commands: 0,
+                ms,
+                gflop_per_s: ms.rate((1e9 * ours.gflop) as u64),
+                peak_bytes: theirs.peak_bytes.unwrap_or(0),
+                arena_bytes: 0,
+                ..ours.clone()
+            });
+        }
+        Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
     }
 
     fn measure(&self, model: &Model, images: &[Image], request: &Request, stage: &Stage<'_>) -> Result<Vec<Row>> {

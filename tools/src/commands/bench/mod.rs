@@ -2,7 +2,9 @@
 
 mod forward;
 mod gemm;
+mod pytorch;
 mod render;
+mod tradeoff;
 
 use crate::session::Session;
 use clap::{Args, Subcommand};
@@ -13,12 +15,13 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the forward pass, of a matrix product, of drawing
+/// Times of the forward pass, of a matrix product, of drawing; what accuracy costs in time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
   zipsplat bench gemm
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
+  zipsplat bench tradeoff capture/ -o report/
 
 Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from
 overlapping; totals are the host's, without timestamps.")]
@@ -32,6 +35,7 @@ enum What {
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Render(render::Render),
+    Tradeoff(Box<tradeoff::Tradeoff>),
 }
 
 /// Most runs of one benchmark.
@@ -54,6 +58,7 @@ impl Bench {
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
+            What::Tradeoff(bench) => bench.run(session),
         }
     }
 }

@@ -18,9 +18,10 @@ use zipsplat::{
 const LARGEST: usize = 20;
 
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
-    let Quality { ratio, select, size, precision: _ } = &info.quality;
+    let Quality { ratio, select, .. } = &info.quality;
     let checkpoint = info.weights.open()?;
-    let Size(width, height) = *size;
+    let size = info.quality.size_for(&checkpoint);
+    let Size(width, height) = size;
     let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
     let limits = limits(session)?;
     let network = Network::new(checkpoint.architecture(), &limits);

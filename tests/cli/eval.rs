@@ -1,0 +1,108 @@
+//! `zipsplat eval`, and its numbers against scikit-image's.
+
+use crate::{Folder, zipsplat};
+use zipsplat::types::{Image, read_ply};
+use zipsplat_cli::metrics::{psnr, ssim};
+
+const WIDTH: usize = 37;
+const HEIGHT: usize = 23;
+
+fn picture(value: impl Fn(usize, usize, usize) -> f64) -> Vec<f32> {
+    let pixels = (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y)));
+    pixels.flat_map(|(x, y)| [0, 1, 2].map(|c| value(x, y, c) as f32)).collect()
+}
+
+/// scikit-image 0.26.0: `peak_signal_noise_ratio` and `structural_similarity` with `gaussian_weights=True` and
+/// `use_sample_covariance=False`, of the same pictures.
+#[test]
+fn metrics_are_those_of_scikit_image() {
+    let rough = |k: usize| picture(|x, y, c| ((x * x * 3 + y * (7 + k) + x * y * k + c * 29) % 97) as f64 / 96.0);
+    let smooth = picture(|x, y, c| (x + 2 * y + 5 * c) as f64 / (WIDTH + 2 * HEIGHT + 15) as f64);
+    let mixed: Vec<f32> = smooth.iter().zip(rough(2)).map(|(a, b)| 0.9 * a + 0.1 * b).collect();
+    let grey = vec![0.5; smooth.len()];
+    for (a, b, expected) in [
+        (&rough(0), &rough(1), [7.821_466, -0.006_038]),
+        (&smooth, &mixed, [29.232_437, 0.778_543]),
+        (&smooth, &grey, [14.736_981, 0.417_703]),
+        (&grey, &grey, [f64::INFINITY, 1.0]),
+    ] {
+        let found = [psnr(a, b), ssim(a, b, WIDTH, HEIGHT)];
+        let alike = |(a, b): (&f64, &f64)| a == b || (a - b).abs() < 1e-5;
+        assert!(found.iter().zip(&expected).all(alike), "found {found:?}, expected {expected:?}");
+    }
+}
+
+/// A place of 6 photos in `@/place`.
+fn place() -> Folder {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
+    folder
+}
+
+#[test]
+fn held_out_photos_are_compared() {
+    let folder = place();
+    let line = "eval @/place --views 2 --weights @/micro.safetensors --size 42x28 --csv @/scores.csv -o @/out --json";
+    let json = folder.run(line).json();
+    let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("the table was written");
+    let lines: Vec<&str> = csv.lines().collect();
+    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_colour_psnr");
+    assert_eq!(lines.len(), 1 + 4, "{csv}");
+    let inputs: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
+    assert_eq!((inputs.len(), inputs[0]), (2, "images/000.png"));
+    for (row, line) in lines[1..].iter().enumerate() {
+        let cells: Vec<&str> = line.split(',').collect();
+        assert!(!inputs.contains(&cells[0]), "{} is an input", cells[0]);
+        for (cell, name) in cells[1..].iter().zip(["psnr", "ssim", "nearest_psnr", "mean_colour_psnr"]) {
+            let (written, told) = (cell.parse::<f64>().expect("a number"), json["views"][row][name].as_f64());
+            assert!(told.is_some_and(|told| (told - written).abs() < 1e-3), "{name}: {written} and {told:?}");
+        }
+    }
+    // The capture's own unit is the network's, but for points of photos that were not chosen.
+    assert!(json["unit"].as_f64().is_some_and(|unit| (0.5..2.0).contains(&unit)), "{}", json["unit"]);
+    assert_eq!(read_ply(folder.path("out/scene.ply")).expect("a scene").len(), 2 * 6 * 4);
+    let picture = Image::open(folder.path("out/comparison.png")).expect("a picture");
+    assert_eq!((picture.width, picture.height), (6 * 42, 2 * 28));
+}
+
+#[test]
+fn the_unit_of_the_cameras_does_not_matter() {
+    let folder = place();
+    let line = "eval @/place --views 3 --weights @/micro.safetensors --size 28x28 --json";
+    let mean = |line: &str| folder.run(line).json()["mean"]["psnr"].as_f64().expect("a number");
+    let before = mean(line);
+    // The same capture in a unit an eighth as long: powers of two keep every bit.
+    let path = folder.path("place/transforms.json");
+    let text = std::fs::read_to_string(&path).expect("cameras");
+    let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    for frame in cameras["frames"].as_array_mut().expect("frames") {
+        for row in 0..3 {
+            let moved = 8.0 * frame["transform_matrix"][row][3].as_f64().expect("a number");
+            frame["transform_matrix"][row][3] = moved.into();
+        }
+    }
+    std::fs::write(&path, cameras.to_string()).expect("written");
+    let points = folder.path("place/points.ply");
+    let cloud = zipsplat::types::read_points(&points).expect("points");
+    let scaled: Vec<_> = cloud.iter().map(|point| (point.map(|value| 8.0 * value), [0; 3])).collect();
+    zipsplat::types::write_points(&points, &scaled).expect("written");
+    let after = mean(line);
+    assert!((before - after).abs() < 1e-3, "{before} dB and {after} dB");
+    // A wrong unit is another input of the network.
+    let wrong = mean(&format!("{line} --unit 1"));
+    assert!((before - wrong).abs() > 1e-3, "{before} dB and {wrong} dB");
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused() {
+    let folder = place();
+    folder.run("eval @/place --views 6 --weights @/micro.safetensors").fails(3, &["photos with cameras", "more than"]);
+    folder.run("eval @/photos --weights @/micro.safetensors").fails(3, &["poses", "transforms.json"]);
+    folder.run("eval @/place --csv @/missing/x.csv").fails(3, &["output folder"]);
+    assert_eq!(zipsplat("eval place --unit -1").code, 2);
+    std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
+    folder
+        .run("eval @/place --views 2 --weights @/micro.safetensors --size 28x28 --csv @/s.csv")
+        .fails(3, &["point cloud", "--unit"]);
+    assert!(!folder.path("s.csv").exists());
+}

@@ -1,0 +1,93 @@
+"""Times the forward pass of our own PyTorch code (tools/train/model.py), for `zipsplat bench forward --pytorch`.
+
+    python pytorch_forward.py --architecture JSON --views 4,8 --ratio 1,0.5 --size 252x252 --warmup 5 --repeats 20
+
+Prints a JSON list: device, and for each number of views, ratio and precision the milliseconds of every run and the peak of
+memory in bytes (on GPUs). Weights are random: no time depends on them.
+"""
+
+import argparse
+import gc
+import json
+import time
+
+import torch
+
+from model import ZipSplat
+from weights import Architecture
+
+
+def precisions(device, chosen):
+    """Name -> (autocast to, TensorFloat-32, torch.compile), of those that make sense on the device."""
+    known = {
+        "f32": (None, False, False),
+        "tf32": (None, True, False),
+        "bf16": (torch.bfloat16, True, False),
+        "bf16-compiled": (torch.bfloat16, True, True),
+    }
+    names = chosen or (list(known) if device == "cuda" else ["f32", "bf16"])
+    return {name: known[name] for name in names}
+
+
+def measure(forward, device, warmup, repeats):
+    def synchronise():
+        if device == "cuda":
+            torch.cuda.synchronize()
+
+    times = []
+    for run in range(warmup + repeats):
+        synchronise()
+        started = time.perf_counter()
+        forward()
+        synchronise()
+        if run >= warmup:
+            times.append(1e3 * (time.perf_counter() - started))
+    return times
+
+
+@torch.inference_mode()
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--architecture", required=True, help="the engine's Architecture as JSON")
+    parser.add_argument("--views", required=True, type=lambda text: [int(part) for part in text.split(",")])
+    parser.add_argument("--ratio", required=True, type=lambda text: [float(part) for part in text.split(",")],
+                        help="one for each number of views and each ratio, views outermost")  # fmt: skip
+    parser.add_argument("--size", required=True, type=lambda text: [int(part) for part in text.split("x")])
+    parser.add_argument("--warmup", type=int, default=5)
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--precision", nargs="*", help="f32, tf32, bf16, bf16-compiled; default all that suit the device")
+    args = parser.parse_args()
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    width, height = args.size
+    model = ZipSplat(Architecture.from_json(args.architecture)).to(device).eval()
+    each = len(args.ratio) // len(args.views)
+    rows = []
+    for name, (autocast, tf32, compiled) in precisions(device, args.precision).items():
+        torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = tf32
+        network = torch.compile(model) if compiled else model
+        for i, ratio in enumerate(args.ratio):
+            views = args.views[i // each]
+            images = torch.rand(1, views, 3, height, width, device=device)
+            if device == "cuda":
+                gc.collect()
+                torch.cuda.empty_cache()
+                torch.cuda.reset_peak_memory_stats()
+
+            def forward():
+                with torch.autocast(device, autocast, enabled=autocast is not None):
+                    network(images, ratio)
+
+            row = {"precision": name, "views": views, "ratio": ratio}
+            try:
+                row["ms"] = measure(forward, device, args.warmup, args.repeats)
+                row["peak_bytes"] = torch.cuda.max_memory_allocated() if device == "cuda" else None
+            except torch.cuda.OutOfMemoryError:
+                row["failed"] = "out of memory"
+            rows.append(row)
+    name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
+    print(json.dumps({"device": name, "torch": torch.__version__, "rows": rows}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+//! Captures: photos with cameras, some to reconstruct from and the others to compare with.
+
+use crate::{
+    cameras,
+    metrics::{psnr, ssim},
+    options::Size,
+    photos,
+    session::Stage,
+};
+use glam::DVec3;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Error, Result,
+    types::{
+        Camera, Image,
+        poses::{Frame, Poses, read_poses},
+        preprocess::View,
+    },
+};
+
+/// A capture's frames, chosen before any photo is read.
+pub struct Choice {
+    poses: Poses,
+    inputs: Vec<usize>,
+    targets: Vec<usize>,
+}
+
+/// A capture's photos as the network sees them, and their cameras. The world is the first input's camera.
+pub struct Capture {
+    /// To reconstruct from.
+    pub inputs: Vec<Posed>,
+    /// To compare with.
+    pub targets: Vec<Posed>,
+    /// What the cameras were divided by: the network's 1 in the capture's own unit.
+    pub unit: f64,
+}
+
+/// A photo and its camera.
+pub struct Posed {
+    pub name: String,
+    pub image: Image,
+    pub camera: Camera,
+}
+
+/// How alike a drawn picture and the photo are, and how alike two trivial predictions; dB but for SSIM.
+#[derive(Clone, Serialize)]
+pub struct Score {
+    pub view: String,
+    pub psnr: f64,
+    pub ssim: f64,
+    pub nearest_psnr: f64,
+    pub mean_colour_psnr: f64,
+}
+
+impl Choice {
+    /// Chooses `views` frames by farthest-point sampling of where they were taken, and of the others `targets`, evenly
+    /// spread, or all. Frames without a photo do not count.
+    ///
+    /// # Errors
+    /// Where the cameras cannot be read or there are too few photos.
+    pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
+        let poses = read_poses(folder)?;
+        let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
+        if found.len() <= views {
+            let expected = format!("more than --views {views}, to have some to compare with");
+            return Err(Error::argument(format!("photos with cameras in {}", folder.display()), found.len(), expected));
+        }
+        let centres: Vec<DVec3> = found.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
+        let chosen = farthest_points(&centres, views);
+        let others: Vec<usize> = (0..found.len()).filter(|i| !chosen.contains(i)).collect();
+        let count = targets.map_or(others.len(), |targets| others.len().min(targets));
+        let targets = (0..count).map(|i| found[others[i * others.len() / count]]).collect();
+        Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
+    }
+
+    /// What the reader of the cameras has to say.
+    pub fn notes(&self) -> &[String] {
+        &self.poses.notes
+    }
+
+    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, or else the median distance of the
+    /// capture's points from the first input.
+    ///
+    /// # Errors
+    /// Where a photo cannot be read, or without `unit` there is no point cloud.
+    pub fn load(&self, size: Size, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
+        let frames: Vec<&Frame> = self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i]).collect();
+        let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
+        let mut inputs = posed(&frames, photos::load(&paths, size, stage)?)?;
+        let views = self.inputs.len();
+        let unit = match (unit, &self.poses.points) {
+            (Some(unit), _) => unit,
+            (None, Some(points)) => {
+                let cameras: Vec<Camera> = inputs[..views].iter().map(|view| view.camera).collect();
+                cameras::unit(points, &cameras, &frames[0].camera.pose)?
+            }
+            (None, None) => {
+                let expected =
+                    "points.ply or points3D beside the cameras, or --unit: how far away the scene is, in their unit";
+                return Err(Error::argument("point cloud", "none", expected));
+            }
+        };
+        inputs.iter_mut().for_each(|view| view.camera.pose.translation /= unit);
+        let targets = inputs.split_off(views);
+        Ok(Capture { inputs, targets, unit })
+    }
+}
+
+impl Capture {
+    /// The pictures to reconstruct from.
+    pub fn images(&self) -> Vec<Image> {
+        self.inputs.iter().map(|view| view.image.clone()).collect()
+    }
+
+    /// Their cameras.
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.inputs.iter().map(|view| view.camera).collect()
+    }
+
+    /// The input that was taken nearest to a photo.
+    pub fn nearest(&self, view: &Posed) -> &Posed {
+        let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);
+        let nearest = self.inputs.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        nearest.expect("a capture has an input")
+    }
+
+    /// Compares what was drawn in a photo's place, `[height][width][rgb]` in 0..1, with it.
+    pub fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
+        let (truth, near) = (floats(&view.image), floats(&self.nearest(view).image));
+        let mut mean = [0.0; 3];
+        near.iter().enumerate().for_each(|(i, value)| mean[i % 3] += f64::from(*value));
+        let mean: Vec<f32> = (0..near.len()).map(|i| (mean[i % 3] * 3.0 / near.len() as f64) as f32).collect();
+        Score {
+            view: view.name.clone(),
+            psnr: psnr(drawn, &truth),
+            ssim: ssim(drawn, &truth, view.image.width as usize, view.image.height as usize),
+            nearest_psnr: psnr(&near, &truth),
+            mean_colour_psnr: psnr(&mean, &truth),
+        }
+    }
+}
+
+impl Score {
+    /// The mean of each number.
+    pub fn mean(scores: &[Self]) -> Self {
+        let mean = |value: fn(&Self) -> f64| scores.iter().map(value).sum::<f64>() / scores.len() as f64;
+        Self {
+            view: "mean".into(),
+            psnr: mean(|score| score.psnr),
+            ssim: mean(|score| score.ssim),
+            nearest_psnr: mean(|score| score.nearest_psnr),
+            mean_colour_psnr: mean(|score| score.mean_colour_psnr),
+        }
+    }
+}
+
+/// The first point, then always the one that is farthest from all before; in ascending order.
+fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
+    let mut chosen = vec![0];
+    let mut distances: Vec<f64> = points.iter().map(|point| point.distance(points[0])).collect();
+    while chosen.len() < count {
+        // Of equal ones the first that is left.
+        let free = (0..points.len()).filter(|i| !chosen.contains(i));
+        let next = free.reduce(|best, i| if distances[i] > distances[best] { i } else { best });
+        let Some(next) = next else { break };
+        chosen.push(next);
+        for (distance, point) in distances.iter_mut().zip(points) {
+            *distance = distance.min(point.distance(points[next]));
+        }
+    }
+    chosen.sort_unstable();
+    chosen
+}
+
+/// Frames and their views, in the world of the first camera.
+fn posed(frames: &[&Frame], views: Vec<View>) -> Result<Vec<Posed>> {
+    let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
+    let cameras = cameras::of_views(&cameras, &views)?;
+    let posed = |((frame, view), camera): ((&&Frame, View), Camera)| Posed {
+        name: frame.name.clone(),
+        image: view.image,
+        camera,
+    };
+    Ok(frames.iter().zip(views).zip(cameras).map(posed).collect())
+}
+
+fn floats(image: &Image) -> Vec<f32> {
+    image.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn farthest_points_spread() {
+        let points = [0.0, 1.0, 2.0, 3.0, 10.0, 6.0].map(|x| DVec3::new(x, 0.0, 0.0));
+        assert_eq!(farthest_points(&points, 1), [0]);
+        assert_eq!(farthest_points(&points, 3), [0, 4, 5]);
+        assert_eq!(farthest_points(&points, 4), [0, 3, 4, 5]);
+        assert_eq!(farthest_points(&[DVec3::ONE; 3], 3), [0, 1, 2]);
+    }
+}

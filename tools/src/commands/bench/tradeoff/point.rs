@@ -1,0 +1,138 @@
+//! One combination of settings and what it gave.
+
+use serde::Serialize;
+use zipsplat::reconstruct::Selection;
+
+/// Settings and results.
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    pub views: usize,
+    pub precision: String,
+    /// Tokens over all tokens.
+    pub ratio: f64,
+    /// `all` where every token is kept.
+    pub select: String,
+    /// Gaussians of each token that are kept.
+    pub keep: usize,
+    pub tokens: usize,
+    pub gaussians: usize,
+    /// Photos to Gaussians, median.
+    pub forward_ms: f64,
+    /// One picture, median.
+    pub render_ms: f64,
+    pub peak_bytes: u64,
+    /// Of the PLY file.
+    pub file_bytes: u64,
+    /// Against held-out photos, means.
+    pub psnr: f64,
+    pub ssim: f64,
+    /// Of the pictures against those of `exact` with the same other settings; absent for `exact`.
+    pub psnr_to_exact: Option<f64>,
+    /// Input views that a token stands for, mean; absent without k-means.
+    pub views_per_cluster: Option<f64>,
+    /// What shows the same.
+    pub command: String,
+}
+
+/// The name of a selection, as the command line takes it.
+pub fn name(selection: &Selection) -> String {
+    match selection {
+        Selection::Kmeans(rounds) => format!("kmeans:{rounds}"),
+        Selection::Stride => "stride".into(),
+        Selection::Random(seed) => format!("random:{seed}"),
+        Selection::Given(indices) => format!("{} tokens", indices.len()),
+    }
+}
+
+/// Indices of the points that no other beats in both time and PSNR, by time.
+pub fn front(points: &[Point]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|a, b| {
+        let (a, b) = (&points[*a], &points[*b]);
+        a.forward_ms.total_cmp(&b.forward_ms).then(b.psnr.total_cmp(&a.psnr))
+    });
+    let mut best = f64::NEG_INFINITY;
+    order.retain(|i| {
+        let better = points[*i].psnr > best;
+        best = best.max(points[*i].psnr);
+        better
+    });
+    order
+}
+
+/// The table with a heading.
+pub fn csv(points: &[Point]) -> String {
+    let mut text = String::from(
+        "views,precision,ratio,select,keep,tokens,gaussians,forward_ms,render_ms,peak_bytes,file_bytes,psnr,ssim,\
+         psnr_to_exact,views_per_cluster,command\n",
+    );
+    let or_empty = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.4}"));
+    for p in points {
+        text += &format!(
+            "{},{},{:.4},{},{},{},{},{:.3},{:.3},{},{},{:.4},{:.5},{},{},\"{}\"\n",
+            p.views,
+            p.precision,
+            p.ratio,
+            p.select,
+            p.keep,
+            p.tokens,
+            p.gaussians,
+            p.forward_ms,
+            p.render_ms,
+            p.peak_bytes,
+            p.file_bytes,
+            p.psnr,
+            p.ssim,
+            or_empty(p.psnr_to_exact),
+            or_empty(p.views_per_cluster),
+            p.command.replace('"', "\"\"")
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A point that took so long and reached so much.
+    pub fn point(forward_ms: f64, psnr: f64) -> Point {
+        Point {
+            views: 4,
+            precision: "exact".into(),
+            ratio: 0.5,
+            select: "kmeans:5".into(),
+            keep: 8,
+            tokens: 10,
+            gaussians: 80,
+            forward_ms,
+            render_ms: 1.0,
+            peak_bytes: 1 << 20,
+            file_bytes: 1 << 10,
+            psnr,
+            ssim: 0.5,
+            psnr_to_exact: None,
+            views_per_cluster: Some(1.5),
+            command: "zipsplat eval \"a b\" <&>".into(),
+        }
+    }
+
+    #[test]
+    fn the_front_has_what_nothing_beats() {
+        let points: Vec<Point> = [(3.0, 20.0), (1.0, 10.0), (2.0, 9.0), (2.5, 15.0), (4.0, 20.0), (1.0, 8.0)]
+            .map(|(ms, psnr)| point(ms, psnr))
+            .into();
+        assert_eq!(front(&points), [1, 3, 0]);
+        assert_eq!(front(&[]), []);
+    }
+
+    #[test]
+    fn the_table_has_a_row_a_point() {
+        let table = csv(&[point(1.0, 2.0), point(3.0, 4.0)]);
+        let lines: Vec<&str> = table.lines().collect();
+        assert_eq!(lines.len(), 3);
+        let columns = lines[0].split(',').count();
+        assert!(lines[1..].iter().all(|line| line.split(',').count() == columns), "{table}");
+        assert!(lines[1].ends_with("\"zipsplat eval \"\"a b\"\" <&>\""), "{table}");
+    }
+}

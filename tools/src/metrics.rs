@@ -1,0 +1,53 @@
+//! How alike two pictures are: the numbers of scikit-image's `skimage.metrics`.
+
+/// Standard deviation of SSIM's windows, in pixels.
+const SIGMA: f64 = 1.5;
+/// Pixels from the centre of a window to its edge.
+const RADIUS: usize = 5;
+
+/// Peak signal-to-noise ratio in dB of values in 0..1; infinite where they are equal.
+pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let squares: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    -10.0 * (squares / a.len() as f64).log10()
+}
+
+/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the mean over channels and over
+/// all windows that lie inside, Gaussian weights, K1 = 0.01, K2 = 0.03.
+///
+/// It is `structural_similarity(a, b, data_range=1, channel_axis=-1, gaussian_weights=True, use_sample_covariance=False)`.
+pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
+    assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
+    let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
+        let values = (0..width * height).map(|i| value(f64::from(a[3 * i + channel]), f64::from(b[3 * i + channel])));
+        filter(&values.collect::<Vec<_>>(), width)
+    };
+    let (c1, c2) = (0.01f64.powi(2), 0.03f64.powi(2));
+    let mut sum = 0.0;
+    let mut count = 0;
+    for channel in 0..3 {
+        let (mean_a, mean_b) = (mean(&|a, _| a, channel), mean(&|_, b| b, channel));
+        let (aa, bb, ab) = (mean(&|a, _| a * a, channel), mean(&|_, b| b * b, channel), mean(&|a, b| a * b, channel));
+        for i in 0..mean_a.len() {
+            let (a, b) = (mean_a[i], mean_b[i]);
+            let (variances, covariance) = (aa[i] - a * a + bb[i] - b * b, ab[i] - a * b);
+            sum += (2.0 * a * b + c1) * (2.0 * covariance + c2) / ((a * a + b * b + c1) * (variances + c2));
+        }
+        count += mean_a.len();
+    }
+    sum / count as f64
+}
+
+/// The Gaussian-weighted means of all windows that lie inside a picture.
+fn filter(values: &[f64], width: usize) -> Vec<f64> {
+    let taps: [f64; 2 * RADIUS + 1] =
+        std::array::from_fn(|i| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp());
+    let total: f64 = taps.iter().sum();
+    let along = |window: &mut dyn Iterator<Item = f64>| window.zip(taps).map(|(v, tap)| v * tap).sum::<f64>() / total;
+    let rows = values.chunks_exact(width);
+    let narrow: Vec<f64> =
+        rows.flat_map(|row| row.windows(taps.len()).map(|window| along(&mut window.iter().copied()))).collect();
+    let width = width - 2 * RADIUS;
+    let starts = 0..narrow.len() - 2 * RADIUS * width;
+    starts.map(|start| along(&mut narrow[start..].iter().step_by(width).copied())).collect()
+}

@@ -1,0 +1,96 @@
+"""Weights to start training from."""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+SH0 = 0.28209479177387814  # the constant spherical harmonic
+
+
+@torch.no_grad()
+def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
+    """Weights to start training from.
+
+    All Gaussians of a token start at one place (but for `jitter`), nearly transparent, `depth` in front of the first
+    camera, each in the colour that its one of the `cells` (rows, columns) of the patch has in the picture; `size` and
+    `opacity` are raw values, before activation.
+    """
+    a = model.architecture
+    for name, parameter in model.named_parameters():
+        if name.endswith("gamma") or (parameter.ndim == 1 and name.endswith("weight")):
+            parameter.fill_(1)
+        elif parameter.ndim == 1:
+            parameter.zero_()
+        else:
+            std = parameter[0].numel() ** -0.5
+            residual = name.endswith((".attn.proj.weight", ".mlp.fc2.weight", ".mlp.w3.weight"))
+            nn.init.trunc_normal_(parameter, std=std / math.sqrt(2 * a.depth) if residual else std)
+    vit = model.backbone.backbone
+    # Pictures are 0..1: grey becomes 0, and their contrast 1.
+    for conv in (vit.patch_embed.proj, model.color_embed.proj):
+        conv.weight.mul_(3)
+        conv.bias.copy_(-0.5 * conv.weight.sum((1, 2, 3)))
+    nn.init.normal_(vit.cls_token, std=0.02)
+    nn.init.normal_(vit.camera_token, std=0.5)
+    vit.pos_embed.zero_()
+    vit.pos_embed[0, 1:] = 0.5 * wave_grid(a.position_grid, a.width)
+
+    last = model.gaussian_head.gaussian_head[1]
+    rows = last.weight.unflatten(0, (a.gaussians_per_token, a.gaussian_width))
+    template = 0.1 * torch.randn(rows.shape[1:]) / math.sqrt(rows.shape[-1])
+    rows.copy_(template + jitter * torch.randn(rows.shape) / math.sqrt(rows.shape[-1]))
+    bias = torch.zeros(a.gaussian_width)
+    bias[2] = math.log1p(depth)
+    bias[3:6] = size
+    bias[6] = 1
+    bias[10] = opacity
+    last.bias.copy_(bias.repeat(a.gaussians_per_token))
+    see_colors(model, cells)
+    return model
+
+
+def see_colors(model, cells):
+    """Lets the colours of a patch's cells through to its Gaussians.
+
+    The colour branch carries them beside the tokens; the head's MLP starts as the identity, as gelu(x) - gelu(-x) = x.
+    """
+    a, (rows, columns) = model.architecture, cells
+    count, inputs = rows * columns, a.width + a.color_width
+    if count != a.gaussians_per_token or 3 * count > a.color_width or a.head_hidden < 2 * inputs:
+        raise SystemExit(f"found cells {cells}, expected one a Gaussian, three colour channels each, and a head twice as wide")
+    pixel = torch.arange(a.patch)
+    cell = (pixel * rows // a.patch)[:, None] * columns + (pixel * columns // a.patch)
+    mean = F.one_hot(cell, count).movedim(-1, 0).float()
+    mean /= mean.sum((1, 2), keepdim=True)
+    embed = model.color_embed.proj
+    embed.weight[: 3 * count] = torch.einsum("gyx,cd->gcdyx", mean, torch.eye(3)).flatten(0, 1)
+    embed.bias[: 3 * count] = -0.5
+    branch = model.color_cross_attention
+    for layer in (branch.attn.proj, branch.mlp.fc2):
+        layer.weight.zero_()
+
+    mlp, last = model.gaussian_head.gaussian_head
+    through = torch.cat((torch.eye(inputs), -torch.eye(inputs)))
+    mlp.fc1.weight.mul_(0.1)
+    mlp.fc1.weight[: 2 * inputs] += through
+    mlp.fc2.weight.mul_(0.1)
+    mlp.fc2.weight[:, : 2 * inputs] += through.T
+    # Colours alone: the least of the tokens' much larger values would drown them.
+    hidden = torch.cat((torch.arange(a.width, inputs), torch.arange(inputs + a.width, 2 * inputs)))
+    mlp.fc1.weight[hidden] = through[hidden]
+    mlp.fc2.weight[a.width :] = 0
+    mlp.fc2.weight[a.width :, : 2 * inputs] = through.T[a.width :]
+    constant = last.weight.unflatten(0, (count, a.gaussian_width))[:, 11:14]
+    constant.zero_()
+    constant[..., a.width : a.width + 3 * count] = torch.eye(3 * count).unflatten(0, (count, 3)) / SH0
+
+
+def wave_grid(side, width):
+    """[side^2, width] smooth embeddings of a grid: waves along y and x, periods from four grids down to four cells."""
+    quarter = width // 4
+    frequency = 2 * math.pi / (4 * side * (1 / side) ** (torch.arange(quarter) / max(quarter - 1, 1)))
+    waves = torch.arange(side)[:, None] * frequency
+    axis = torch.cat((waves.sin(), waves.cos()), -1)
+    return torch.cat((axis[:, None].expand(-1, side, -1), axis[None].expand(side, -1, -1)), -1).flatten(0, 1)
