@@ -1,8 +1,9 @@
 //! ZipSplat on Vulkan: photos without poses to a compact 3D Gaussian scene in one forward pass.
 //!
-//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `reconstruct`.
+//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `reconstruct` <- `ffi`.
 
 mod error;
+pub mod ffi;
 pub mod gpu;
 pub mod ops;
 pub mod reconstruct;

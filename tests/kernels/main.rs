@@ -31,6 +31,7 @@ mod ops {
 mod render {
     mod intersect;
     mod normals;
+    mod pack;
     mod project;
     mod rasterise;
 }

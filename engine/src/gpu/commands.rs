@@ -1,7 +1,7 @@
 //! Encoding commands, with the barriers that their reads and writes call for.
 
 use super::{
-    device::{Shared, lock},
+    device::Shared,
     memory::{Memory, Resident},
     plan::{Command, Dispatch, Groups, Home, Operation, Plan, Tensor},
     schedule::Piece,
@@ -265,7 +265,7 @@ pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
     // SAFETY: handles are used on this thread only and destroyed after the wait.
     unsafe {
         let pool = raw.create_command_pool(&pool_info, None).map_err(|e| driver("vkCreateCommandPool", e))?;
-        let submit = || {
+        let submit = |fence| {
             let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = raw.allocate_command_buffers(&info)?[0];
             raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())?;
@@ -275,11 +275,15 @@ pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
             memory_barrier(raw, commands, STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
             raw.end_command_buffer(commands)?;
             let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-            let queue = lock(&shared.queue);
-            raw.queue_submit2(*queue, &[vk::SubmitInfo2::default().command_buffer_infos(&buffers)], vk::Fence::null())?;
-            raw.queue_wait_idle(*queue)
+            shared.queue.submit(raw, vk::SubmitInfo2::default().command_buffer_infos(&buffers), fence)?;
+            raw.wait_for_fences(&[fence], true, u64::MAX)
         };
-        let result = submit();
+        // A fence, not the whole queue: that may be an app's.
+        let result = raw.create_fence(&vk::FenceCreateInfo::default(), None).and_then(|fence| {
+            let result = submit(fence);
+            raw.destroy_fence(fence, None);
+            result
+        });
         raw.destroy_command_pool(pool, None);
         result.map_err(|e| driver("vkQueueSubmit2", e))
     }

@@ -4,6 +4,7 @@ use super::{
     LocalSize, Module,
     instance::Instance,
     limits::{Limits, probe},
+    queue::Queue,
 };
 use crate::{Error, Result};
 use ash::{ext, khr, vk};
@@ -43,7 +44,7 @@ pub(super) struct Shared {
     pub raw: ash::Device,
     pub push_descriptor: khr::push_descriptor::Device,
     pub debug: Option<ext::debug_utils::Device>,
-    pub queue: Mutex<vk::Queue>,
+    pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
     /// Bytes of device memory that blocks hold.
@@ -56,7 +57,21 @@ pub(super) struct Shared {
     pipelines: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
     layouts: Mutex<HashMap<&'static str, Layout>>,
     allocator: Mutex<Option<Allocator>>,
+    /// Whether device and instance are ours to destroy.
+    owned: bool,
     pub instance: Instance,
+}
+
+/// What [`Shared`] is made of.
+pub(super) struct SharedParts {
+    pub instance: Instance,
+    pub physical: vk::PhysicalDevice,
+    pub raw: ash::Device,
+    pub owned: bool,
+    pub queue: Queue,
+    pub family: u32,
+    pub limits: Limits,
+    pub staged: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -102,7 +117,7 @@ impl Device {
             return Err(Error::NoDevice(why.join("; ")));
         };
         let physical = *physical;
-        Shared::new(instance, physical, options).map(|s| Self(Arc::new(s)))
+        Shared::open(instance, physical, options).map(|s| Self(Arc::new(s)))
     }
 
     /// What the device is and can do.
@@ -112,7 +127,7 @@ impl Device {
 }
 
 impl Shared {
-    fn new(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
+    fn open(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
         let (mut limits, found) = probe(&instance.raw, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
@@ -132,6 +147,15 @@ impl Shared {
         // SAFETY: `physical` belongs to the instance; the features and extensions were found on it.
         let raw = unsafe { instance.raw.create_device(physical, &info, None) }
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
+        // SAFETY: the family and queue were asked for above.
+        let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
+        let staged = options.staged;
+        let parts = SharedParts { instance, physical, raw, owned: true, queue, family, limits, staged };
+        Self::new(parts, found.subgroup_control)
+    }
+
+    pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
+        let SharedParts { instance, physical, raw, owned, queue, family, limits, staged } = parts;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -144,16 +168,16 @@ impl Shared {
         Ok(Self {
             push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &raw),
             debug: instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw)),
-            // SAFETY: the family and queue were asked for above.
-            queue: Mutex::new(unsafe { raw.get_device_queue(family, 0) }),
+            queue,
             family,
             allocated: AtomicU64::new(0),
             flops_per_ms: AtomicU64::new(if limits.cpu { 10_000_000 } else { 1_000_000_000 }),
-            staged: options.staged,
-            subgroup_control: found.subgroup_control,
+            staged,
+            subgroup_control,
             pipelines: Mutex::default(),
             layouts: Mutex::default(),
             allocator: Mutex::new(Some(allocator)),
+            owned,
             raw,
             limits,
             instance,
@@ -272,9 +296,8 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // SAFETY: the last user is gone, so nothing is in flight and nothing else holds these handles.
+        // SAFETY: the last user is gone, who waited for all submissions, so nothing else holds these handles.
         unsafe {
-            let _ = self.raw.device_wait_idle();
             for pipeline in lock(&self.pipelines).values() {
                 self.raw.destroy_pipeline(pipeline.raw, None);
             }
@@ -284,7 +307,9 @@ impl Drop for Shared {
                 self.raw.destroy_descriptor_set_layout(layout.set, None);
             }
             drop(lock(&self.allocator).take());
-            self.raw.destroy_device(None);
+            if self.owned {
+                self.raw.destroy_device(None);
+            }
         }
     }
 }

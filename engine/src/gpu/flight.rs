@@ -44,10 +44,13 @@ impl Run {
         self.device.0.check_messages()
     }
 
-    /// Waits where something is under way.
+    /// Waits where something is under way: what was started, or a copy, until which the host may change nothing that it
+    /// reads.
     pub(super) fn settle(&mut self) -> Result<()> {
-        if self.under_way {
+        if self.under_way || self.presenting.is_some() {
             self.wait(self.signalled)?;
+        }
+        if self.under_way {
             self.under_way = false;
             self.forget_inputs();
         }

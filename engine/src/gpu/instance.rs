@@ -16,6 +16,8 @@ pub(super) struct Instance {
     pub debug: Option<ext::debug_utils::Instance>,
     messenger: vk::DebugUtilsMessengerEXT,
     pub messages: Box<Mutex<Vec<String>>>,
+    /// Whether it is ours to destroy.
+    owned: bool,
     _entry: ash::Entry,
 }
 
@@ -41,9 +43,7 @@ pub fn list_devices() -> Result<Vec<DeviceInfo>> {
 
 impl Instance {
     pub fn new(validation: bool) -> Result<Self> {
-        // SAFETY: loading the system's Vulkan loader runs its initialisers, which is what it is for.
-        let entry = unsafe { ash::Entry::load() }
-            .map_err(|e| Error::NoDevice(format!("no Vulkan loader ({e}): install libvulkan1 and a driver")))?;
+        let entry = load()?;
         let messages = Box::new(Mutex::new(Vec::new()));
         let app = vk::ApplicationInfo::default().application_name(c"zipsplat").api_version(vk::API_VERSION_1_3);
         let layers = if validation { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
@@ -82,12 +82,29 @@ impl Instance {
             }
             e => Error::NoDevice(format!("vkCreateInstance: {e}")),
         })?;
-        let mut instance =
-            Self { debug: None, messenger: vk::DebugUtilsMessengerEXT::null(), messages, raw, _entry: entry };
+        let messenger = vk::DebugUtilsMessengerEXT::null();
+        let mut instance = Self { debug: None, messenger, messages, owned: true, raw, _entry: entry };
         if validation {
             instance.listen()?;
         }
         Ok(instance)
+    }
+
+    /// An app's instance, called through its own loader where it gives that.
+    pub fn adopt(get_instance_proc_addr: Option<unsafe extern "C" fn()>, instance: vk::Instance) -> Result<Self> {
+        let entry = match get_instance_proc_addr {
+            // SAFETY: the caller vouches that it is `vkGetInstanceProcAddr`, whose type this is.
+            Some(function) => unsafe {
+                let get_instance_proc_addr =
+                    std::mem::transmute::<unsafe extern "C" fn(), vk::PFN_vkGetInstanceProcAddr>(function);
+                ash::Entry::from_static_fn(ash::StaticFn { get_instance_proc_addr })
+            },
+            None => load()?,
+        };
+        // SAFETY: the caller vouches for the instance.
+        let raw = unsafe { ash::Instance::load(entry.static_fn(), instance) };
+        let messenger = vk::DebugUtilsMessengerEXT::null();
+        Ok(Self { debug: None, messenger, messages: Box::default(), owned: false, raw, _entry: entry })
     }
 
     fn listen(&mut self) -> Result<()> {
@@ -127,9 +144,17 @@ impl Drop for Instance {
             if let Some(debug) = &self.debug {
                 debug.destroy_debug_utils_messenger(self.messenger, None);
             }
-            self.raw.destroy_instance(None);
+            if self.owned {
+                self.raw.destroy_instance(None);
+            }
         }
     }
+}
+
+fn load() -> Result<ash::Entry> {
+    // SAFETY: loading the system's Vulkan loader runs its initialisers, which is what it is for.
+    unsafe { ash::Entry::load() }
+        .map_err(|e| Error::NoDevice(format!("no Vulkan loader ({e}): install libvulkan1 and a driver")))
 }
 
 fn has_layer_extension(entry: &ash::Entry, name: &CStr) -> bool {

@@ -1,6 +1,7 @@
 //! What a device is and can do, and what it would need to have.
 
 use ash::{khr, vk};
+use std::ffi::CStr;
 
 /// What a device is and can do, as far as plans depend on it.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -50,6 +51,19 @@ impl Default for Limits {
         }
     }
 }
+
+const FEATURES_12: &CStr = c"VkPhysicalDeviceVulkan12Features";
+const FEATURES_13: &CStr = c"VkPhysicalDeviceVulkan13Features";
+
+/// Features that a device needs, each with the structure it is a field of.
+pub(super) const REQUIRED_FEATURES: [(&CStr, &CStr); 6] = [
+    (c"timelineSemaphore", FEATURES_12),
+    (c"scalarBlockLayout", FEATURES_12),
+    (c"synchronization2", FEATURES_13),
+    (c"maintenance4", FEATURES_13),
+    (c"subgroupSizeControl", FEATURES_13),
+    (c"computeFullSubgroups", FEATURES_13),
+];
 
 /// Properties that decide whether a device can be used, beside [`Limits`].
 pub(super) struct Found {
@@ -116,19 +130,24 @@ pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Li
         | vk::SubgroupFeatureFlags::SHUFFLE;
     let subgroups = v11.subgroup_supported_operations.contains(operations)
         && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    let has = [
+        f12.timeline_semaphore,
+        f12.scalar_block_layout,
+        f13.synchronization2,
+        f13.maintenance4,
+        f13.subgroup_size_control,
+        f13.compute_full_subgroups,
+    ];
+    let mut has = has.into_iter();
+    let required = REQUIRED_FEATURES.map(|(name, _)| (name.to_str().unwrap_or_default(), has.next() == Some(vk::TRUE)));
     let found = Found {
         api,
         queue_family,
         push_descriptor: extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::push_descriptor::NAME)),
-        features: vec![
-            ("subgroup arithmetic, ballot and shuffle in compute", subgroups),
-            ("timelineSemaphore", f12.timeline_semaphore == vk::TRUE),
-            ("scalarBlockLayout", f12.scalar_block_layout == vk::TRUE),
-            ("synchronization2", f13.synchronization2 == vk::TRUE),
-            ("maintenance4", f13.maintenance4 == vk::TRUE),
-            ("subgroupSizeControl", f13.subgroup_size_control == vk::TRUE),
-            ("computeFullSubgroups", f13.compute_full_subgroups == vk::TRUE),
-        ],
+        features: required
+            .into_iter()
+            .chain([("subgroup arithmetic, ballot and shuffle in compute", subgroups)])
+            .collect(),
         subgroup_control: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
         llvmpipe_major: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
             .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),

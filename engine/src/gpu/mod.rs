@@ -4,6 +4,7 @@
 //! every tensor. A [`Run`] allocates that arena on a [`Device`] and executes the plan as often as wanted.
 #![allow(unsafe_code)]
 
+mod adopt;
 mod arena;
 mod commands;
 mod device;
@@ -14,11 +15,13 @@ mod limits;
 mod memory;
 mod plan;
 mod profile;
+mod queue;
 mod recorder;
 mod run;
 mod schedule;
 mod twins;
 
+pub use adopt::{Adopted, QueueLock, Requirement, requirements};
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};
 pub use kernel::{Binding, Kernel, LocalSize, Module};
@@ -27,4 +30,4 @@ pub use memory::{Resident, ResidentLayout};
 pub use plan::{ArenaRow, Plan, Tensor};
 pub use profile::{Profile, ProfileRow};
 pub use recorder::Recorder;
-pub use run::{Progress, Run, StageTimes};
+pub use run::{ImagePlace, Point, Progress, Run, StageTimes, Target};

@@ -1,9 +1,12 @@
 //! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
 
+mod present;
+
+pub use present::{ImagePlace, Point, Target};
+
 use super::{
     Device, Plan, Resident, Tensor,
     commands::{Bound, Encoder, driver},
-    device::lock,
     memory::Memory,
     plan::{Command, Home, Role},
     schedule::{Cursor, Piece},
@@ -48,6 +51,8 @@ pub struct Run {
     written: Vec<bool>,
     /// Whether what was started may still be going on.
     pub(super) under_way: bool,
+    /// The commands of the last copy to a target.
+    pub(super) presenting: Option<vk::CommandBuffer>,
 }
 
 pub(super) struct Batch {
@@ -121,6 +126,7 @@ impl Run {
             batches: Vec::new(),
             written,
             under_way: false,
+            presenting: None,
         })
     }
 
@@ -343,9 +349,8 @@ impl Run {
             .value(value)
             .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
         let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
-        let queue = lock(&self.device.0.queue);
-        // SAFETY: the queue is locked and the command buffer is recorded and not under way.
-        unsafe { self.device.0.raw.queue_submit2(*queue, &[info], vk::Fence::null()) }
+        // SAFETY: the command buffer is recorded and not under way.
+        unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
             .map_err(|e| driver("vkQueueSubmit2", e))
     }
 
@@ -373,7 +378,7 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
-        // A device that is lost has nothing under way any more.
+        // Fails only where the device is lost: then nothing is under way.
         let _ = self.settle();
         let raw = &self.device.0.raw;
         // SAFETY: nothing is under way.

@@ -1,6 +1,7 @@
 //! Gaussians to pictures, by the rules of gsplat 1.5.3.
 
 pub mod normals;
+pub mod pack;
 pub mod project;
 pub mod rasterise;
 pub mod sh;

@@ -143,6 +143,7 @@ impl Render {
             token_group: self.group,
             background: self.background,
             antialiased: self.antialiased,
+            layout: None,
         }
     }
 

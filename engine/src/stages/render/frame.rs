@@ -1,5 +1,6 @@
 //! What a caller asks for and gets.
 
+use super::PixelLayout;
 use crate::types::{LeftOut, Scene};
 use std::num::NonZeroU32;
 
@@ -21,6 +22,9 @@ pub struct RenderRequest {
     /// Whether Gaussians thinner than a pixel are made fainter by as much as the blur widens them (Mip-Splatting, Yu et
     /// al. 2024).
     pub antialiased: bool,
+    /// Pixels of this layout stay on the device, made of colour and alpha, and nothing is read: for
+    /// [`super::Renderer::render_to`].
+    pub layout: Option<PixelLayout>,
 }
 
 impl Default for RenderRequest {
@@ -34,6 +38,7 @@ impl Default for RenderRequest {
             token_group: None,
             background: [0.0; 3],
             antialiased: false,
+            layout: None,
         }
     }
 }

@@ -6,6 +6,7 @@
 mod flights;
 mod frame;
 mod intersect;
+mod pack;
 mod project;
 mod rasterise;
 mod renderer;
@@ -16,8 +17,9 @@ use crate::{
 };
 
 pub use frame::{Depth, Frame, RenderRequest};
+pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
-pub use renderer::Renderer;
+pub use renderer::{MAX_SIDE, Renderer};
 
 /// The pictures of one plan: all of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,6 +38,8 @@ pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped); alpha; depth; normal x, y, z; token
     /// red, green, blue those asked for.
     pub frames: Tensor,
+    /// The frames as [`RenderRequest::layout`] has them.
+    pub pixels: Tensor,
     /// `[3]` u32: intersections that were drawn, intersections that there are modulo 2^32, and whether that number
     /// wrapped. The frames hold only where the first two are equal and the third is 0; see [`RenderOutputs::needed`].
     pub status: Tensor,
@@ -63,9 +67,10 @@ pub fn record(
         let splats = project::record(rec, scene, cameras, shape, request);
         let lists = intersect::record(rec, &splats, shape, capacity);
         let frames = rasterise::record(rec, &splats, &lists, shape, request);
+        let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
         rec.output(frames);
         rec.output(lists.status);
-        RenderOutputs { frames, status: lists.status }
+        RenderOutputs { frames, pixels, status: lists.status }
     })
 }
 

@@ -1,9 +1,11 @@
 //! Draws a scene again and again: keeps it on the device, and keeps plans.
 
-use super::{CameraRows, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record};
+use super::{
+    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record,
+};
 use crate::{
     Error, Result,
-    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Target, Tensor},
     types::{Camera, LeftOut, Scene},
 };
 use std::sync::Arc;
@@ -13,7 +15,7 @@ const PLANS: usize = 4;
 /// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
 const GPU_TOGETHER: usize = 8;
 /// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
-const MAX_SIDE: u32 = 1 << 15;
+pub const MAX_SIDE: u32 = 1 << 15;
 
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
@@ -162,6 +164,33 @@ impl Renderer {
         request.left_out(degrees.0, degrees.1)
     }
 
+    /// Draws the scene that was loaded last with one camera into an app's image or buffer, without the host: when this
+    /// returns the picture is drawn, and its copy to `target` was submitted. The next drawing of the same size waits for
+    /// that copy. Of `request`, background and antialiasing count; drawn are colour and alpha.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`], and those of [`Run::present`].
+    pub fn render_to(
+        &mut self,
+        camera: &Camera,
+        request: &RenderRequest,
+        layout: PixelLayout,
+        target: &Target,
+    ) -> Result<()> {
+        let request = RenderRequest {
+            alpha: true,
+            background: request.background,
+            antialiased: request.antialiased,
+            layout: Some(layout),
+            ..RenderRequest::default()
+        };
+        check(std::slice::from_ref(camera), &request)?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        self.render_together(&[camera_rows(camera)], (width, height), &request, 0)?;
+        let plan = self.plan(FrameShape { cameras: 1, width, height }, &request, 0)?;
+        plan.run.present(plan.outputs.pixels, target)
+    }
+
     /// Device time of drawing the scene that was loaded last with one camera, by kernel.
     ///
     /// # Errors
@@ -213,10 +242,13 @@ impl Renderer {
             let plan = self.plan(shape, request, turn)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
+            let needed = plan.needed()?;
+            if needed <= plan.capacity && request.layout.is_some() {
+                return Ok(Vec::new()); // Nobody reads them on the host.
+            }
             if let Some(frames) = plan.frames()? {
                 return Ok(frames);
             }
-            let needed = plan.needed()?;
             if needed as u64 > most {
                 let what = "a list of the intersections of Gaussians with tiles".into();
                 return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });

@@ -1,0 +1,76 @@
+/* Photos to a scene and a picture of it:
+ *     cc reconstruct.c $(pkg-config --cflags --libs zipsplat) -o reconstruct
+ *     ./reconstruct MODEL scene.ply picture.png PHOTO...      MODEL: a checkpoint, seeded:vits, or embedded */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <zipsplat.h>
+
+#define CHECK(call)                                                                \
+    do {                                                                           \
+        zs_status status_ = (call);                                                \
+        if (status_ != ZS_OK) {                                                    \
+            fprintf(stderr, "%s: %s\n", zs_status_name(status_), zs_last_error()); \
+            goto done;                                                             \
+        }                                                                          \
+    } while (0)
+
+enum { SIDE = 256, MAX_PHOTOS = 192 };
+
+static int32_t show(void *user_data, double fraction, const char *stage) {
+    (void)user_data;
+    fprintf(stderr, "%3.0f %% %s\n", 100 * fraction, stage);
+    return 0; /* anything else cancels */
+}
+
+int main(int argc, char **argv) {
+    if (argc < 5 || argc - 4 > MAX_PHOTOS) {
+        fprintf(stderr, "usage: %s MODEL scene.ply picture.png PHOTO... (at most %d)\n", argv[0], MAX_PHOTOS);
+        return 2;
+    }
+    int result = EXIT_FAILURE;
+    const size_t count = (size_t)argc - 4;
+    zs_context *context = NULL;
+    zs_model *model = NULL;
+    zs_scene *scene = NULL;
+    zs_renderer *renderer = NULL;
+    zs_photo *photos[MAX_PHOTOS] = {NULL};
+    zs_image images[MAX_PHOTOS];
+    unsigned char *pixels = malloc(4 * SIDE * SIDE);
+
+    CHECK(zs_context_create(NULL, &context));
+    if (strcmp(argv[1], "embedded") == 0) {
+        CHECK(zs_model_embedded(context, NULL, &model));
+    } else {
+        CHECK(zs_model_open(context, argv[1], NULL, &model));
+    }
+    for (size_t i = 0; i < count; i++) {
+        CHECK(zs_photo_open(argv[4 + i], &photos[i]));
+        CHECK(zs_photo_get_image(photos[i], &images[i]));
+    }
+    zs_reconstruct_options options;
+    CHECK(zs_reconstruct_options_default(&options, sizeof options));
+    options.progress = show;
+    CHECK(zs_reconstruct(model, images, count, &options, &scene));
+    CHECK(zs_scene_save(scene, argv[2], NULL));
+
+    /* From where the first photo was taken, which is the world's origin, with a field of view of 60 degrees. */
+    zs_camera camera = {SIDE, SIDE, 0.866 * SIDE, 0.866 * SIDE, SIDE / 2.0, SIDE / 2.0, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0}};
+    zs_picture picture = {pixels, 0, NULL, NULL};
+    CHECK(zs_renderer_create(context, scene, &renderer));
+    CHECK(zs_render(renderer, &camera, &picture, 1, NULL));
+    zs_image drawn = {pixels, 0, SIDE, SIDE, ZS_PIXEL_RGBA8, 0};
+    CHECK(zs_image_save_png(&drawn, argv[3]));
+    result = EXIT_SUCCESS;
+
+done:
+    for (size_t i = 0; i < count; i++) {
+        zs_photo_destroy(photos[i]);
+    }
+    zs_renderer_destroy(renderer);
+    zs_scene_destroy(scene);
+    zs_model_destroy(model);
+    zs_context_destroy(context);
+    free(pixels);
+    return result;
+}

@@ -1,0 +1,714 @@
+/*
+ * zipsplat.h: photos without poses to a compact scene of 3D Gaussians, and pictures of it, on Vulkan.
+ *
+ * Generated from engine/src/ffi. Copyright and licence: see LICENSE (Apache-2.0).
+ *
+ *     zs_context    a device at work; creates
+ *     zs_model      a network with its weights on the device; makes
+ *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; is drawn by
+ *     zs_renderer   a scene on the device
+ *     zs_photo      a photo from a file, for those who have no pixels yet
+ *
+ * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
+ * zs_last_error has for the thread that called. A call that fails leaves nothing half made; one that creates an object sets
+ * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
+ * host has no memory left at all.
+ *
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _embedded or zs_reconstruct hands out is yours; give it back
+ * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
+ * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
+ * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that
+ * you get from functions returning const char * are never yours to free.
+ *
+ * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
+ * zs_renderer wait for each other. Callbacks run on the thread that made the call.
+ *
+ * Structures that begin with struct_size may grow at their end in later versions. Where there is a ..._default function call
+ * it, then set what you want to be different; otherwise set struct_size to the sizeof. A library takes the structures of its
+ * own version and of all earlier ones of the same ZS_ABI_VERSION, and refuses larger ones. All others never change.
+ *
+ * Numbers in structures that stand for something (int32_t of an enumeration) are checked; one that is not known is refused.
+ * Sizes are in bytes, counts in elements, lengths of pictures in pixels. The world's unit is the scene's own.
+ *
+ * Bits. The same call with the same inputs gives the same bits on the same device and driver, whatever else runs.
+ */
+
+#ifndef ZIPSPLAT_H
+#define ZIPSPLAT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+// Version of the library that this header belongs to. Fixes of bugs raise the last number, additions the middle one.
+#define ZS_VERSION_MAJOR 0
+
+// See ZS_VERSION_MAJOR.
+#define ZS_VERSION_MINOR 1
+
+// See ZS_VERSION_MAJOR.
+#define ZS_VERSION_PATCH 0
+
+// Version of the ABI. It rises when something here changes its meaning, size or place, and the shared library's file name
+// with it; additions keep it.
+#define ZS_ABI_VERSION 1
+
+// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
+#define ZS_RATIO_AUTO 0.0
+
+// How a call ended. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
+// as a failure.
+enum zs_status
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // It did what it says.
+    ZS_OK = 0,
+    // A value you gave cannot be used: give another. The message names it, what was found and what is expected.
+    ZS_ERROR_ARGUMENT = 1,
+    // A file could not be opened, read or written.
+    ZS_ERROR_IO = 2,
+    // A file's or buffer's bytes are not what its format allows.
+    ZS_ERROR_FORMAT = 3,
+    // A checkpoint's tensors are not those of its network.
+    ZS_ERROR_WEIGHTS = 4,
+    // No Vulkan loader, no driver, or none whose device can run this. The message says what is missing.
+    ZS_ERROR_NO_DEVICE = 5,
+    // The device or the host has too little memory. Nothing was submitted; the message has the bytes.
+    ZS_ERROR_OUT_OF_MEMORY = 6,
+    // The driver refused a call that should have worked, or the validation layer had something to say.
+    ZS_ERROR_DRIVER = 7,
+    // The device is lost: it was reset or removed. Destroy everything that belongs to its context and create a new one;
+    // scenes are in host memory and survive.
+    ZS_ERROR_DEVICE_LOST = 8,
+    // Your progress callback asked to stop.
+    ZS_ERROR_CANCELLED = 9,
+    // This build of the library does not have it.
+    ZS_ERROR_UNSUPPORTED = 10,
+    // A bug in the library. It goes on working, but the objects of this call are better destroyed.
+    ZS_ERROR_INTERNAL = 11,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_status zs_status;
+#else
+typedef int32_t zs_status;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// What kind of device it is.
+enum zs_device_kind
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // Integrated in the processor, virtual, or unknown.
+    ZS_DEVICE_OTHER = 0,
+    // A graphics card.
+    ZS_DEVICE_DISCRETE = 1,
+    // The processor itself, by way of lavapipe.
+    ZS_DEVICE_CPU = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_device_kind zs_device_kind;
+#else
+typedef int32_t zs_device_kind;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// How a pixel lies in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+enum zs_pixel_format
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // 3 bytes: red, green, blue.
+    ZS_PIXEL_RGB8 = 1,
+    // 4 bytes: red, green, blue, alpha. VK_FORMAT_R8G8B8A8_UNORM.
+    ZS_PIXEL_RGBA8 = 2,
+    // 4 bytes: blue, green, red, alpha. VK_FORMAT_B8G8R8A8_UNORM.
+    ZS_PIXEL_BGRA8 = 3,
+    // 3 f32: red, green, blue.
+    ZS_PIXEL_RGB_F32 = 4,
+    // 4 f32: red, green, blue, alpha. VK_FORMAT_R32G32B32A32_SFLOAT.
+    ZS_PIXEL_RGBA_F32 = 5,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_pixel_format zs_pixel_format;
+#else
+typedef int32_t zs_pixel_format;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// Number formats of the network. Geometry is f32 always.
+enum zs_precision
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // f32 throughout: the same bits on the same device, every time.
+    ZS_PRECISION_EXACT = 0,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_precision zs_precision;
+#else
+typedef int32_t zs_precision;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// Which tokens are kept where the ratio is below 1.
+enum zs_selection
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // The nearest token of each centroid of k-means: the method's own.
+    ZS_SELECT_KMEANS = 0,
+    // Evenly spread.
+    ZS_SELECT_STRIDE = 1,
+    // Random, by `seed`.
+    ZS_SELECT_RANDOM = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_selection zs_selection;
+#else
+typedef int32_t zs_selection;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// Kinds of depth along the camera's z axis, in world units.
+enum zs_depth
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // The mean depth of what is seen: the sum of depth times blending weight, over alpha. 0 where nothing is.
+    ZS_DEPTH_EXPECTED = 0,
+    // The sum of depth times blending weight.
+    ZS_DEPTH_ACCUMULATED = 1,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_depth zs_depth;
+#else
+typedef int32_t zs_depth;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// Kinds of zs_vulkan_requirement.
+enum zs_requirement_kind
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // `name` is the least version for VkApplicationInfo.apiVersion and of the device, as "1.3".
+    ZS_REQUIRES_API_VERSION = 0,
+    // `name` is an extension of the device.
+    ZS_REQUIRES_DEVICE_EXTENSION = 1,
+    // `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
+    ZS_REQUIRES_FEATURE = 2,
+    // `name` is an extension of the instance.
+    ZS_REQUIRES_INSTANCE_EXTENSION = 3,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum zs_requirement_kind zs_requirement_kind;
+#else
+typedef int32_t zs_requirement_kind;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// A Vulkan device at work: everything that runs on it is created from a context. Any number of threads may use a context at
+// the same time. Models and renderers keep what they need of it: it may be destroyed before them.
+typedef struct zs_context zs_context;
+
+// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
+typedef struct zs_model zs_model;
+
+// A photo from a file, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
+typedef struct zs_photo zs_photo;
+
+// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
+// drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
+typedef struct zs_renderer zs_renderer;
+
+// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
+// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
+typedef struct zs_scene zs_scene;
+
+// What a device is. Strings are UTF-8, end with NUL and are cut where they are too long.
+typedef struct zs_device_info {
+    // sizeof(zs_device_info); set it before the call.
+    uint32_t struct_size;
+    // Its number, as zs_context_options.device takes it; 0 for an adopted device.
+    uint32_t index;
+    // Whether the engine can use it.
+    uint32_t usable;
+    // What it is.
+    zs_device_kind kind;
+    // Bytes of the memory that kernels work in.
+    uint64_t memory_bytes;
+    // The device's name.
+    char name[256];
+    // The driver's name and version.
+    char driver[256];
+    // Why it is not usable; "" where it is.
+    char missing[512];
+} zs_device_info;
+
+// How to open a device.
+typedef struct zs_context_options {
+    // sizeof(zs_context_options); zs_context_options_default sets it.
+    uint32_t struct_size;
+    // 1 to run under the Khronos validation layer with synchronisation validation, whose messages make calls fail with
+    // ZS_ERROR_DRIVER: for development. Default 0, or 1 where the environment variable ZIPSPLAT_VALIDATION is 1.
+    uint32_t validation;
+    // A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
+    const char *device;
+} zs_context_options;
+
+// A photo in your memory, read during the call only. Its first row is the top one. Alpha is ignored; f32 values are clamped
+// to 0..1 and rounded to 8 bits, which is what networks are trained with.
+typedef struct zs_image {
+    // The first pixel of the top row; of any alignment.
+    const void *pixels;
+    // Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
+    int64_t stride;
+    // Pixels a row, 1 to 32768.
+    uint32_t width;
+    // Rows, 1 to 32768.
+    uint32_t height;
+    // How a pixel lies in memory.
+    zs_pixel_format format;
+    // Must be 0.
+    uint32_t reserved;
+} zs_image;
+
+// How large a scene is.
+typedef struct zs_scene_info {
+    // sizeof(zs_scene_info); set it before the call.
+    uint32_t struct_size;
+    // Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
+    uint32_t sh_degree;
+    // N, the number of Gaussians.
+    uint64_t count;
+} zs_scene_info;
+
+// Gaussians as arrays of yours, one a property, each as long as it says. The world is the first photo's camera: x right, y
+// down, z forward; its unit is the scene's own unless cameras were given.
+typedef struct zs_gaussians {
+    // sizeof(zs_gaussians); set it before the call.
+    uint32_t struct_size;
+    // Highest band of spherical harmonics, 0 to 3.
+    uint32_t sh_degree;
+    // N, the number of Gaussians that the arrays have room for.
+    uint64_t count;
+    // N x 3 centres.
+    float *means;
+    // N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
+    float *scales;
+    // N x 4 rotations as quaternions w, x, y, z; of any length but zero.
+    float *quats;
+    // N opacities from 0 to 1.
+    float *opacities;
+    // N x K x 3 coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
+    float *sh_coeffs;
+} zs_gaussians;
+
+// How a scene is written.
+typedef struct zs_save_options {
+    // sizeof(zs_save_options); zs_save_options_default sets it.
+    uint32_t struct_size;
+    // Version of a .spz file: 3, or 2 for older readers. Default 3.
+    uint32_t spz_version;
+} zs_save_options;
+
+// Called now and then while something takes long, on the thread that made the call, with the share that is done (0 to 1) and
+// what is under way (for a log; valid during the call). Return 0 to go on; anything else stops the work, which then ends
+// with ZS_ERROR_CANCELLED. It must return: no longjmp, no C++ exception. It may call zs_ functions, but not with the objects
+// of the call that it came from.
+typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
+
+// How to load a model.
+typedef struct zs_model_options {
+    // sizeof(zs_model_options); zs_model_options_default sets it.
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // The network of a checkpoint that does not say: "vits", "vitb", "vitl" or "vitg". NULL takes what the file says.
+    // Default NULL.
+    const char *variant;
+    // Told how far it is; may stop it. Default NULL.
+    zs_progress progress;
+    // Given to `progress`.
+    void *user_data;
+} zs_model_options;
+
+// What a model is.
+typedef struct zs_model_info {
+    // sizeof(zs_model_info); set it before the call.
+    uint32_t struct_size;
+    // Side in pixels of the square pictures that it is best with.
+    uint32_t picture_side;
+    // Side of a patch in pixels: sizes of pictures are multiples of it.
+    uint32_t patch;
+    // Gaussians that a token becomes. At ratio 1 there are width / patch * height / patch tokens a photo.
+    uint32_t gaussians_per_token;
+    // Highest band of spherical harmonics of its scenes.
+    uint32_t sh_degree;
+    // 0.
+    uint32_t reserved;
+    // Bytes of its weights on the device.
+    uint64_t weight_bytes;
+} zs_model_info;
+
+// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
+// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
+typedef struct zs_camera {
+    // Pixels a row.
+    uint32_t width;
+    // Rows.
+    uint32_t height;
+    // Horizontal focal length in pixels.
+    double fx;
+    // Vertical focal length in pixels.
+    double fy;
+    // Principal point from the left edge, in pixels.
+    double cx;
+    // Principal point from the top edge, in pixels.
+    double cy;
+    // Camera-to-world rotation, row by row: its columns are the camera's right, down and forward in the world.
+    double rotation[9];
+    // The camera's centre in the world.
+    double translation[3];
+} zs_camera;
+
+// What to reconstruct.
+typedef struct zs_reconstruct_options {
+    // sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
+    uint32_t struct_size;
+    // Number formats. Default ZS_PRECISION_EXACT.
+    zs_precision precision;
+    // Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
+    // Default 1.
+    double ratio;
+    // Which tokens are kept. Default ZS_SELECT_KMEANS.
+    zs_selection selection;
+    // Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
+    // to this shape and scaled to it. 0 for the model's own. Default 0.
+    uint32_t width;
+    // Height of it; 0 together with `width`. Default 0.
+    uint32_t height;
+    // Number of `cameras`: 0, or one for each photo. Default 0.
+    uint32_t camera_count;
+    // For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
+    uint64_t seed;
+    // Cameras of the whole photos as you pass them, where they are known; their world becomes that of the first. Their unit
+    // is kept; best is one near the median distance of what the first photo sees. Default NULL.
+    const struct zs_camera *cameras;
+    // Told how far it is; may stop it. Default NULL.
+    zs_progress progress;
+    // Given to `progress`.
+    void *user_data;
+} zs_reconstruct_options;
+
+// How to draw.
+typedef struct zs_render_options {
+    // sizeof(zs_render_options); zs_render_options_default sets it.
+    uint32_t struct_size;
+    // Of the pixels that are written. 8-bit values are clamped and truncated, f32 values are neither. Where there is alpha it
+    // is what covers the background, and colour contains the background's share: on black, the default, it is premultiplied.
+    // Default ZS_PIXEL_RGBA8.
+    zs_pixel_format format;
+    // Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
+    zs_depth depth;
+    // 1 to make Gaussians thinner than a pixel fainter by as much as drawing widens them (Mip-Splatting): for scenes that
+    // were made that way. Default 0.
+    uint32_t antialiased;
+    // Red, green and blue behind the scene. Default black.
+    float background[3];
+    // Must be 0.
+    uint32_t reserved;
+} zs_render_options;
+
+// Where a picture goes: memory of yours for what you want of it, NULL for what you do not.
+typedef struct zs_picture {
+    // The first pixel of the top row, in the format of the options; of any alignment.
+    void *pixels;
+    // Bytes from a row to the one below it; negative to store the picture bottom-up; 0 for row after row. What lies between
+    // rows is left as it is.
+    int64_t stride;
+    // height x width: alpha from 0 to 1.
+    float *alpha;
+    // height x width: depth in world units.
+    float *depth;
+} zs_picture;
+
+// Something that has to be enabled on a device of yours.
+typedef struct zs_vulkan_requirement {
+    // What it is.
+    zs_requirement_kind kind;
+    // 0.
+    uint32_t reserved;
+    // Static: never free it.
+    const char *name;
+    // Static; "" but for a feature.
+    const char *structure;
+} zs_vulkan_requirement;
+
+// vkGetInstanceProcAddr, cast to a function without arguments.
+typedef void (*zs_vulkan_function)(void);
+
+// Locks or unlocks a queue. It must return, and call nothing of this library.
+typedef void (*zs_queue_lock)(void *user_data);
+
+// Vulkan handles of yours. Every one is used and none is destroyed; nothing is enabled on them.
+typedef struct zs_vulkan_device {
+    // sizeof(zs_vulkan_device); zs_vulkan_device_default sets it.
+    uint32_t struct_size;
+    // Family of `queue`; it must be able to compute.
+    uint32_t queue_family;
+    // Your vkGetInstanceProcAddr; NULL for that of the system's loader. Default NULL.
+    zs_vulkan_function get_instance_proc_addr;
+    // VkInstance.
+    void *instance;
+    // VkPhysicalDevice.
+    void *physical_device;
+    // VkDevice.
+    void *device;
+    // VkQueue. The engine submits to it from the threads that call the engine, never from one of its own.
+    void *queue;
+    // Called before each submission to `queue`, on the thread that submits; `unlock_queue` right after it, and never is the
+    // lock held while the engine waits. Do not hold the lock yourself when you call the engine. NULL where nobody else uses
+    // the queue while a call runs. Default NULL.
+    zs_queue_lock lock_queue;
+    // Both or none.
+    zs_queue_lock unlock_queue;
+    // Given to both.
+    void *user_data;
+} zs_vulkan_device;
+
+// A value of a timeline semaphore of yours.
+typedef struct zs_semaphore_point {
+    // VkSemaphore of type timeline, cast to uint64_t.
+    uint64_t semaphore;
+    // To wait for, or to signal.
+    uint64_t value;
+} zs_semaphore_point;
+
+// An image or a buffer of yours that a picture is copied to on the device. Handles are cast to uint64_t. They must stay until
+// the signals were given, or, without signals, until the renderer is destroyed.
+typedef struct zs_vulkan_target {
+    // sizeof(zs_vulkan_target); zs_vulkan_target_default sets it.
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // VkImage with usage VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format that zs_pixel_format names, owned by the
+    // queue's family or shared; 0 for a buffer. Default 0.
+    uint64_t image;
+    // First pixel that is written; the camera's width and height must fit behind it. Default 0.
+    uint32_t x;
+    // First row that is written. Default 0.
+    uint32_t y;
+    // Mip level. Default 0.
+    uint32_t mip_level;
+    // Array layer. Default 0.
+    uint32_t array_layer;
+    // VkImageLayout that level and layer are in when the waits are over. Default VK_IMAGE_LAYOUT_UNDEFINED, which may lose
+    // what is there.
+    int32_t old_layout;
+    // VkImageLayout that they are in when the signals are given. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
+    int32_t new_layout;
+    // VkBuffer with usage VK_BUFFER_USAGE_TRANSFER_DST_BIT; 0 for an image. Rows follow each other. Default 0.
+    uint64_t buffer;
+    // First byte in the buffer, a multiple of 4. Default 0.
+    uint64_t buffer_offset;
+    // Bytes that may be written from there. Default 0.
+    uint64_t buffer_size;
+    // Number of `waits`. Default 0.
+    uint32_t wait_count;
+    // Number of `signals`. Default 0.
+    uint32_t signal_count;
+    // What has to be reached before the target is touched. Read during the call. Default NULL.
+    const struct zs_semaphore_point *waits;
+    // Given when the picture is in the target and visible to every later use. Read during the call. Default NULL.
+    const struct zs_semaphore_point *signals;
+} zs_vulkan_target;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+// The ABI version of the library that is loaded. Where it is not ZS_ABI_VERSION, call nothing else.
+uint32_t zs_abi_version(void);
+
+// The version of the library that is loaded, as "0.1.0". Static: never free it.
+const char *zs_version(void);
+
+// A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
+const char *zs_status_name(int32_t status);
+
+// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
+// none has failed. Yours to read until the next call of this thread that fails.
+const char *zs_last_error(void);
+
+// Counts the Vulkan devices of this machine, usable or not. ZS_ERROR_NO_DEVICE where there is no Vulkan loader or no
+// driver.
+zs_status zs_device_count(uint32_t *count);
+
+// Says what device number `index` is, from 0 to below zs_device_count.
+zs_status zs_device_get(uint32_t index, struct zs_device_info *info);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_context_options).
+zs_status zs_context_options_default(struct zs_context_options *options, size_t size);
+
+// Opens a device of its own: instance, device and queue are the context's. `options` may be NULL.
+zs_status zs_context_create(const struct zs_context_options *options, struct zs_context **context);
+
+// Says what device a context is on.
+zs_status zs_context_get_info(const struct zs_context *context, struct zs_device_info *info);
+
+// Destroys a context. Its device closes when its last model and renderer are gone too. NULL is allowed.
+void zs_context_destroy(struct zs_context *context);
+
+// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
+// the high byte is kept. `path` is UTF-8.
+zs_status zs_photo_open(const char *path,
+                        struct zs_photo **photo);
+
+// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
+// memory, there until it is destroyed.
+zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
+
+// Destroys a photo. NULL is allowed.
+void zs_photo_destroy(struct zs_photo *photo);
+
+// Writes a picture in your memory as a PNG of 8 bits a channel, without alpha. The file appears whole or not at all; one of
+// that name is replaced. `path` is UTF-8.
+zs_status zs_image_save_png(const struct zs_image *image,
+                            const char *path);
+
+// Says how large a scene is, to make the arrays for zs_scene_read.
+zs_status zs_scene_get_info(const struct zs_scene *scene, struct zs_scene_info *info);
+
+// Copies a scene's Gaussians into your arrays; those that are NULL are left out. `gaussians.count` and
+// `gaussians.sh_degree` must be the scene's, as zs_scene_get_info says them.
+zs_status zs_scene_read(const struct zs_scene *scene, const struct zs_gaussians *gaussians);
+
+// Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
+zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
+
+// Reads a scene file: PLY of 3D Gaussian Splatting, SPZ, .splat, glTF with KHR_gaussian_splatting (.gltf, .glb). Whatever
+// axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
+zs_status zs_scene_open(const char *path,
+                        struct zs_scene **scene);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
+zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
+
+// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not at
+// all; one of that name is replaced. `options` may be NULL. `path` is UTF-8.
+zs_status zs_scene_save(const struct zs_scene *scene,
+                        const char *path,
+                        const struct zs_save_options *options);
+
+// Destroys a scene. NULL is allowed.
+void zs_scene_destroy(struct zs_scene *scene);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_model_options).
+zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
+
+// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), or random numbers for
+// "seeded:VARIANT", to try things out. `options` may be NULL.
+zs_status zs_model_open(const struct zs_context *context,
+                        const char *path,
+                        const struct zs_model_options *options,
+                        struct zs_model **model);
+
+// As zs_model_open, with a file's contents, which are not needed any more when this returns.
+zs_status zs_model_from_memory(const struct zs_context *context,
+                               const void *data,
+                               size_t size,
+                               const struct zs_model_options *options,
+                               struct zs_model **model);
+
+// As zs_model_open, with the model that is built into the library. ZS_ERROR_UNSUPPORTED where none is.
+zs_status zs_model_embedded(const struct zs_context *context,
+                            const struct zs_model_options *options,
+                            struct zs_model **model);
+
+// Says what a model is.
+zs_status zs_model_get_info(const struct zs_model *model, struct zs_model_info *info);
+
+// Destroys a model. NULL is allowed.
+void zs_model_destroy(struct zs_model *model);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
+zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
+
+// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
+// camera. `options` may be NULL.
+zs_status zs_reconstruct(const struct zs_model *model,
+                         const struct zs_image *images,
+                         size_t image_count,
+                         const struct zs_reconstruct_options *options,
+                         struct zs_scene **scene);
+
+// Brings a scene to a context's device. The scene may be destroyed afterwards.
+zs_status zs_renderer_create(const struct zs_context *context,
+                             const struct zs_scene *scene,
+                             struct zs_renderer **renderer);
+
+// Draws another scene from now on. Cheap for one of the same number of Gaussians and degree. After a failure draw nothing
+// before another call of this has succeeded.
+zs_status zs_renderer_set_scene(const struct zs_renderer *renderer,
+                                const struct zs_scene *scene);
+
+// Destroys a renderer, after waiting for pictures on their way to zs_vulkan_target. NULL is allowed.
+void zs_renderer_destroy(struct zs_renderer *renderer);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_render_options).
+zs_status zs_render_options_default(struct zs_render_options *options, size_t size);
+
+// Draws `count` cameras, each into the picture of its number. It returns when all are written. Cameras of one size are drawn
+// together. After a failure some pictures may be written. `options` may be NULL.
+zs_status zs_render(const struct zs_renderer *renderer,
+                    const struct zs_camera *cameras,
+                    const struct zs_picture *pictures,
+                    size_t count,
+                    const struct zs_render_options *options);
+
+// Lists what has to be enabled on a device of yours before zs_context_adopt; nothing else is used. Needs no device. The list
+// is static: never free it.
+zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list,
+                                 size_t *count);
+
+// Fills `device` with the defaults. `size` is sizeof(zs_vulkan_device).
+zs_status zs_vulkan_device_default(struct zs_vulkan_device *device, size_t size);
+
+// Makes a context of a device of yours, on which everything in zs_vulkan_requirements is enabled: that cannot be checked.
+// Destroy the context and all its models and renderers before the device.
+zs_status zs_context_adopt(const struct zs_vulkan_device *device,
+                           struct zs_context **context);
+
+// Fills `target` with the defaults. `size` is sizeof(zs_vulkan_target).
+zs_status zs_vulkan_target_default(struct zs_vulkan_target *target, size_t size);
+
+// Draws one camera into an image or buffer of yours, without a copy by the host: ZS_PIXEL_RGBA8, BGRA8 or RGBA_F32. The
+// renderer's context must be an adopted one. When this returns the scene is drawn and the copy to the target is submitted; it
+// begins when the waits are over and ends with the signals. Without semaphores it is ordered as everything on one queue. The
+// next picture of this renderer may wait for this copy, so do not make a wait depend on it. `options` may be NULL.
+zs_status zs_render_to_vulkan(const struct zs_renderer *renderer,
+                              const struct zs_camera *camera,
+                              const struct zs_vulkan_target *target,
+                              const struct zs_render_options *options);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* ZIPSPLAT_H */

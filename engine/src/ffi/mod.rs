@@ -1,0 +1,37 @@
+//! The C ABI. `engine/include/zipsplat.h` is generated from these files (`tests/abi/header.rs`), their comments included,
+//! so they speak to whoever reads the header: what a pointer's caller owes is said there, not in `# Safety` sections.
+//!
+//! Every entry point runs inside `status::guard`: no panic crosses, a failure leaves a message for its thread. Values that
+//! C can get wrong (enumerations, booleans) arrive as plain integers and are checked.
+#![allow(unsafe_code, non_camel_case_types, clippy::missing_safety_doc)]
+
+mod context;
+mod model;
+mod photo;
+mod picture;
+mod pointers;
+mod renderer;
+mod scene;
+mod status;
+mod version;
+mod vulkan;
+
+/// What the header says of threads.
+const _: () = {
+    const fn any_thread<T: Send + Sync>() {}
+    any_thread::<zs_context>();
+    any_thread::<zs_model>();
+    any_thread::<zs_photo>();
+    any_thread::<zs_renderer>();
+    any_thread::<zs_scene>();
+};
+
+pub use context::*;
+pub use model::*;
+pub use photo::*;
+pub use picture::*;
+pub use renderer::*;
+pub use scene::*;
+pub use status::*;
+pub use version::*;
+pub use vulkan::*;

@@ -1,0 +1,61 @@
+//! Photos from files, and pictures to files.
+
+use super::{
+    picture::{zs_image, zs_pixel_format},
+    pointers::{borrow, destroy, produce, text},
+    status::{Failure, guard, zs_status},
+};
+use crate::types::Image;
+use std::ffi::c_char;
+
+/// A photo from a file, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
+pub struct zs_photo {
+    image: Image,
+}
+
+/// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
+/// the high byte is kept. `path` is UTF-8.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_photo) -> zs_status {
+    // SAFETY: a string or NULL.
+    let open = || Ok(zs_photo { image: Image::open(unsafe { text(path, "path") }?)? });
+    // SAFETY: the caller's pointer.
+    unsafe { produce(photo, open) }
+}
+
+/// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
+/// memory, there until it is destroyed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut zs_image) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let Image { width, height, rgb } = &unsafe { borrow(photo, "photo") }?.image;
+        if image.is_null() {
+            return Err(Failure::argument("image", "NULL", "a structure"));
+        }
+        let (pixels, format) = (rgb.as_ptr().cast(), zs_pixel_format::ZS_PIXEL_RGB8 as i32);
+        let found = zs_image { pixels, stride: 0, width: *width, height: *height, format, reserved: 0 };
+        // SAFETY: not NULL, and the caller's to write.
+        unsafe { image.write(found) };
+        Ok(())
+    })
+}
+
+/// Destroys a photo. NULL is allowed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_photo_destroy(photo: *mut zs_photo) {
+    // SAFETY: an object that the caller gives up, or NULL.
+    unsafe { destroy(photo) }
+}
+
+/// Writes a picture in your memory as a PNG of 8 bits a channel, without alpha. The file appears whole or not at all; one of
+/// that name is replaced. `path` is UTF-8.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
+    guard(|| {
+        // SAFETY: a structure or NULL, a string or NULL.
+        let (image, path) = unsafe { (borrow(image, "image")?, text(path, "path")?) };
+        // SAFETY: the caller's pixels.
+        Ok(unsafe { image.image("image") }?.save_png(path)?)
+    })
+}

@@ -1,0 +1,161 @@
+//! Pixels and cameras.
+
+use super::status::Failure;
+use crate::types::{Camera, Image, Intrinsics, Pose};
+use glam::{DMat3, DVec3};
+use std::ffi::c_void;
+
+/// How a pixel lies in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_pixel_format {
+    /// 3 bytes: red, green, blue.
+    ZS_PIXEL_RGB8 = 1,
+    /// 4 bytes: red, green, blue, alpha. VK_FORMAT_R8G8B8A8_UNORM.
+    ZS_PIXEL_RGBA8 = 2,
+    /// 4 bytes: blue, green, red, alpha. VK_FORMAT_B8G8R8A8_UNORM.
+    ZS_PIXEL_BGRA8 = 3,
+    /// 3 f32: red, green, blue.
+    ZS_PIXEL_RGB_F32 = 4,
+    /// 4 f32: red, green, blue, alpha. VK_FORMAT_R32G32B32A32_SFLOAT.
+    ZS_PIXEL_RGBA_F32 = 5,
+}
+
+use zs_pixel_format::*;
+
+pub(super) type zs_pixel_format_value = i32;
+
+impl zs_pixel_format {
+    pub(super) fn of(value: i32) -> Result<Self, Failure> {
+        let all = [ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32];
+        let found = all.into_iter().find(|format| *format as i32 == value);
+        found.ok_or_else(|| Failure::argument("pixel format", value, "a zs_pixel_format"))
+    }
+
+    pub(super) fn bytes(self) -> usize {
+        match self {
+            ZS_PIXEL_RGB8 => 3,
+            ZS_PIXEL_RGBA8 | ZS_PIXEL_BGRA8 => 4,
+            ZS_PIXEL_RGB_F32 => 12,
+            ZS_PIXEL_RGBA_F32 => 16,
+        }
+    }
+
+    pub(super) fn has_alpha(self) -> bool {
+        !matches!(self, ZS_PIXEL_RGB8 | ZS_PIXEL_RGB_F32)
+    }
+}
+
+/// A photo in your memory, read during the call only. Its first row is the top one. Alpha is ignored; f32 values are clamped
+/// to 0..1 and rounded to 8 bits, which is what networks are trained with.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_image {
+    /// The first pixel of the top row; of any alignment.
+    pub pixels: *const c_void,
+    /// Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
+    pub stride: i64,
+    /// Pixels a row, 1 to 32768.
+    pub width: u32,
+    /// Rows, 1 to 32768.
+    pub height: u32,
+    /// How a pixel lies in memory.
+    pub format: zs_pixel_format_value,
+    /// Must be 0.
+    pub reserved: u32,
+}
+
+/// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
+/// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_camera {
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Horizontal focal length in pixels.
+    pub fx: f64,
+    /// Vertical focal length in pixels.
+    pub fy: f64,
+    /// Principal point from the left edge, in pixels.
+    pub cx: f64,
+    /// Principal point from the top edge, in pixels.
+    pub cy: f64,
+    /// Camera-to-world rotation, row by row: its columns are the camera's right, down and forward in the world.
+    pub rotation: [f64; 9],
+    /// The camera's centre in the world.
+    pub translation: [f64; 3],
+}
+
+/// Longest side, and most pixels of one photo: those of the engine's own readers of files.
+const MAX_SIDE: u32 = 32_768;
+const MAX_PIXELS: u64 = (1 << 30) / 3;
+
+impl zs_camera {
+    pub(super) fn camera(&self) -> Camera {
+        let Self { width, height, fx, fy, cx, cy, .. } = *self;
+        let rotation = DMat3::from_cols_array(&self.rotation).transpose();
+        let pose = Pose { rotation, translation: DVec3::from_array(self.translation) };
+        Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
+    }
+}
+
+impl zs_image {
+    /// # Safety
+    /// All rows can be read.
+    pub(super) unsafe fn image(&self, name: &str) -> Result<Image, Failure> {
+        let field = |field: &str| format!("{name}, {field}");
+        let (width, height, format) = (self.width, self.height, zs_pixel_format::of(self.format)?);
+        let sides = 1..=MAX_SIDE;
+        let pixels = u64::from(width) * u64::from(height);
+        if !sides.contains(&width) || !sides.contains(&height) || pixels > MAX_PIXELS {
+            let expected = format!("sides of 1 to {MAX_SIDE}, at most {MAX_PIXELS} pixels");
+            return Err(Failure::argument(field("size"), format!("{width} x {height}"), expected));
+        }
+        if self.pixels.is_null() || self.reserved != 0 {
+            let found = if self.pixels.is_null() { "NULL pixels" } else { "a reserved field in use" };
+            return Err(Failure::argument(name, found, "pixels, and 0 in reserved"));
+        }
+        let row_bytes = width as usize * format.bytes();
+        let stride = checked_stride(self.stride, row_bytes, height, &field("stride"))?;
+        let mut rgb = Vec::new();
+        let bytes = 3 * pixels;
+        rgb.try_reserve_exact(bytes as usize).map_err(|_| crate::Error::Memory {
+            what: field("pixels"),
+            needed: bytes,
+            available: 0,
+        })?;
+        for y in 0..height as isize {
+            // SAFETY: the caller says that every row can be read; the stride was checked not to wrap.
+            let row = unsafe { std::slice::from_raw_parts(self.pixels.cast::<u8>().offset(y * stride), row_bytes) };
+            append_rgb(&mut rgb, row, format);
+        }
+        Ok(Image { width, height, rgb })
+    }
+}
+
+/// Bytes from row to row: as long as a row or longer either way, and inside the address space over the whole picture.
+pub(super) fn checked_stride(stride: i64, row_bytes: usize, height: u32, name: &str) -> Result<isize, Failure> {
+    let stride = if stride == 0 { row_bytes as i64 } else { stride };
+    let fits =
+        stride.unsigned_abs() >= row_bytes as u64 && stride.unsigned_abs() <= isize::MAX as u64 / u64::from(height);
+    let expected = || format!("0, or at least {row_bytes} either way");
+    if fits { Ok(stride as isize) } else { Err(Failure::argument(name, stride, expected())) }
+}
+
+fn append_rgb(rgb: &mut Vec<u8>, row: &[u8], format: zs_pixel_format) {
+    let float = |bytes: &[u8]| {
+        let value = f32::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+        (value.clamp(0.0, 1.0) * 255.0).round() as u8
+    };
+    let pixels = row.chunks_exact(format.bytes());
+    match format {
+        ZS_PIXEL_RGB8 => rgb.extend_from_slice(row),
+        ZS_PIXEL_RGBA8 => pixels.for_each(|p| rgb.extend_from_slice(&p[..3])),
+        ZS_PIXEL_BGRA8 => pixels.for_each(|p| rgb.extend([p[2], p[1], p[0]])),
+        ZS_PIXEL_RGB_F32 | ZS_PIXEL_RGBA_F32 => {
+            pixels.for_each(|p| rgb.extend([float(p), float(&p[4..]), float(&p[8..])]));
+        }
+    }
+}

@@ -1,0 +1,34 @@
+/*
+ * zipsplat.h: photos without poses to a compact scene of 3D Gaussians, and pictures of it, on Vulkan.
+ *
+ * Generated from engine/src/ffi. Copyright and licence: see LICENSE (Apache-2.0).
+ *
+ *     zs_context    a device at work; creates
+ *     zs_model      a network with its weights on the device; makes
+ *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; is drawn by
+ *     zs_renderer   a scene on the device
+ *     zs_photo      a photo from a file, for those who have no pixels yet
+ *
+ * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
+ * zs_last_error has for the thread that called. A call that fails leaves nothing half made; one that creates an object sets
+ * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
+ * host has no memory left at all.
+ *
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _embedded or zs_reconstruct hands out is yours; give it back
+ * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
+ * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
+ * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that
+ * you get from functions returning const char * are never yours to free.
+ *
+ * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
+ * zs_renderer wait for each other. Callbacks run on the thread that made the call.
+ *
+ * Structures that begin with struct_size may grow at their end in later versions. Where there is a ..._default function call
+ * it, then set what you want to be different; otherwise set struct_size to the sizeof. A library takes the structures of its
+ * own version and of all earlier ones of the same ZS_ABI_VERSION, and refuses larger ones. All others never change.
+ *
+ * Numbers in structures that stand for something (int32_t of an enumeration) are checked; one that is not known is refused.
+ * Sizes are in bytes, counts in elements, lengths of pictures in pixels. The world's unit is the scene's own.
+ *
+ * Bits. The same call with the same inputs gives the same bits on the same device and driver, whatever else runs.
+ */

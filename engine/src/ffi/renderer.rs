@@ -1,0 +1,270 @@
+//! Renderers: a scene on a device, drawn into the caller's memory.
+
+use super::{
+    context::zs_context,
+    picture::{checked_stride, zs_camera, zs_pixel_format, zs_pixel_format_value},
+    pointers::{Versioned, array, borrow, destroy, produce, read_versioned, write_defaults},
+    scene::zs_scene,
+    status::{Failure, guard, zs_status},
+};
+use crate::{
+    stages::render::{Depth, Frame, MAX_SIDE, RenderRequest, Renderer},
+    types::Camera,
+};
+use std::{
+    ffi::c_void,
+    sync::{Mutex, MutexGuard},
+};
+
+/// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
+/// drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
+pub struct zs_renderer {
+    /// Whether the device is the app's.
+    pub(super) adopted: bool,
+    renderer: Mutex<Renderer>,
+}
+
+impl zs_renderer {
+    /// Also where a panicking call held the lock: a renderer checks its plans anew every time.
+    pub(super) fn lock(&self) -> MutexGuard<'_, Renderer> {
+        self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+/// Kinds of depth along the camera's z axis, in world units.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_depth {
+    /// The mean depth of what is seen: the sum of depth times blending weight, over alpha. 0 where nothing is.
+    ZS_DEPTH_EXPECTED = 0,
+    /// The sum of depth times blending weight.
+    ZS_DEPTH_ACCUMULATED = 1,
+}
+
+pub(super) type zs_depth_value = i32;
+
+/// How to draw.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_render_options {
+    /// sizeof(zs_render_options); zs_render_options_default sets it.
+    pub struct_size: u32,
+    /// Of the pixels that are written. 8-bit values are clamped and truncated, f32 values are neither. Where there is alpha it
+    /// is what covers the background, and colour contains the background's share: on black, the default, it is premultiplied.
+    /// Default ZS_PIXEL_RGBA8.
+    pub format: zs_pixel_format_value,
+    /// Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
+    pub depth: zs_depth_value,
+    /// 1 to make Gaussians thinner than a pixel fainter by as much as drawing widens them (Mip-Splatting): for scenes that
+    /// were made that way. Default 0.
+    pub antialiased: u32,
+    /// Red, green and blue behind the scene. Default black.
+    pub background: [f32; 3],
+    /// Must be 0.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), eight values of four bytes: no padding.
+unsafe impl Versioned for zs_render_options {
+    const NAME: &str = "zs_render_options";
+    const FIRST_SIZE: usize = 32;
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            format: zs_pixel_format::ZS_PIXEL_RGBA8 as i32,
+            depth: zs_depth::ZS_DEPTH_EXPECTED as i32,
+            antialiased: 0,
+            background: [0.0; 3],
+            reserved: 0,
+        }
+    }
+}
+
+/// Where a picture goes: memory of yours for what you want of it, NULL for what you do not.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_picture {
+    /// The first pixel of the top row, in the format of the options; of any alignment.
+    pub pixels: *mut c_void,
+    /// Bytes from a row to the one below it; negative to store the picture bottom-up; 0 for row after row. What lies between
+    /// rows is left as it is.
+    pub stride: i64,
+    /// height x width: alpha from 0 to 1.
+    pub alpha: *mut f32,
+    /// height x width: depth in world units.
+    pub depth: *mut f32,
+}
+
+/// Pixels that are drawn before they are copied out.
+const PIXELS_AT_ONCE: u64 = 1 << 24;
+
+/// Brings a scene to a context's device. The scene may be destroyed afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_renderer_create(
+    context: *const zs_context,
+    scene: *const zs_scene,
+    renderer: *mut *mut zs_renderer,
+) -> zs_status {
+    let create = || {
+        // SAFETY: objects or NULL.
+        let (context, scene) = unsafe { (borrow(context, "context")?, borrow(scene, "scene")?) };
+        let mut renderer = Renderer::new(&context.device);
+        renderer.load(&scene.scene)?;
+        Ok(zs_renderer { adopted: context.adopted, renderer: Mutex::new(renderer) })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(renderer, create) }
+}
+
+/// Draws another scene from now on. Cheap for one of the same number of Gaussians and degree. After a failure draw nothing
+/// before another call of this has succeeded.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, scene: *const zs_scene) -> zs_status {
+    guard(|| {
+        // SAFETY: objects or NULL.
+        let (renderer, scene) = unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?) };
+        Ok(renderer.lock().load(&scene.scene)?)
+    })
+}
+
+/// Destroys a renderer, after waiting for pictures on their way to zs_vulkan_target. NULL is allowed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
+    // SAFETY: an object that the caller gives up, or NULL.
+    unsafe { destroy(renderer) }
+}
+
+/// Fills `options` with the defaults. `size` is sizeof(zs_render_options).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_render_options_default(options: *mut zs_render_options, size: usize) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(options, size) }
+}
+
+/// Draws `count` cameras, each into the picture of its number. It returns when all are written. Cameras of one size are drawn
+/// together. After a failure some pictures may be written. `options` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_render(
+    renderer: *const zs_renderer,
+    cameras: *const zs_camera,
+    pictures: *const zs_picture,
+    count: usize,
+    options: *const zs_render_options,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL; a structure or NULL; arrays of the caller's.
+        let (renderer, options, cameras, pictures) = unsafe {
+            let (cameras, pictures) = (array(cameras, count, "cameras")?, array(pictures, count, "pictures")?);
+            (borrow(renderer, "renderer")?, read_versioned(options)?, cameras, pictures)
+        };
+        let format = options.checked()?;
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect();
+        let mut strides = Vec::with_capacity(count);
+        for (i, (camera, picture)) in cameras.iter().zip(pictures).enumerate() {
+            camera.validate(&format!("camera {i}"))?;
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            if width.max(height) > MAX_SIDE {
+                let (found, expected) = (format!("{width} x {height}"), format!("sides up to {MAX_SIDE}"));
+                return Err(Failure::argument(format!("size of camera {i}"), found, expected));
+            }
+            let row_bytes = width as usize * format.bytes();
+            let name = format!("picture {i}, stride");
+            strides.push(checked_stride(picture.stride, row_bytes, height, &name)?);
+        }
+        let request = options.request(format, pictures)?;
+        let mut renderer = renderer.lock();
+        let mut first = 0;
+        while first < count {
+            let pixels = |i: &usize| u64::from(cameras[*i].intrinsics.width) * u64::from(cameras[*i].intrinsics.height);
+            let mut room = PIXELS_AT_ONCE;
+            let more = (first + 1..count).take_while(|i| {
+                room = room.saturating_sub(pixels(i));
+                room > 0
+            });
+            let end = first + 1 + more.count();
+            let frames = renderer.render_loaded(&cameras[first..end], &request)?;
+            for (i, frame) in (first..end).zip(&frames) {
+                // SAFETY: the caller's memory, as large as the camera's picture.
+                unsafe { pictures[i].write(frame, format, strides[i])? };
+            }
+            first = end;
+        }
+        Ok(())
+    })
+}
+
+impl zs_render_options {
+    /// The pixel format of options that can be drawn.
+    pub(super) fn checked(&self) -> Result<zs_pixel_format, Failure> {
+        if self.reserved != 0 {
+            return Err(Failure::argument("zs_render_options, reserved", self.reserved, "0"));
+        }
+        if !self.background.iter().all(|value| value.is_finite()) {
+            return Err(Failure::argument("background", format!("{:?}", self.background), "finite numbers"));
+        }
+        zs_pixel_format::of(self.format)
+    }
+
+    /// What all pictures together ask for.
+    fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
+        let depth = match self.depth {
+            0 => Depth::Expected,
+            1 => Depth::Accumulated,
+            other => return Err(Failure::argument("depth", other, "a zs_depth")),
+        };
+        let rgb = pictures.iter().any(|picture| !picture.pixels.is_null());
+        let alpha = pictures.iter().any(|picture| !picture.alpha.is_null());
+        let wants_depth = pictures.iter().any(|picture| !picture.depth.is_null());
+        Ok(RenderRequest {
+            rgb,
+            alpha: alpha || rgb && format.has_alpha(),
+            depth: wants_depth.then_some(depth),
+            background: self.background,
+            antialiased: self.antialiased != 0,
+            ..RenderRequest::default()
+        })
+    }
+}
+
+impl zs_picture {
+    /// # Safety
+    /// Everything that is not NULL has room for the frame.
+    unsafe fn write(&self, frame: &Frame, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {
+        for (name, to, from) in [("alpha", self.alpha, &frame.alpha), ("depth", self.depth, &frame.depth)] {
+            if let (false, Some(from)) = (to.is_null(), from) {
+                // SAFETY: the caller's promise.
+                unsafe { super::pointers::array_mut(to, from.len(), name) }?.copy_from_slice(from);
+            }
+        }
+        let (false, Some(rgb)) = (self.pixels.is_null(), &frame.rgb) else { return Ok(()) };
+        let width = frame.width as usize;
+        let alpha = frame.alpha.as_deref().unwrap_or_default();
+        let row_bytes = width * format.bytes();
+        for (y, colours) in rgb.chunks_exact(3 * width).enumerate() {
+            // SAFETY: the caller's promise; the stride was checked not to wrap.
+            let row = unsafe {
+                std::slice::from_raw_parts_mut(self.pixels.cast::<u8>().offset(y as isize * stride), row_bytes)
+            };
+            encode_row(row, colours, alpha.get(y * width..).unwrap_or_default(), format);
+        }
+        Ok(())
+    }
+}
+
+/// One row; `alpha` has values where the format has them.
+fn encode_row(row: &mut [u8], colours: &[f32], alpha: &[f32], format: zs_pixel_format) {
+    let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0) as u8;
+    let alphas = alpha.iter().copied().chain(std::iter::repeat(1.0));
+    let pixels = row.chunks_exact_mut(format.bytes()).zip(colours.chunks_exact(3)).zip(alphas);
+    for ((pixel, rgb), alpha) in pixels {
+        match format {
+            zs_pixel_format::ZS_PIXEL_RGB8 => pixel.copy_from_slice(&[rgb[0], rgb[1], rgb[2]].map(byte)),
+            zs_pixel_format::ZS_PIXEL_RGBA8 => pixel.copy_from_slice(&[rgb[0], rgb[1], rgb[2], alpha].map(byte)),
+            zs_pixel_format::ZS_PIXEL_BGRA8 => pixel.copy_from_slice(&[rgb[2], rgb[1], rgb[0], alpha].map(byte)),
+            zs_pixel_format::ZS_PIXEL_RGB_F32 => pixel.copy_from_slice(bytemuck::cast_slice(rgb)),
+            zs_pixel_format::ZS_PIXEL_RGBA_F32 => {
+                pixel.copy_from_slice(bytemuck::cast_slice(&[rgb[0], rgb[1], rgb[2], alpha]));
+            }
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! Scenes: Gaussians in and out of arrays and files.
+
+use super::{
+    pointers::{
+        POINTER, Versioned, array, array_mut, borrow, destroy, produce, read_versioned, text, write_defaults,
+        write_versioned,
+    },
+    status::{Failure, guard, zs_status},
+};
+use crate::types::{Scene, WriteOptions, read_scene, write_scene};
+use std::ffi::c_char;
+
+/// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
+/// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
+pub struct zs_scene {
+    pub(super) scene: Scene,
+}
+
+/// How large a scene is.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_scene_info {
+    /// sizeof(zs_scene_info); set it before the call.
+    pub struct_size: u32,
+    /// Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
+    pub sh_degree: u32,
+    /// N, the number of Gaussians.
+    pub count: u64,
+}
+
+/// Gaussians as arrays of yours, one a property, each as long as it says. The world is the first photo's camera: x right, y
+/// down, z forward; its unit is the scene's own unless cameras were given.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_gaussians {
+    /// sizeof(zs_gaussians); set it before the call.
+    pub struct_size: u32,
+    /// Highest band of spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+    /// N, the number of Gaussians that the arrays have room for.
+    pub count: u64,
+    /// N x 3 centres.
+    pub means: *mut f32,
+    /// N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
+    pub scales: *mut f32,
+    /// N x 4 rotations as quaternions w, x, y, z; of any length but zero.
+    pub quats: *mut f32,
+    /// N opacities from 0 to 1.
+    pub opacities: *mut f32,
+    /// N x K x 3 coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
+    pub sh_coeffs: *mut f32,
+}
+
+/// How a scene is written.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_save_options {
+    /// sizeof(zs_save_options); zs_save_options_default sets it.
+    pub struct_size: u32,
+    /// Version of a .spz file: 3, or 2 for older readers. Default 3.
+    pub spz_version: u32,
+}
+
+// SAFETY: repr(C), two u32 and a u64: no padding.
+unsafe impl Versioned for zs_scene_info {
+    const NAME: &str = "zs_scene_info";
+    const FIRST_SIZE: usize = 16;
+    fn defaults() -> Self {
+        Self { struct_size: size_of::<Self>() as u32, sh_degree: 0, count: 0 }
+    }
+}
+
+// SAFETY: repr(C), two u32, a u64 and pointers: no padding.
+unsafe impl Versioned for zs_gaussians {
+    const NAME: &str = "zs_gaussians";
+    const FIRST_SIZE: usize = 16 + 5 * POINTER;
+    fn defaults() -> Self {
+        let none = std::ptr::null_mut();
+        let struct_size = size_of::<Self>() as u32;
+        Self {
+            struct_size,
+            sh_degree: 0,
+            count: 0,
+            means: none,
+            scales: none,
+            quats: none,
+            opacities: none,
+            sh_coeffs: none,
+        }
+    }
+}
+
+// SAFETY: repr(C), two u32: no padding.
+unsafe impl Versioned for zs_save_options {
+    const NAME: &str = "zs_save_options";
+    const FIRST_SIZE: usize = 8;
+    fn defaults() -> Self {
+        Self { struct_size: size_of::<Self>() as u32, spz_version: WriteOptions::default().spz_version }
+    }
+}
+
+/// Says how large a scene is, to make the arrays for zs_scene_read.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs_scene_info) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let scene = &unsafe { borrow(scene, "scene") }?.scene;
+        let found = zs_scene_info { sh_degree: scene.sh_degree, count: scene.len() as u64, ..Versioned::defaults() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(info, found) }
+    })
+}
+
+/// Copies a scene's Gaussians into your arrays; those that are NULL are left out. `gaussians.count` and
+/// `gaussians.sh_degree` must be the scene's, as zs_scene_get_info says them.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_read(scene: *const zs_scene, gaussians: *const zs_gaussians) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let scene = &unsafe { borrow(scene, "scene") }?.scene;
+        // SAFETY: the caller's structure.
+        let arrays = unsafe { given(gaussians) }?;
+        if (arrays.count, arrays.sh_degree) != (scene.len() as u64, scene.sh_degree) {
+            let expected = format!("{} of degree {}, as the scene has", scene.len(), scene.sh_degree);
+            let found = format!("{} of degree {}", arrays.count, arrays.sh_degree);
+            return Err(Failure::argument("gaussians", found, expected));
+        }
+        let copies = [
+            ("means", arrays.means, scene.means.as_flattened()),
+            ("scales", arrays.scales, scene.scales.as_flattened()),
+            ("quats", arrays.quats, scene.quats.as_flattened()),
+            ("opacities", arrays.opacities, &scene.opacities[..]),
+            ("sh_coeffs", arrays.sh_coeffs, scene.sh_coeffs.as_flattened()),
+        ];
+        for (name, to, from) in copies.into_iter().filter(|(_, to, _)| !to.is_null()) {
+            // SAFETY: the caller says that the array has room for all of the scene's.
+            unsafe { array_mut(to, from.len(), name) }?.copy_from_slice(from);
+        }
+        Ok(())
+    })
+}
+
+/// Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: *mut *mut zs_scene) -> zs_status {
+    let create = || {
+        // SAFETY: the caller's structure.
+        let arrays = unsafe { given(gaussians) }?;
+        if arrays.sh_degree > Scene::MAX_SH_DEGREE {
+            let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
+            return Err(Failure::argument("gaussians, sh_degree", arrays.sh_degree, expected));
+        }
+        let n = usize::try_from(arrays.count).ok().filter(|n| *n <= MAX_GAUSSIANS);
+        let n = n.ok_or_else(|| Failure::argument("gaussians", arrays.count, format!("at most {MAX_GAUSSIANS}")))?;
+        let k = (arrays.sh_degree as usize + 1).pow(2);
+        // SAFETY: the caller says that every array has as many elements.
+        let scene = unsafe {
+            Scene {
+                means: array::<[f32; 3]>(arrays.means.cast(), n, "means")?.to_vec(),
+                scales: array::<[f32; 3]>(arrays.scales.cast(), n, "scales")?.to_vec(),
+                quats: array::<[f32; 4]>(arrays.quats.cast(), n, "quats")?.to_vec(),
+                opacities: array::<f32>(arrays.opacities, n, "opacities")?.to_vec(),
+                sh_coeffs: array::<[f32; 3]>(arrays.sh_coeffs.cast(), n.saturating_mul(k), "sh_coeffs")?.to_vec(),
+                sh_degree: arrays.sh_degree,
+            }
+        };
+        scene.validate()?;
+        Ok(zs_scene { scene })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, create) }
+}
+
+/// More fill no device's memory, and their arrays' sizes stay far from wrapping.
+const MAX_GAUSSIANS: usize = 1 << 28;
+
+/// Reads a scene file: PLY of 3D Gaussian Splatting, SPZ, .splat, glTF with KHR_gaussian_splatting (.gltf, .glb). Whatever
+/// axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
+    // SAFETY: a string or NULL.
+    let open = || Ok(zs_scene { scene: read_scene(unsafe { text(path, "path") }?)? });
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, open) }
+}
+
+/// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, size: usize) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(options, size) }
+}
+
+/// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not at
+/// all; one of that name is replaced. `options` may be NULL. `path` is UTF-8.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_save(
+    scene: *const zs_scene,
+    path: *const c_char,
+    options: *const zs_save_options,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
+        let (scene, path, options) =
+            unsafe { (borrow(scene, "scene")?, text(path, "path")?, read_versioned(options)?) };
+        Ok(write_scene(path, &scene.scene, &WriteOptions { spz_version: options.spz_version })?)
+    })
+}
+
+/// Destroys a scene. NULL is allowed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_destroy(scene: *mut zs_scene) {
+    // SAFETY: an object that the caller gives up, or NULL.
+    unsafe { destroy(scene) }
+}
+
+/// # Safety
+/// As [`read_versioned`].
+unsafe fn given(gaussians: *const zs_gaussians) -> Result<zs_gaussians, Failure> {
+    if gaussians.is_null() {
+        return Err(Failure::argument(zs_gaussians::NAME, "NULL", "a structure"));
+    }
+    // SAFETY: the caller's promise.
+    unsafe { read_versioned(gaussians) }
+}

@@ -1,0 +1,148 @@
+//! How calls end: a status, and a message for the thread that called.
+
+use crate::Error;
+use std::{
+    any::Any,
+    cell::RefCell,
+    ffi::{CStr, CString, c_char},
+    panic::{AssertUnwindSafe, catch_unwind},
+};
+
+/// How a call ended. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
+/// as a failure.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_status {
+    /// It did what it says.
+    ZS_OK = 0,
+    /// A value you gave cannot be used: give another. The message names it, what was found and what is expected.
+    ZS_ERROR_ARGUMENT = 1,
+    /// A file could not be opened, read or written.
+    ZS_ERROR_IO = 2,
+    /// A file's or buffer's bytes are not what its format allows.
+    ZS_ERROR_FORMAT = 3,
+    /// A checkpoint's tensors are not those of its network.
+    ZS_ERROR_WEIGHTS = 4,
+    /// No Vulkan loader, no driver, or none whose device can run this. The message says what is missing.
+    ZS_ERROR_NO_DEVICE = 5,
+    /// The device or the host has too little memory. Nothing was submitted; the message has the bytes.
+    ZS_ERROR_OUT_OF_MEMORY = 6,
+    /// The driver refused a call that should have worked, or the validation layer had something to say.
+    ZS_ERROR_DRIVER = 7,
+    /// The device is lost: it was reset or removed. Destroy everything that belongs to its context and create a new one;
+    /// scenes are in host memory and survive.
+    ZS_ERROR_DEVICE_LOST = 8,
+    /// Your progress callback asked to stop.
+    ZS_ERROR_CANCELLED = 9,
+    /// This build of the library does not have it.
+    ZS_ERROR_UNSUPPORTED = 10,
+    /// A bug in the library. It goes on working, but the objects of this call are better destroyed.
+    ZS_ERROR_INTERNAL = 11,
+}
+
+use zs_status::*;
+
+/// Every status, for names and tests.
+pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
+    (ZS_OK, c"ZS_OK"),
+    (ZS_ERROR_ARGUMENT, c"ZS_ERROR_ARGUMENT"),
+    (ZS_ERROR_IO, c"ZS_ERROR_IO"),
+    (ZS_ERROR_FORMAT, c"ZS_ERROR_FORMAT"),
+    (ZS_ERROR_WEIGHTS, c"ZS_ERROR_WEIGHTS"),
+    (ZS_ERROR_NO_DEVICE, c"ZS_ERROR_NO_DEVICE"),
+    (ZS_ERROR_OUT_OF_MEMORY, c"ZS_ERROR_OUT_OF_MEMORY"),
+    (ZS_ERROR_DRIVER, c"ZS_ERROR_DRIVER"),
+    (ZS_ERROR_DEVICE_LOST, c"ZS_ERROR_DEVICE_LOST"),
+    (ZS_ERROR_CANCELLED, c"ZS_ERROR_CANCELLED"),
+    (ZS_ERROR_UNSUPPORTED, c"ZS_ERROR_UNSUPPORTED"),
+    (ZS_ERROR_INTERNAL, c"ZS_ERROR_INTERNAL"),
+];
+
+/// A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
+#[unsafe(no_mangle)]
+pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
+    let known = STATUSES.iter().find(|(known, _)| *known as i32 == status);
+    known.map_or(c"unknown status", |(_, name)| name).as_ptr()
+}
+
+/// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
+/// none has failed. Yours to read until the next call of this thread that fails.
+#[unsafe(no_mangle)]
+pub extern "C" fn zs_last_error() -> *const c_char {
+    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+}
+
+thread_local! {
+    static LAST_ERROR: RefCell<CString> = RefCell::default();
+}
+
+/// Why a call failed.
+pub(super) struct Failure {
+    pub status: zs_status,
+    pub message: String,
+}
+
+impl Failure {
+    pub fn unsupported(message: impl Into<String>) -> Self {
+        Self { status: ZS_ERROR_UNSUPPORTED, message: message.into() }
+    }
+
+    pub fn argument(what: impl Into<String>, found: impl ToString, expected: impl Into<String>) -> Self {
+        Error::argument(what, found, expected).into()
+    }
+
+    fn panicked(payload: Box<dyn Any + Send>) -> Self {
+        let text = payload.downcast_ref::<&str>().map(|text| text.to_string());
+        let text = text.or_else(|| payload.downcast_ref::<String>().cloned());
+        let message = format!("a bug in zipsplat: {}", text.unwrap_or_else(|| "a panic without a message".into()));
+        Self { status: ZS_ERROR_INTERNAL, message }
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        let status = match &error {
+            Error::Argument { .. } => ZS_ERROR_ARGUMENT,
+            Error::Io { .. } => ZS_ERROR_IO,
+            Error::Format { .. } => ZS_ERROR_FORMAT,
+            Error::Weights { .. } => ZS_ERROR_WEIGHTS,
+            Error::NoDevice(_) => ZS_ERROR_NO_DEVICE,
+            Error::Memory { .. } => ZS_ERROR_OUT_OF_MEMORY,
+            Error::Driver { .. } => ZS_ERROR_DRIVER,
+            Error::DeviceLost => ZS_ERROR_DEVICE_LOST,
+            Error::Cancelled => ZS_ERROR_CANCELLED,
+        };
+        Self { status, message: error.to_string() }
+    }
+}
+
+/// Runs an entry point: catches panics, keeps the message.
+pub(super) fn guard(body: impl FnOnce() -> Result<(), Failure>) -> zs_status {
+    let result = catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|payload| Err(Failure::panicked(payload)));
+    let Err(Failure { status, message }) = result else { return ZS_OK };
+    let message = CString::new(message.replace('\0', " ")).unwrap_or_default();
+    // A thread that is ending has no messages any more.
+    let _ = LAST_ERROR.try_with(|last| last.replace(message));
+    status
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_ends_as_an_internal_error() {
+        assert_eq!(guard(|| panic!("index {} of {}", 3, 2)), ZS_ERROR_INTERNAL);
+        // SAFETY: the message of this thread, read before the next call.
+        let message = unsafe { CStr::from_ptr(zs_last_error()) };
+        assert_eq!(message.to_str(), Ok("a bug in zipsplat: index 3 of 2"));
+    }
+
+    #[test]
+    fn numbers_and_names_agree() {
+        for (index, (status, name)) in STATUSES.iter().enumerate() {
+            assert_eq!(*status as usize, index);
+            assert_eq!(format!("{status:?}").as_bytes(), name.to_bytes());
+        }
+    }
+}

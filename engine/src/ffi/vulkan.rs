@@ -1,0 +1,359 @@
+//! An app's own Vulkan device, images and buffers.
+
+use super::{
+    context::zs_context,
+    picture::{zs_camera, zs_pixel_format},
+    pointers::{POINTER, Versioned, array, borrow, produce, read_versioned, write_defaults},
+    renderer::{zs_render_options, zs_renderer},
+    status::{Failure, guard, zs_status},
+};
+use crate::{
+    gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, requirements},
+    stages::render::{PixelLayout, RenderRequest},
+};
+use std::{
+    ffi::{c_char, c_void},
+    sync::LazyLock,
+};
+
+/// Kinds of zs_vulkan_requirement.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_requirement_kind {
+    /// `name` is the least version for VkApplicationInfo.apiVersion and of the device, as "1.3".
+    ZS_REQUIRES_API_VERSION = 0,
+    /// `name` is an extension of the device.
+    ZS_REQUIRES_DEVICE_EXTENSION = 1,
+    /// `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
+    ZS_REQUIRES_FEATURE = 2,
+    /// `name` is an extension of the instance.
+    ZS_REQUIRES_INSTANCE_EXTENSION = 3,
+}
+
+pub(super) type zs_requirement_kind_value = i32;
+
+/// Something that has to be enabled on a device of yours.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_vulkan_requirement {
+    /// What it is.
+    pub kind: zs_requirement_kind_value,
+    /// 0.
+    pub reserved: u32,
+    /// Static: never free it.
+    pub name: *const c_char,
+    /// Static; "" but for a feature.
+    pub structure: *const c_char,
+}
+
+/// vkGetInstanceProcAddr, cast to a function without arguments.
+pub type zs_vulkan_function = Option<unsafe extern "C" fn()>;
+
+/// Locks or unlocks a queue. It must return, and call nothing of this library.
+pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
+
+/// Vulkan handles of yours. Every one is used and none is destroyed; nothing is enabled on them.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_vulkan_device {
+    /// sizeof(zs_vulkan_device); zs_vulkan_device_default sets it.
+    pub struct_size: u32,
+    /// Family of `queue`; it must be able to compute.
+    pub queue_family: u32,
+    /// Your vkGetInstanceProcAddr; NULL for that of the system's loader. Default NULL.
+    pub get_instance_proc_addr: zs_vulkan_function,
+    /// VkInstance.
+    pub instance: *mut c_void,
+    /// VkPhysicalDevice.
+    pub physical_device: *mut c_void,
+    /// VkDevice.
+    pub device: *mut c_void,
+    /// VkQueue. The engine submits to it from the threads that call the engine, never from one of its own.
+    pub queue: *mut c_void,
+    /// Called before each submission to `queue`, on the thread that submits; `unlock_queue` right after it, and never is the
+    /// lock held while the engine waits. Do not hold the lock yourself when you call the engine. NULL where nobody else uses
+    /// the queue while a call runs. Default NULL.
+    pub lock_queue: zs_queue_lock,
+    /// Both or none.
+    pub unlock_queue: zs_queue_lock,
+    /// Given to both.
+    pub user_data: *mut c_void,
+}
+
+/// A value of a timeline semaphore of yours.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_semaphore_point {
+    /// VkSemaphore of type timeline, cast to uint64_t.
+    pub semaphore: u64,
+    /// To wait for, or to signal.
+    pub value: u64,
+}
+
+/// An image or a buffer of yours that a picture is copied to on the device. Handles are cast to uint64_t. They must stay until
+/// the signals were given, or, without signals, until the renderer is destroyed.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_vulkan_target {
+    /// sizeof(zs_vulkan_target); zs_vulkan_target_default sets it.
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
+    /// VkImage with usage VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format that zs_pixel_format names, owned by the
+    /// queue's family or shared; 0 for a buffer. Default 0.
+    pub image: u64,
+    /// First pixel that is written; the camera's width and height must fit behind it. Default 0.
+    pub x: u32,
+    /// First row that is written. Default 0.
+    pub y: u32,
+    /// Mip level. Default 0.
+    pub mip_level: u32,
+    /// Array layer. Default 0.
+    pub array_layer: u32,
+    /// VkImageLayout that level and layer are in when the waits are over. Default VK_IMAGE_LAYOUT_UNDEFINED, which may lose
+    /// what is there.
+    pub old_layout: i32,
+    /// VkImageLayout that they are in when the signals are given. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
+    pub new_layout: i32,
+    /// VkBuffer with usage VK_BUFFER_USAGE_TRANSFER_DST_BIT; 0 for an image. Rows follow each other. Default 0.
+    pub buffer: u64,
+    /// First byte in the buffer, a multiple of 4. Default 0.
+    pub buffer_offset: u64,
+    /// Bytes that may be written from there. Default 0.
+    pub buffer_size: u64,
+    /// Number of `waits`. Default 0.
+    pub wait_count: u32,
+    /// Number of `signals`. Default 0.
+    pub signal_count: u32,
+    /// What has to be reached before the target is touched. Read during the call. Default NULL.
+    pub waits: *const zs_semaphore_point,
+    /// Given when the picture is in the target and visible to every later use. Read during the call. Default NULL.
+    pub signals: *const zs_semaphore_point,
+}
+
+// SAFETY: repr(C), two u32 and pointers: no padding.
+unsafe impl Versioned for zs_vulkan_device {
+    const NAME: &str = "zs_vulkan_device";
+    const FIRST_SIZE: usize = 8 + 8 * POINTER;
+    fn defaults() -> Self {
+        let none = std::ptr::null_mut();
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            queue_family: 0,
+            get_instance_proc_addr: None,
+            instance: none,
+            physical_device: none,
+            device: none,
+            queue: none,
+            lock_queue: None,
+            unlock_queue: None,
+            user_data: none,
+        }
+    }
+}
+
+/// VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL
+const SHADER_READ_ONLY: i32 = 5;
+
+// SAFETY: repr(C), pairs of four bytes, u64 and pointers: no padding.
+unsafe impl Versioned for zs_vulkan_target {
+    const NAME: &str = "zs_vulkan_target";
+    const FIRST_SIZE: usize = 72 + 2 * POINTER;
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            reserved: 0,
+            image: 0,
+            x: 0,
+            y: 0,
+            mip_level: 0,
+            array_layer: 0,
+            old_layout: 0,
+            new_layout: SHADER_READ_ONLY,
+            buffer: 0,
+            buffer_offset: 0,
+            buffer_size: 0,
+            wait_count: 0,
+            signal_count: 0,
+            waits: std::ptr::null(),
+            signals: std::ptr::null(),
+        }
+    }
+}
+
+/// Pointers to static text.
+struct Requirements(Vec<zs_vulkan_requirement>);
+
+// SAFETY: nothing is ever written behind these pointers.
+unsafe impl Send for Requirements {}
+// SAFETY: as above.
+unsafe impl Sync for Requirements {}
+
+static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
+    let entry = |requirement: Requirement| {
+        let (kind, name, structure) = match requirement {
+            Requirement::ApiVersion(version) => (zs_requirement_kind::ZS_REQUIRES_API_VERSION, version, c""),
+            Requirement::DeviceExtension(name) => (zs_requirement_kind::ZS_REQUIRES_DEVICE_EXTENSION, name, c""),
+            Requirement::Feature { name, structure } => (zs_requirement_kind::ZS_REQUIRES_FEATURE, name, structure),
+        };
+        zs_vulkan_requirement { kind: kind as i32, reserved: 0, name: name.as_ptr(), structure: structure.as_ptr() }
+    };
+    Requirements(requirements().into_iter().map(entry).collect())
+});
+
+/// Lists what has to be enabled on a device of yours before zs_context_adopt; nothing else is used. Needs no device. The list
+/// is static: never free it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_vulkan_requirements(
+    list: *mut *const zs_vulkan_requirement,
+    count: *mut usize,
+) -> zs_status {
+    guard(|| {
+        if list.is_null() || count.is_null() {
+            return Err(Failure::argument("list or count", "NULL", "where to put them"));
+        }
+        // SAFETY: not NULL, and the caller's to write.
+        unsafe {
+            list.write(REQUIREMENTS.0.as_ptr());
+            count.write(REQUIREMENTS.0.len());
+        }
+        Ok(())
+    })
+}
+
+/// Fills `device` with the defaults. `size` is sizeof(zs_vulkan_device).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device, size: usize) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(device, size) }
+}
+
+/// Makes a context of a device of yours, on which everything in zs_vulkan_requirements is enabled: that cannot be checked.
+/// Destroy the context and all its models and renderers before the device.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, context: *mut *mut zs_context) -> zs_status {
+    let adopt = || {
+        // SAFETY: the caller's structure.
+        let given = unsafe { read_versioned(device) }?;
+        let user_data = UserData(given.user_data);
+        let queue_lock = match (given.lock_queue, given.unlock_queue) {
+            (Some(lock), Some(unlock)) => Some(QueueLock {
+                // SAFETY: the caller's functions, with the caller's data, on any thread that calls the engine.
+                lock: Box::new(move || unsafe { lock(user_data.get()) }),
+                // SAFETY: as above.
+                unlock: Box::new(move || unsafe { unlock(user_data.get()) }),
+            }),
+            (None, None) => None,
+            _ => return Err(Failure::argument("lock_queue and unlock_queue", "one of them", "both or none")),
+        };
+        let adopted = Adopted {
+            get_instance_proc_addr: given.get_instance_proc_addr,
+            instance: given.instance,
+            physical_device: given.physical_device,
+            device: given.device,
+            queue: given.queue,
+            queue_family: given.queue_family,
+            queue_lock,
+        };
+        // SAFETY: the caller vouches for the handles, as the header says.
+        Ok(zs_context { device: unsafe { Device::adopt(adopted) }?, adopted: true })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(context, adopt) }
+}
+
+/// What a caller's callback is given, on whatever thread.
+#[derive(Clone, Copy)]
+struct UserData(*mut c_void);
+
+// SAFETY: the engine only hands it on; the header says on which threads.
+unsafe impl Send for UserData {}
+// SAFETY: as above.
+unsafe impl Sync for UserData {}
+
+impl UserData {
+    fn get(self) -> *mut c_void {
+        self.0
+    }
+}
+
+/// Fills `target` with the defaults. `size` is sizeof(zs_vulkan_target).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target, size: usize) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(target, size) }
+}
+
+/// Draws one camera into an image or buffer of yours, without a copy by the host: ZS_PIXEL_RGBA8, BGRA8 or RGBA_F32. The
+/// renderer's context must be an adopted one. When this returns the scene is drawn and the copy to the target is submitted; it
+/// begins when the waits are over and ends with the signals. Without semaphores it is ordered as everything on one queue. The
+/// next picture of this renderer may wait for this copy, so do not make a wait depend on it. `options` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_render_to_vulkan(
+    renderer: *const zs_renderer,
+    camera: *const zs_camera,
+    target: *const zs_vulkan_target,
+    options: *const zs_render_options,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL; structures or NULL.
+        let (renderer, camera, options) =
+            unsafe { (borrow(renderer, "renderer")?, borrow(camera, "camera")?.camera(), read_versioned(options)?) };
+        if !renderer.adopted {
+            return Err(Failure::argument("renderer", "one on a device of the engine's", "one of zs_context_adopt"));
+        }
+        let layout = match options.checked()? {
+            zs_pixel_format::ZS_PIXEL_RGBA8 => PixelLayout::Rgba8,
+            zs_pixel_format::ZS_PIXEL_BGRA8 => PixelLayout::Bgra8,
+            zs_pixel_format::ZS_PIXEL_RGBA_F32 => PixelLayout::RgbaF32,
+            other => {
+                let expected = "RGBA8, BGRA8 or RGBA_F32 for images and buffers of the device";
+                return Err(Failure::argument("pixel format", format!("{other:?}"), expected));
+            }
+        };
+        // SAFETY: a structure or NULL, whose handles the caller vouches for.
+        let target = unsafe { read_versioned(target)?.target(&camera, layout) }?;
+        let (background, antialiased) = (options.background, options.antialiased != 0);
+        let request = RenderRequest { background, antialiased, ..RenderRequest::default() };
+        Ok(renderer.lock().render_to(&camera, &request, layout, &target)?)
+    })
+}
+
+impl zs_vulkan_target {
+    /// # Safety
+    /// The header's words about handles hold.
+    unsafe fn target(&self, camera: &crate::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
+        let points = |pointer, count: u32, name| {
+            // SAFETY: the caller's array.
+            let points = unsafe { array::<zs_semaphore_point>(pointer, count as usize, name) }?;
+            Ok::<_, Failure>(points.iter().map(|p| Point { semaphore: p.semaphore, value: p.value }).collect())
+        };
+        if self.reserved != 0 || (self.image == 0) == (self.buffer == 0) {
+            let found = if self.reserved != 0 { "a reserved field in use" } else { "both or none" };
+            return Err(Failure::argument("zs_vulkan_target", found, "an image or a buffer"));
+        }
+        let waits = points(self.waits, self.wait_count, "waits")?;
+        let signals = points(self.signals, self.signal_count, "signals")?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        if self.image != 0 {
+            let place = ImagePlace {
+                image: self.image,
+                offset: [self.x, self.y],
+                extent: [width, height],
+                mip_level: self.mip_level,
+                array_layer: self.array_layer,
+                old_layout: self.old_layout,
+                new_layout: self.new_layout,
+            };
+            // SAFETY: the caller vouches for the handles and the place.
+            return Ok(unsafe { Target::image(place, waits, signals) });
+        }
+        let needed = u64::from(width) * u64::from(height) * layout.bytes() as u64;
+        if self.buffer_size < needed || !self.buffer_offset.is_multiple_of(4) {
+            let found = format!("{} bytes at {}", self.buffer_size, self.buffer_offset);
+            return Err(Failure::argument("buffer", found, format!("{needed} bytes at a multiple of 4")));
+        }
+        // SAFETY: the caller vouches for the handles; the size was checked.
+        Ok(unsafe { Target::buffer(self.buffer, self.buffer_offset, waits, signals) })
+    }
+}

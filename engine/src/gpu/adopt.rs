@@ -1,0 +1,94 @@
+//! Devices of an app: what it must have enabled, and its handles taken over without owning them.
+
+use super::{
+    Device,
+    device::{Shared, SharedParts},
+    instance::Instance,
+    limits::{REQUIRED_FEATURES, missing_features, probe},
+    queue::Queue,
+};
+use crate::{Error, Result};
+use ash::vk::{self, Handle};
+use std::{
+    ffi::{CStr, c_void},
+    sync::Arc,
+};
+
+pub use super::queue::QueueLock;
+
+/// Something that an app has to enable on its own instance or device before the engine can use that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Requirement {
+    /// `VkApplicationInfo::apiVersion`, at least.
+    ApiVersion(&'static CStr),
+    /// An extension of the device.
+    DeviceExtension(&'static CStr),
+    /// A feature, and the structure that it is a field of.
+    Feature {
+        /// The field.
+        name: &'static CStr,
+        /// The structure.
+        structure: &'static CStr,
+    },
+}
+
+/// Everything that has to be enabled; nothing else is used.
+pub fn requirements() -> Vec<Requirement> {
+    let extensions = [Requirement::DeviceExtension(ash::khr::push_descriptor::NAME)];
+    let features = REQUIRED_FEATURES.map(|(name, structure)| Requirement::Feature { name, structure });
+    [Requirement::ApiVersion(c"1.3")].into_iter().chain(extensions).chain(features).collect()
+}
+
+/// An app's Vulkan handles. They are used, never destroyed.
+pub struct Adopted {
+    /// `vkGetInstanceProcAddr` that the app calls; `None` takes the system's loader.
+    pub get_instance_proc_addr: Option<unsafe extern "C" fn()>,
+    /// `VkInstance`.
+    pub instance: *mut c_void,
+    /// `VkPhysicalDevice`.
+    pub physical_device: *mut c_void,
+    /// `VkDevice`.
+    pub device: *mut c_void,
+    /// `VkQueue` of that device.
+    pub queue: *mut c_void,
+    /// Family of the queue; it must be able to compute.
+    pub queue_family: u32,
+    /// How the app's use of the queue and the engine's keep out of each other's way; `None` where only the engine uses it.
+    pub queue_lock: Option<QueueLock>,
+}
+
+impl Device {
+    /// Works on an app's device.
+    ///
+    /// # Safety
+    /// The handles are valid and belong together, everything in [`requirements`] is enabled on them, and they stay valid
+    /// until the last user of this device is gone.
+    ///
+    /// # Errors
+    /// [`Error::NoDevice`] where the physical device or the queue cannot do what the kernels need.
+    pub unsafe fn adopt(adopted: Adopted) -> Result<Self> {
+        let handles = [adopted.instance, adopted.physical_device, adopted.device, adopted.queue];
+        if handles.iter().any(|handle| handle.is_null()) {
+            return Err(Error::argument("Vulkan handles", "a null one", "instance, physical device, device and queue"));
+        }
+        let [instance, physical, device, queue] = handles.map(|handle| handle as usize as u64);
+        let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
+        let physical = vk::PhysicalDevice::from_raw(physical);
+        let (limits, found) = probe(&instance.raw, physical);
+        let missing = missing_features(&limits, &found);
+        if !missing.is_empty() {
+            return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));
+        }
+        let family = adopted.queue_family;
+        // SAFETY: the caller vouches for the physical device.
+        let families = unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
+        if !families.get(family as usize).is_some_and(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE)) {
+            return Err(Error::argument("queue family", family, "one that can compute"));
+        }
+        // SAFETY: the caller vouches for the device.
+        let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), vk::Device::from_raw(device)) };
+        let queue = Queue::new(vk::Queue::from_raw(queue), adopted.queue_lock);
+        let parts = SharedParts { instance, physical, raw, owned: false, queue, family, limits, staged: false };
+        Shared::new(parts, found.subgroup_control).map(|shared| Self(Arc::new(shared)))
+    }
+}

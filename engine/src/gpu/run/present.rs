@@ -1,0 +1,208 @@
+//! Results into an app's own images and buffers, without the host.
+
+use super::{Run, arena_id};
+use crate::{
+    Error, Result,
+    gpu::{Tensor, commands::driver},
+};
+use ash::vk::{self, Handle};
+
+/// A place in an app's memory on the device, and what orders the engine's writing with the app's use of it.
+#[derive(Clone, Debug)]
+pub struct Target {
+    place: Place,
+    waits: Vec<Point>,
+    signals: Vec<Point>,
+}
+
+/// A value of a timeline semaphore.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Point {
+    /// `VkSemaphore`.
+    pub semaphore: u64,
+    /// Waited for, or signalled.
+    pub value: u64,
+}
+
+/// The part of an image that is written whole.
+#[derive(Clone, Copy, Debug)]
+pub struct ImagePlace {
+    /// `VkImage` with the colour aspect.
+    pub image: u64,
+    /// First pixel.
+    pub offset: [u32; 2],
+    /// Pixels along x and y.
+    pub extent: [u32; 2],
+    /// Mip level.
+    pub mip_level: u32,
+    /// Array layer.
+    pub array_layer: u32,
+    /// `VkImageLayout` that the level and layer are in.
+    pub old_layout: i32,
+    /// `VkImageLayout` that they are left in.
+    pub new_layout: i32,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    Image(ImagePlace),
+    Buffer { buffer: u64, offset: u64 },
+}
+
+impl Target {
+    /// An image, in any tiling, made for being copied to.
+    ///
+    /// # Safety
+    /// Image and semaphores belong to the device that the run is on and live until the signals were given; the place is
+    /// inside the image, whose pixels are as wide as what is written; the queue's family owns it.
+    pub unsafe fn image(place: ImagePlace, waits: Vec<Point>, signals: Vec<Point>) -> Self {
+        Self { place: Place::Image(place), waits, signals }
+    }
+
+    /// A buffer, made for being copied to.
+    ///
+    /// # Safety
+    /// As [`Target::image`]; all that is written fits behind `offset`, a multiple of 4.
+    pub unsafe fn buffer(buffer: u64, offset: u64, waits: Vec<Point>, signals: Vec<Point>) -> Self {
+        Self { place: Place::Buffer { buffer, offset }, waits, signals }
+    }
+}
+
+impl Run {
+    /// Submits the copy of an output to `target`, behind the waits, and returns. The next write to this run, and its end,
+    /// wait for the copy.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for handles or layouts that cannot be, [`Error::DeviceLost`], or a driver's failure.
+    ///
+    /// # Panics
+    /// Where the tensor is not an output of this plan.
+    pub fn present(&mut self, tensor: Tensor, target: &Target) -> Result<()> {
+        let handle = match target.place {
+            Place::Image(place) => place.image,
+            Place::Buffer { buffer, .. } => buffer,
+        };
+        if handle == 0 || target.waits.iter().chain(&target.signals).any(|point| point.semaphore == 0) {
+            return Err(Error::argument("Vulkan handles", "a null one", "an image or buffer, and semaphores"));
+        }
+        if let Place::Image(ImagePlace { new_layout: 0 | 8, .. }) = target.place {
+            return Err(Error::argument("new layout", "undefined or preinitialised", "a layout for use"));
+        }
+        self.settle()?;
+        let commands = match self.presenting {
+            Some(commands) => commands,
+            None => *self.presenting.insert(self.command_buffer()?),
+        };
+        self.record_copy(commands, tensor, target.place)?;
+        self.signalled = self.timeline_value()?.max(self.signalled) + 1;
+        let own = Point { semaphore: self.timeline.as_raw(), value: self.signalled };
+        let infos = |points: &[Point]| points.iter().map(submit_info).collect::<Vec<_>>();
+        let (waits, signals) = (infos(&target.waits), infos(&[&target.signals[..], &[own]].concat()));
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let info = vk::SubmitInfo2::default()
+            .command_buffer_infos(&buffers)
+            .wait_semaphore_infos(&waits)
+            .signal_semaphore_infos(&signals);
+        // SAFETY: the command buffer is recorded and not under way; the target's maker vouches for its handles.
+        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) };
+        if submitted.is_err() {
+            self.signalled -= 1; // Nothing will give it.
+        }
+        submitted.map_err(|e| driver("vkQueueSubmit2", e))
+    }
+
+    fn record_copy(&self, commands: vk::CommandBuffer, tensor: Tensor, place: Place) -> Result<()> {
+        let id = arena_id(tensor);
+        assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
+        let from = self.plan.placements[id];
+        let (source, offset) = (self.arena.buffer(from.block), from.offset + tensor.offset);
+        let raw = &self.device.0.raw;
+        let transfer = vk::PipelineStageFlags2::TRANSFER;
+        // SAFETY: the command buffer is not under way; the source is inside its block; the target is vouched for.
+        unsafe {
+            raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())
+                .map_err(|e| driver("vkBeginCommandBuffer", e))?;
+            let written = vk::MemoryBarrier2::default()
+                .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+                .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+                .dst_stage_mask(transfer)
+                .dst_access_mask(vk::AccessFlags2::TRANSFER_READ | vk::AccessFlags2::TRANSFER_WRITE);
+            let done = vk::MemoryBarrier2::default()
+                .src_stage_mask(transfer)
+                .src_access_mask(vk::AccessFlags2::TRANSFER_WRITE)
+                .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST)
+                .dst_access_mask(READ_AND_WRITE | vk::AccessFlags2::HOST_READ);
+            match place {
+                Place::Buffer { buffer, offset: dst_offset } => {
+                    let region = vk::BufferCopy { src_offset: offset, dst_offset, size: tensor.bytes };
+                    raw.cmd_pipeline_barrier2(commands, &vk::DependencyInfo::default().memory_barriers(&[written]));
+                    raw.cmd_copy_buffer(commands, source, vk::Buffer::from_raw(buffer), &[region]);
+                    raw.cmd_pipeline_barrier2(commands, &vk::DependencyInfo::default().memory_barriers(&[done]));
+                }
+                Place::Image(place) => {
+                    let image = vk::Image::from_raw(place.image);
+                    let dst = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+                    let before = [image_barrier(&place)
+                        .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+                        .src_access_mask(READ_AND_WRITE)
+                        .dst_stage_mask(transfer)
+                        .dst_access_mask(vk::AccessFlags2::TRANSFER_WRITE)
+                        .old_layout(vk::ImageLayout::from_raw(place.old_layout))
+                        .new_layout(dst)];
+                    let after = [image_barrier(&place)
+                        .src_stage_mask(transfer)
+                        .src_access_mask(vk::AccessFlags2::TRANSFER_WRITE)
+                        .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+                        .dst_access_mask(READ_AND_WRITE)
+                        .old_layout(dst)
+                        .new_layout(vk::ImageLayout::from_raw(place.new_layout))];
+                    let before = vk::DependencyInfo::default()
+                        .memory_barriers(std::slice::from_ref(&written))
+                        .image_memory_barriers(&before);
+                    raw.cmd_pipeline_barrier2(commands, &before);
+                    raw.cmd_copy_buffer_to_image(commands, source, image, dst, &[region(&place, offset)]);
+                    raw.cmd_pipeline_barrier2(commands, &vk::DependencyInfo::default().image_memory_barriers(&after));
+                }
+            }
+            raw.end_command_buffer(commands).map_err(|e| driver("vkEndCommandBuffer", e))
+        }
+    }
+}
+
+const READ_AND_WRITE: vk::AccessFlags2 =
+    vk::AccessFlags2::from_raw(vk::AccessFlags2::MEMORY_READ.as_raw() | vk::AccessFlags2::MEMORY_WRITE.as_raw());
+
+fn image_barrier(place: &ImagePlace) -> vk::ImageMemoryBarrier2<'static> {
+    let range = vk::ImageSubresourceRange::default()
+        .aspect_mask(vk::ImageAspectFlags::COLOR)
+        .base_mip_level(place.mip_level)
+        .level_count(1)
+        .base_array_layer(place.array_layer)
+        .layer_count(1);
+    vk::ImageMemoryBarrier2::default()
+        .image(vk::Image::from_raw(place.image))
+        .subresource_range(range)
+        .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+        .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+}
+
+fn region(place: &ImagePlace, buffer_offset: u64) -> vk::BufferImageCopy {
+    let layers = vk::ImageSubresourceLayers::default()
+        .aspect_mask(vk::ImageAspectFlags::COLOR)
+        .mip_level(place.mip_level)
+        .base_array_layer(place.array_layer)
+        .layer_count(1);
+    let ([x, y], [width, height]) = (place.offset, place.extent);
+    vk::BufferImageCopy::default()
+        .buffer_offset(buffer_offset)
+        .image_subresource(layers)
+        .image_offset(vk::Offset3D { x: x as i32, y: y as i32, z: 0 })
+        .image_extent(vk::Extent3D { width, height, depth: 1 })
+}
+
+fn submit_info(point: &Point) -> vk::SemaphoreSubmitInfo<'static> {
+    vk::SemaphoreSubmitInfo::default()
+        .semaphore(vk::Semaphore::from_raw(point.semaphore))
+        .value(point.value)
+        .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+}

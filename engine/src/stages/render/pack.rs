@@ -1,0 +1,49 @@
+//! Pictures as other programs on the device take them.
+
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::render::Pack,
+};
+
+/// How a pixel lies in memory. Colour and alpha are what [`super::Frame`] has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelLayout {
+    /// Red, green, blue and alpha as f32, not clamped: `VK_FORMAT_R32G32B32A32_SFLOAT`.
+    RgbaF32,
+    /// 8 bits each, as [`crate::types::Image::from_rgb_f32`] makes them: `VK_FORMAT_R8G8B8A8_UNORM`.
+    Rgba8,
+    /// The same with blue first: `VK_FORMAT_B8G8R8A8_UNORM`.
+    Bgra8,
+}
+
+impl PixelLayout {
+    /// Bytes of a pixel.
+    pub fn bytes(self) -> usize {
+        if self == Self::RgbaF32 { 16 } else { 4 }
+    }
+}
+
+/// Pixels of one dispatch: bindings are bounded, and parts start at multiples of 256 bytes.
+const PART: usize = 64;
+
+/// Records the conversion of `frames`, `[pixels, 4]` f32, to an output of `layout`.
+pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) -> Tensor {
+    if layout == PixelLayout::RgbaF32 {
+        return frames;
+    }
+    let pixels = frames.bytes() as usize / PixelLayout::RgbaF32.bytes();
+    let packed = rec.tensor::<u32>("packed", pixels);
+    let part = (rec.limits().max_binding_bytes as usize / PixelLayout::RgbaF32.bytes() / PART * PART).max(PART);
+    for first in (0..pixels).step_by(part) {
+        let count = part.min(pixels - first);
+        let kernel = Pack {
+            frames: frames.slice::<[f32; 4]>(first, count),
+            packed: packed.slice::<u32>(first, count),
+            count: count as u32,
+            blue_first: layout == PixelLayout::Bgra8,
+        };
+        rec.dispatch(kernel, count);
+    }
+    rec.output(packed);
+    packed
+}

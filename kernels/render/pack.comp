@@ -1,0 +1,29 @@
+// Pictures of 8 bits a channel.
+//
+// Frames [count] red, green, blue, alpha as f32
+// Packed [count] the same, clamped to 0..1, times 255 and truncated; red in the lowest byte, blue where BLUE_FIRST
+//
+// One invocation a pixel. The rounding is that of gsplat's viewer, which pictures in files have too.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "shared/index.glsl"
+
+layout(local_size_x = 64) in;
+
+layout(constant_id = 1) const bool BLUE_FIRST = false;
+
+layout(set = 0, binding = 0) readonly buffer Frames { vec4 frames[]; };
+layout(set = 0, binding = 1) writeonly buffer Packed { uint packed_pixels[]; };
+
+layout(push_constant) uniform Push { uint count; };
+
+void main() {
+    uint i = global_index();
+    if (i < count) {
+        uvec4 bytes = uvec4(clamp(frames[i], 0.0, 1.0) * 255.0);
+        if (BLUE_FIRST) {
+            bytes = bytes.bgra;
+        }
+        packed_pixels[i] = bytes.r | bytes.g << 8 | bytes.b << 16 | bytes.a << 24;
+    }
+}

@@ -1,0 +1,295 @@
+//! Whatever is passed, a status comes back.
+
+use crate::calls::*;
+use std::{
+    ffi::{c_char, c_void},
+    ptr::{dangling_mut, null, null_mut},
+    sync::atomic::{AtomicU32, Ordering},
+};
+use zipsplat::ffi::{zs_status::*, *};
+
+#[test]
+fn null_is_refused_everywhere() {
+    let refused = [
+        // SAFETY: every entry point takes NULL for every pointer.
+        unsafe { zs_device_count(null_mut()) },
+        unsafe { zs_device_get(0, null_mut()) },
+        unsafe { zs_context_options_default(null_mut(), 16) },
+        unsafe { zs_context_create(null(), null_mut()) },
+        unsafe { zs_context_get_info(null(), null_mut()) },
+        unsafe { zs_photo_open(null(), null_mut()) },
+        unsafe { zs_photo_get_image(null(), null_mut()) },
+        unsafe { zs_image_save_png(null(), null()) },
+        unsafe { zs_scene_get_info(null(), null_mut()) },
+        unsafe { zs_scene_read(null(), null()) },
+        unsafe { zs_scene_create(null(), null_mut()) },
+        unsafe { zs_scene_open(null(), null_mut()) },
+        unsafe { zs_save_options_default(null_mut(), 8) },
+        unsafe { zs_scene_save(null(), null(), null()) },
+        unsafe { zs_model_options_default(null_mut(), 32) },
+        unsafe { zs_model_open(null(), null(), null(), null_mut()) },
+        unsafe { zs_model_from_memory(null(), null(), 0, null(), null_mut()) },
+        unsafe { zs_model_embedded(null(), null(), null_mut()) },
+        unsafe { zs_model_get_info(null(), null_mut()) },
+        unsafe { zs_reconstruct_options_default(null_mut(), 64) },
+        unsafe { zs_reconstruct(null(), null(), 0, null(), null_mut()) },
+        unsafe { zs_renderer_create(null(), null(), null_mut()) },
+        unsafe { zs_renderer_set_scene(null(), null()) },
+        unsafe { zs_render_options_default(null_mut(), 32) },
+        unsafe { zs_render(null(), null(), null(), 0, null()) },
+        unsafe { zs_vulkan_requirements(null_mut(), null_mut()) },
+        unsafe { zs_vulkan_device_default(null_mut(), 72) },
+        unsafe { zs_context_adopt(null(), null_mut()) },
+        unsafe { zs_vulkan_target_default(null_mut(), 88) },
+        unsafe { zs_render_to_vulkan(null(), null(), null(), null()) },
+    ];
+    for (i, status) in refused.into_iter().enumerate() {
+        assert_eq!(status, ZS_ERROR_ARGUMENT, "call {i}");
+    }
+    // SAFETY: as above.
+    unsafe {
+        zs_context_destroy(null_mut());
+        zs_photo_destroy(null_mut());
+        zs_model_destroy(null_mut());
+        zs_scene_destroy(null_mut());
+        zs_renderer_destroy(null_mut());
+    }
+}
+
+#[test]
+fn failures_leave_null_behind() {
+    let context = context();
+    let text = c_string("no such file");
+    let mut scene = dangling_mut();
+    // SAFETY: a string, and where to put it.
+    fails(unsafe { zs_scene_open(text.as_ptr(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
+    assert!(scene.is_null());
+    let mut model = dangling_mut();
+    // SAFETY: a live context, bytes of that length, and where to put it.
+    let status = unsafe { zs_model_from_memory(context.handle, b"no model".as_ptr().cast(), 8, null(), &mut model) };
+    fails(status, ZS_ERROR_FORMAT, &["model in memory"]);
+    assert!(model.is_null());
+    let device = c_string("no such device");
+    let mut options = context_options();
+    options.device = device.as_ptr();
+    let mut other = dangling_mut();
+    // SAFETY: options that live as long as the call.
+    fails(unsafe { zs_context_create(&options, &mut other) }, ZS_ERROR_NO_DEVICE, &["no such device"]);
+    assert!(other.is_null());
+    let bad = [b'x', 0xff, 0];
+    // SAFETY: a string, and where to put it.
+    fails(unsafe { zs_photo_open(bad.as_ptr().cast(), &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["path", "UTF-8"]);
+}
+
+fn context_options() -> zs_context_options {
+    let mut options = zs_context_options { struct_size: 0, validation: 0, device: null() };
+    // SAFETY: a structure of that size.
+    ok(unsafe { zs_context_options_default(&mut options, size_of::<zs_context_options>()) });
+    options
+}
+
+#[test]
+fn structures_of_other_sizes_are_refused() {
+    for size in [0, 1, 4, 12, 17, 24, u32::MAX as usize, usize::MAX] {
+        let mut options = context_options();
+        // SAFETY: nothing is written where the size is refused.
+        let status = unsafe { zs_context_options_default(&mut options, size) };
+        fails(status, ZS_ERROR_ARGUMENT, &["zs_context_options", "struct_size"]);
+        options.struct_size = size as u32;
+        // SAFETY: as above.
+        fails(unsafe { zs_context_create(&options, &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["struct_size"]);
+    }
+}
+
+#[test]
+fn devices_are_described() {
+    let mut count = 0;
+    // SAFETY: where to put it.
+    ok(unsafe { zs_device_count(&mut count) });
+    assert!(count > 0);
+    // SAFETY: zeroes are a value of this structure.
+    let mut info: zs_device_info = unsafe { std::mem::zeroed() };
+    info.struct_size = size_of::<zs_device_info>() as u32;
+    // SAFETY: a structure of its size.
+    fails(unsafe { zs_device_get(count, &mut info) }, ZS_ERROR_ARGUMENT, &["device"]);
+    let context = context();
+    // SAFETY: as above, and a live context.
+    ok(unsafe { zs_context_get_info(context.handle, &mut info) });
+    let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
+    assert_eq!(name, zipsplat_tests::device::device().limits().name);
+    assert!(info.usable == 1 && info.memory_bytes > 0);
+}
+
+unsafe extern "C" fn stop_at_third(calls: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
+    assert!((0.0..=1.0).contains(&fraction) && !stage.is_null());
+    // SAFETY: the counter of the test that passed it.
+    let calls = unsafe { &*calls.cast::<AtomicU32>() };
+    (calls.fetch_add(1, Ordering::Relaxed) == 2).into()
+}
+
+#[test]
+fn progress_is_told_and_can_stop() {
+    let context = context();
+    let calls = AtomicU32::new(0);
+    let user_data = (&raw const calls).cast_mut().cast();
+    let options = zs_model_options { progress: Some(stop_at_third), user_data, ..model_options() };
+    let mut model = null_mut();
+    // SAFETY: live objects, bytes of that length.
+    let status =
+        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), &options, &mut model) };
+    fails(status, ZS_ERROR_CANCELLED, &["cancelled"]);
+    assert_eq!(calls.swap(0, Ordering::Relaxed), 3);
+    let model = crate::calls::model(&context);
+    let photos = photos(2);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let options = zs_reconstruct_options { progress: Some(stop_at_third), user_data, ..reconstruct_options() };
+    let mut scene = null_mut();
+    // SAFETY: live objects and arrays of their lengths.
+    let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), 2, &options, &mut scene) };
+    fails(status, ZS_ERROR_CANCELLED, &[]);
+    assert!(scene.is_null());
+    // The model goes on working.
+    reconstruct(&model, &images, &reconstruct_options());
+}
+
+fn model_options() -> zs_model_options {
+    let mut options = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the options, which are filled where it succeeds.
+    unsafe {
+        ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
+        options.assume_init()
+    }
+}
+
+#[test]
+fn what_cannot_be_reconstructed_is_refused() {
+    let context = context();
+    let model = model(&context);
+    let photos = photos(1);
+    let image = image_of(&photos[0]);
+    let options = reconstruct_options();
+    let refused = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
+        let mut scene = dangling_mut();
+        // SAFETY: the sizes that are too large are refused before anything is read.
+        let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, &mut scene) };
+        fails(status, ZS_ERROR_ARGUMENT, words);
+        assert!(scene.is_null());
+    };
+    for count in [0, 193, usize::MAX, usize::MAX / 32 + 2] {
+        refused(&[image], count, &options, &["images"]);
+    }
+    for (width, height) in [(0, 1), (1, 0), (u32::MAX, u32::MAX), (32_769, 1), (32_768, 32_768)] {
+        refused(&[zs_image { width, height, ..image }], 1, &options, &["image 0, size"]);
+    }
+    for stride in [1, -1, 3 * i64::from(SIDE) - 1, i64::MAX, i64::MIN] {
+        refused(&[zs_image { stride, ..image }], 1, &options, &["image 0, stride"]);
+    }
+    for format in [0, -1, 6, i32::MAX] {
+        refused(&[zs_image { format, ..image }], 1, &options, &["pixel format"]);
+    }
+    refused(&[zs_image { pixels: null(), ..image }], 1, &options, &["image 0", "NULL"]);
+    refused(&[zs_image { reserved: 1, ..image }], 1, &options, &["image 0", "reserved"]);
+    for ratio in [-0.5, 1.5, f64::NAN, f64::INFINITY] {
+        refused(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
+    }
+    for (width, height) in [(14, 0), (15, 14), (u32::MAX, 14), (1 << 31, 1 << 31), (14 * 4096, 14 * 4096)] {
+        refused(&[image], 1, &zs_reconstruct_options { width, height, ..options }, &["size of the views"]);
+    }
+    refused(&[image], 1, &zs_reconstruct_options { precision: 9, ..options }, &["precision"]);
+    refused(&[image], 1, &zs_reconstruct_options { selection: -1, ..options }, &["selection"]);
+    refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
+    let cameras = [camera(SIDE, SIDE, f64::NAN); 2];
+    let posed = zs_reconstruct_options { cameras: cameras.as_ptr(), camera_count: 2, ..options };
+    refused(&[image], 1, &posed, &["number of cameras"]);
+    refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..posed }, &["camera 0", "translation"]);
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused() {
+    let context = context();
+    let photos = photos(1);
+    let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
+    let renderer = renderer(&context, &scene);
+    let good = camera(16, 16, 0.0);
+    let mut pixels = [0u8; 4 * 16 * 16];
+    let picture = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
+    let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
+    let refused = |camera: &zs_camera, picture: &zs_picture, count: usize, options: &zs_render_options, word: &str| {
+        // SAFETY: what is too large is refused before anything is touched.
+        let status = unsafe { zs_render(renderer.handle, camera, picture, count, options) };
+        fails(status, ZS_ERROR_ARGUMENT, &[word]);
+    };
+    refused(&good, &picture, usize::MAX, &options, "cameras");
+    for (width, height) in [(0, 16), (16, 0), (u32::MAX, u32::MAX), (1 << 20, 1)] {
+        refused(&zs_camera { width, height, ..good }, &picture, 1, &options, "size");
+    }
+    for focal in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        refused(&zs_camera { fx: focal, ..good }, &picture, 1, &options, "fx");
+    }
+    refused(&zs_camera { rotation: [0.0; 9], ..good }, &picture, 1, &options, "rotation");
+    refused(&good, &zs_picture { stride: 63, ..picture }, 1, &options, "stride");
+    refused(&good, &zs_picture { stride: i64::MIN, ..picture }, 1, &options, "stride");
+    refused(&good, &zs_picture { pixels: null_mut(), ..picture }, 1, &options, "no output");
+    refused(&good, &picture, 1, &zs_render_options { format: 0, ..options }, "pixel format");
+    refused(&good, &picture, 1, &zs_render_options { depth: 7, ..options }, "depth");
+    refused(&good, &picture, 1, &zs_render_options { reserved: 1, ..options }, "reserved");
+    refused(&good, &picture, 1, &zs_render_options { background: [f32::NAN; 3], ..options }, "background");
+    // SAFETY: no cameras at all are none to draw.
+    ok(unsafe { zs_render(renderer.handle, null(), null(), 0, null()) });
+    // SAFETY: as above.
+    let status = unsafe { zs_render_to_vulkan(renderer.handle, &good, null(), null()) };
+    fails(status, ZS_ERROR_ARGUMENT, &["zs_context_adopt"]);
+}
+
+#[test]
+fn what_is_no_scene_is_refused() {
+    let mut gaussians = zipsplat::types::Scene {
+        means: vec![[0.0; 3]],
+        scales: vec![[1.0; 3]],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        opacities: vec![0.5],
+        sh_coeffs: vec![[0.0; 3]],
+        sh_degree: 0,
+    };
+    let array = arrays(&mut gaussians);
+    let refused = |array: &zs_gaussians, word: &str| {
+        let mut scene = dangling_mut();
+        // SAFETY: what is too large is refused before anything is read.
+        fails(unsafe { zs_scene_create(array, &mut scene) }, ZS_ERROR_ARGUMENT, &[word]);
+        assert!(scene.is_null());
+    };
+    for count in [u64::MAX, 1 << 40, (1 << 28) + 1] {
+        refused(&zs_gaussians { count, ..array }, "gaussians");
+    }
+    refused(&zs_gaussians { sh_degree: 4, ..array }, "sh_degree");
+    refused(&zs_gaussians { sh_degree: u32::MAX, ..array }, "sh_degree");
+    refused(&zs_gaussians { means: null_mut(), ..array }, "means");
+    refused(&zs_gaussians { struct_size: 999, ..array }, "struct_size");
+    let mut opacity = [2.0f32];
+    refused(&zs_gaussians { opacities: opacity.as_mut_ptr(), ..array }, "opacities");
+    // SAFETY: arrays of their lengths.
+    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
+    // SAFETY: a live scene and a structure of its size; what does not fit is refused.
+    let status = unsafe { zs_scene_read(scene.handle, &zs_gaussians { count: 2, ..array }) };
+    fails(status, ZS_ERROR_ARGUMENT, &["gaussians"]);
+    let path = c_string("scene.unknown");
+    // SAFETY: a live scene and a string.
+    fails(unsafe { zs_scene_save(scene.handle, path.as_ptr(), null()) }, ZS_ERROR_ARGUMENT, &["scene file"]);
+}
+
+#[test]
+fn handles_that_cannot_be_adopted_are_refused() {
+    let mut device = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the structure, which is filled where it succeeds.
+    let device: zs_vulkan_device = unsafe {
+        ok(zs_vulkan_device_default(device.as_mut_ptr(), size_of::<zs_vulkan_device>()));
+        device.assume_init()
+    };
+    unsafe extern "C" fn lock(_: *mut c_void) {}
+    for (device, word) in [(device, "null"), (zs_vulkan_device { lock_queue: Some(lock), ..device }, "unlock_queue")] {
+        let mut context = dangling_mut();
+        // SAFETY: null handles are refused before they are used.
+        fails(unsafe { zs_context_adopt(&device, &mut context) }, ZS_ERROR_ARGUMENT, &[word]);
+        assert!(context.is_null());
+    }
+}

@@ -1,0 +1,198 @@
+//! Calls as an app makes them, whose failures fail a test.
+
+use std::{
+    ffi::{CStr, CString},
+    ptr::{null, null_mut},
+    sync::OnceLock,
+};
+use zipsplat::{
+    ffi::*,
+    types::{Image, Scene},
+    weights::{Checkpoint, Dtype},
+};
+use zipsplat_tests::architectures;
+
+/// An object that is destroyed with this one.
+pub struct Object<T> {
+    pub handle: *mut T,
+    destroy: unsafe extern "C" fn(*mut T),
+}
+
+// SAFETY: the header says that any thread may use and destroy objects.
+unsafe impl<T> Send for Object<T> {}
+// SAFETY: as above.
+unsafe impl<T> Sync for Object<T> {}
+
+impl<T> Object<T> {
+    pub fn new(destroy: unsafe extern "C" fn(*mut T), make: impl FnOnce(*mut *mut T) -> zs_status) -> Self {
+        let mut handle = null_mut();
+        ok(make(&mut handle));
+        assert!(!handle.is_null());
+        Self { handle, destroy }
+    }
+}
+
+impl<T> Drop for Object<T> {
+    fn drop(&mut self) {
+        // SAFETY: made by `new`, destroyed once.
+        unsafe { (self.destroy)(self.handle) }
+    }
+}
+
+#[track_caller]
+pub fn ok(status: zs_status) {
+    assert!(status == zs_status::ZS_OK, "{status:?}: {}", message());
+}
+
+/// Holds that a call failed with this status and a message that has all of `words`.
+#[track_caller]
+pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
+    assert_eq!(status, expected, "{}", message());
+    for word in words {
+        assert!(message().contains(word), "'{word}' is not in: {}", message());
+    }
+}
+
+pub fn message() -> String {
+    // SAFETY: a string of this thread's.
+    unsafe { CStr::from_ptr(zs_last_error()) }.to_str().expect("UTF-8").to_owned()
+}
+
+/// The smallest network, as a file.
+pub fn micro() -> &'static [u8] {
+    static MICRO: OnceLock<Vec<u8>> = OnceLock::new();
+    MICRO.get_or_init(|| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("micro.safetensors");
+        checkpoint().save(&path, Dtype::F32).expect("weights can be written");
+        std::fs::read(path).expect("they were just written")
+    })
+}
+
+pub fn checkpoint() -> Checkpoint {
+    Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network")
+}
+
+pub fn context() -> Object<zs_context> {
+    // SAFETY: no options, and where to put it.
+    Object::new(zs_context_destroy, |out| unsafe { zs_context_create(null(), out) })
+}
+
+pub fn model(context: &Object<zs_context>) -> Object<zs_model> {
+    let load = |out| {
+        // SAFETY: a live context, bytes of that length, no options, and where to put it.
+        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), out) }
+    };
+    Object::new(zs_model_destroy, load)
+}
+
+/// Side of the pictures of these tests.
+pub const SIDE: u32 = 5 * 14;
+
+/// Photos of noise.
+pub fn photos(count: u32) -> Vec<Image> {
+    let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let photo = |view: u32| Image::new(SIDE, SIDE, (0..3 * SIDE * SIDE).map(|i| noise(i + (view << 20) + 1)).collect());
+    (0..count).map(|view| photo(view).expect("a picture")).collect()
+}
+
+pub fn image_of(photo: &Image) -> zs_image {
+    let format = zs_pixel_format::ZS_PIXEL_RGB8 as i32;
+    zs_image {
+        pixels: photo.rgb.as_ptr().cast(),
+        stride: 0,
+        width: photo.width,
+        height: photo.height,
+        format,
+        reserved: 0,
+    }
+}
+
+pub fn reconstruct_options() -> zs_reconstruct_options {
+    let mut options = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the options, which are filled where it succeeds.
+    unsafe {
+        ok(zs_reconstruct_options_default(options.as_mut_ptr(), size_of::<zs_reconstruct_options>()));
+        let mut options = options.assume_init();
+        (options.width, options.height) = (SIDE, SIDE);
+        options
+    }
+}
+
+pub fn reconstruct(
+    model: &Object<zs_model>,
+    images: &[zs_image],
+    options: &zs_reconstruct_options,
+) -> Object<zs_scene> {
+    // SAFETY: live objects and arrays of their lengths.
+    let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
+    Object::new(zs_scene_destroy, make)
+}
+
+pub fn renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Object<zs_renderer> {
+    // SAFETY: live objects, and where to put it.
+    Object::new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
+}
+
+pub fn render_options(format: zs_pixel_format) -> zs_render_options {
+    let mut options = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the options, which are filled where it succeeds.
+    unsafe {
+        ok(zs_render_options_default(options.as_mut_ptr(), size_of::<zs_render_options>()));
+        zs_render_options { format: format as i32, ..options.assume_init() }
+    }
+}
+
+/// A camera `right` of the world's origin, looking forward.
+pub fn camera(width: u32, height: u32, right: f64) -> zs_camera {
+    let focal = f64::from(width);
+    let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+    zs_camera { width, height, fx: focal, fy: focal, cx, cy, rotation, translation: [right, 0.0, 0.0] }
+}
+
+/// A scene's Gaussians, by way of arrays.
+pub fn read(scene: &Object<zs_scene>) -> Scene {
+    let mut info = zs_scene_info { struct_size: size_of::<zs_scene_info>() as u32, sh_degree: 0, count: 0 };
+    // SAFETY: a live scene and a structure of its size.
+    ok(unsafe { zs_scene_get_info(scene.handle, &mut info) });
+    let (n, k) = (info.count as usize, (info.sh_degree as usize + 1).pow(2));
+    let mut found = Scene {
+        means: vec![[0.0; 3]; n],
+        scales: vec![[0.0; 3]; n],
+        quats: vec![[0.0; 4]; n],
+        opacities: vec![0.0; n],
+        sh_coeffs: vec![[0.0; 3]; n * k],
+        sh_degree: info.sh_degree,
+    };
+    // SAFETY: a live scene and arrays of its lengths.
+    ok(unsafe { zs_scene_read(scene.handle, &arrays(&mut found)) });
+    found
+}
+
+/// A scene's arrays, as long as the scene lives.
+pub fn arrays(scene: &mut Scene) -> zs_gaussians {
+    zs_gaussians {
+        struct_size: size_of::<zs_gaussians>() as u32,
+        sh_degree: scene.sh_degree,
+        count: scene.means.len() as u64,
+        means: scene.means.as_mut_ptr().cast(),
+        scales: scene.scales.as_mut_ptr().cast(),
+        quats: scene.quats.as_mut_ptr().cast(),
+        opacities: scene.opacities.as_mut_ptr(),
+        sh_coeffs: scene.sh_coeffs.as_mut_ptr().cast(),
+    }
+}
+
+pub fn c_string(text: impl Into<Vec<u8>>) -> CString {
+    CString::new(text).expect("no NUL")
+}
+
+/// All pixels of one picture.
+pub fn draw(renderer: &Object<zs_renderer>, camera: &zs_camera, options: &zs_render_options, bytes: usize) -> Vec<u8> {
+    let mut pixels = vec![0; (camera.width * camera.height) as usize * bytes];
+    let picture = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
+    // SAFETY: live objects, and memory as large as the picture.
+    ok(unsafe { zs_render(renderer.handle, camera, &picture, 1, options) });
+    pixels
+}

@@ -1,0 +1,69 @@
+//! What is destroyed is gone, in whatever order.
+
+use crate::{
+    calls::*,
+    installation::{runner, success},
+};
+use std::path::PathBuf;
+use zipsplat::ffi::*;
+
+/// Megabytes that memory may grow by between two looks at it, once caches are full: what allocators keep.
+const MOST_GROWTH: f64 = 2.0;
+
+/// Create, reconstruct, draw, destroy; the order of destruction depends on `cycle`.
+fn cycle(cycle: usize) {
+    let photos = photos(1);
+    let context = context();
+    let model = model(&context);
+    let scene = reconstruct(&model, &[image_of(&photos[0])], &reconstruct_options());
+    let renderer = renderer(&context, &scene);
+    let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
+    let early = draw(&renderer, &camera(32, 32, 0.0), &options, 4);
+    let mut objects: [Option<Box<dyn std::any::Any>>; 3] =
+        [Some(Box::new(context)), Some(Box::new(model)), Some(Box::new(scene))];
+    for i in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]][cycle % 6] {
+        objects[i] = None;
+    }
+    // What it is made from is gone, but not what it needs.
+    assert_eq!(draw(&renderer, &camera(32, 32, 0.0), &options, 4), early);
+}
+
+/// Bytes of this process in memory.
+fn resident_bytes() -> u64 {
+    let statistics = std::fs::read_to_string("/proc/self/statm").expect("Linux");
+    let pages: u64 = statistics.split(' ').nth(1).and_then(|pages| pages.parse().ok()).expect("a number of pages");
+    4096 * pages
+}
+
+/// Megabytes by which memory grows over `cycles`, after the first have filled caches.
+fn growth(cycles: usize) -> f64 {
+    (0..6).for_each(cycle);
+    let before = resident_bytes();
+    (0..cycles).for_each(cycle);
+    (resident_bytes() as f64 - before as f64) / 1e6
+}
+
+/// What this runs is alone in its process.
+#[test]
+fn memory_stays_flat() {
+    let test = PathBuf::from(std::env::args_os().next().expect("the test's own path"));
+    let mut command = runner(&test);
+    command.args(["--ignored", "--exact", "cycles::memory_stays_flat_over_many_cycles"]);
+    command.env("ZIPSPLAT_CYCLES", "40").env("ZIPSPLAT_VALIDATION", "0");
+    success(command);
+}
+
+#[test]
+fn every_order_of_destruction_works() {
+    (0..6).for_each(cycle);
+}
+
+/// 1,000 cycles, or `ZIPSPLAT_CYCLES`: `cargo test --test abi -- --ignored`. The weights alone that a cycle loads are 1 MB.
+#[test]
+#[ignore = "takes minutes"]
+fn memory_stays_flat_over_many_cycles() {
+    let cycles = std::env::var("ZIPSPLAT_CYCLES").ok().and_then(|cycles| cycles.parse().ok()).unwrap_or(1000);
+    let halves = [growth(cycles / 2), growth(cycles / 2)];
+    eprintln!("grew by {:.1} MB, then by {:.1} MB over {} cycles each", halves[0], halves[1], cycles / 2);
+    assert!(halves[1] < MOST_GROWTH, "grew by {halves:?} MB over {} cycles each", cycles / 2);
+}

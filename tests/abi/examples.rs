@@ -1,0 +1,128 @@
+//! The examples, as a reader would build and run them, on the device of these tests.
+
+use crate::{
+    calls::{micro, photos},
+    header::root,
+    installation::{Linking, installation, runner, success},
+};
+use std::{
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    process::Command,
+};
+use tempfile::TempDir;
+use zipsplat::{
+    reconstruct::{Model, Ratio, Request},
+    types::{Image, preprocess::fit, read_ply},
+    weights::Checkpoint,
+};
+use zipsplat_tests::{compare::assert_same, device::device};
+
+fn example(name: &str) -> PathBuf {
+    root().join("engine/examples").join(name)
+}
+
+/// A folder with a small network and two photos.
+fn inputs() -> (TempDir, Vec<PathBuf>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("micro.safetensors"), micro()).expect("weights can be written");
+    let names = ["0.png", "1.png"].map(|name| folder.path().join(name));
+    for (photo, name) in photos(2).iter().zip(&names) {
+        photo.save_png(name).expect("a photo can be written");
+    }
+    (folder, names.to_vec())
+}
+
+/// Means of the scene that Rust makes of the same photos at the default size.
+fn expected_means(folder: &Path, photos: &[PathBuf], ratio: Ratio) -> Vec<[f32; 3]> {
+    let checkpoint = Checkpoint::open(folder.join("micro.safetensors"), None).expect("a network");
+    let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), 252, 252).expect("a view").image;
+    let images: Vec<_> = photos.iter().map(view).collect();
+    let model = Model::load(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("a model");
+    let request = Request { ratio, ..Request::default() };
+    model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).expect("a scene").scene.means
+}
+
+#[test]
+fn reconstruct_in_c() {
+    let source = example("reconstruct.c");
+    let lines = std::fs::read_to_string(&source).expect("the example").lines().count();
+    assert!(lines < 80, "{lines} lines");
+    let (folder, photos) = inputs();
+    let expected = expected_means(folder.path(), &photos, Ratio::Fixed(1.0));
+    for linking in [Linking::Shared, Linking::Static] {
+        let mut command = runner(&installation().compile(&source, linking, &[]));
+        let [scene, picture] = ["scene.ply", "picture.png"].map(|name| folder.path().join(name));
+        command.arg(folder.path().join("micro.safetensors")).arg(&scene).arg(&picture).args(&photos);
+        success(command);
+        let means = read_ply(&scene).expect("a scene").means;
+        assert_same("means", means.as_flattened(), expected.as_flattened());
+        let picture = Image::open(&picture).expect("a picture");
+        assert!((picture.width, picture.height) == (256, 256) && picture.rgb.iter().any(|byte| *byte > 0));
+    }
+}
+
+/// The whole process: the engine's memory as well as the example's.
+#[test]
+fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
+    let (folder, photos) = inputs();
+    let program = installation().compile(&example("reconstruct.c"), Linking::Sanitised, &[]);
+    let [model, scene, picture] =
+        ["micro.safetensors", "scene.ply", "picture.png"].map(|name| folder.path().join(name));
+    // Without the validation layer, which has leaks of its own.
+    let run = |model: &Path| {
+        let mut command = runner(&program);
+        command.arg(model).args([&scene, &picture]).args(&photos).env("ZIPSPLAT_VALIDATION", "0");
+        command
+    };
+    success(run(&model));
+    let failed = run(&folder.path().join("none")).output().expect("the program runs");
+    let message = String::from_utf8_lossy(&failed.stderr);
+    assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
+}
+
+#[test]
+fn reconstruct_in_cpp() {
+    let (folder, photos) = inputs();
+    let mut command = runner(&installation().compile(&example("reconstruct.cpp"), Linking::Shared, &[]));
+    let scene = folder.path().join("scene.ply");
+    command.arg(folder.path().join("micro.safetensors")).arg(&scene).args(&photos);
+    let expected = expected_means(folder.path(), &photos, Ratio::Auto);
+    assert!(success(command).starts_with(&format!("{} Gaussians", expected.len())));
+    assert_same("means", read_ply(&scene).expect("a scene").means.as_flattened(), expected.as_flattened());
+}
+
+#[test]
+fn reconstruct_in_python() {
+    let (folder, photos) = inputs();
+    let python = python_with_numpy().expect("a python3 with NumPy; tools/test.sh installs one");
+    let mut command = runner(&python);
+    let scene = folder.path().join("scene.ply");
+    command.arg(example("reconstruct.py")).arg(folder.path().join("micro.safetensors")).arg(&scene).args(&photos);
+    command.env("ZIPSPLAT_LIBRARY", installation().prefix.join("lib/libzipsplat.so"));
+    let expected = expected_means(folder.path(), &photos, Ratio::Fixed(0.5));
+    let out = success(command);
+    assert!(out.contains(&format!("({}, 3)", expected.len())), "{out}");
+    assert_same("means", read_ply(&scene).expect("a scene").means.as_flattened(), expected.as_flattened());
+}
+
+/// The interpreter itself, which is not always what `python3` is.
+fn python_with_numpy() -> Option<PathBuf> {
+    ["python3", "/usr/bin/python3"].iter().find_map(|name| {
+        let found = Command::new(name).args(["-c", "import sys, numpy; print(sys.executable)"]).output().ok()?;
+        let path = String::from_utf8(found.stdout).ok()?.trim().to_owned();
+        (found.status.success() && !path.is_empty()).then(|| path.into())
+    })
+}
+
+/// Under validation with synchronisation validation where these tests are; a message is a failure.
+#[test]
+fn app_with_its_own_device() {
+    let vulkan = installation().pkg_config(&["--cflags", "--libs", "vulkan"]);
+    let more: Vec<&str> = vulkan.iter().map(String::as_str).chain(["-lpthread"]).collect();
+    let program = installation().compile(&example("app_device.c"), Linking::Shared, &more);
+    let mut command = runner(&program);
+    command.env("VK_LAYER_SETTINGS_PATH", root().join("tests/vk_layer_settings.txt"));
+    let out = success(command);
+    assert!(out.contains("image, buffer and memory agree, 0 messages"), "{out}");
+}

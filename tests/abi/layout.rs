@@ -1,0 +1,113 @@
+//! Sizes, offsets and numbers are those that C sees, and none was left out.
+
+use crate::{
+    header::root,
+    installation::{Linking, installation, runner, success},
+};
+use std::{fmt::Write, mem::offset_of};
+use zipsplat::ffi::*;
+
+/// `sizeof` and `offsetof` of every field, as C spells them.
+macro_rules! layout {
+    ($($name:ident { $($field:ident),* })*) => {
+        vec![$(
+            (format!("sizeof({})", stringify!($name)), size_of::<$name>()),
+            $((format!("offsetof({}, {})", stringify!($name), stringify!($field)), offset_of!($name, $field)),)*
+        )*]
+    };
+}
+
+macro_rules! numbers {
+    ($($enumeration:ident { $($name:ident),* })*) => {
+        vec![$($((stringify!($name).to_owned(), $enumeration::$name as usize),)*)*]
+    };
+}
+
+fn structures() -> Vec<(String, usize)> {
+    layout! {
+        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing }
+        zs_context_options { struct_size, validation, device }
+        zs_image { pixels, stride, width, height, format, reserved }
+        zs_camera { width, height, fx, fy, cx, cy, rotation, translation }
+        zs_scene_info { struct_size, sh_degree, count }
+        zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
+        zs_save_options { struct_size, spz_version }
+        zs_model_options { struct_size, reserved, variant, progress, user_data }
+        zs_model_info { struct_size, picture_side, patch, gaussians_per_token, sh_degree, reserved, weight_bytes }
+        zs_reconstruct_options {
+            struct_size, precision, ratio, selection, width, height, camera_count, seed, cameras, progress, user_data
+        }
+        zs_render_options { struct_size, format, depth, antialiased, background, reserved }
+        zs_picture { pixels, stride, alpha, depth }
+        zs_vulkan_requirement { kind, reserved, name, structure }
+        zs_vulkan_device {
+            struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
+            unlock_queue, user_data
+        }
+        zs_semaphore_point { semaphore, value }
+        zs_vulkan_target {
+            struct_size, reserved, image, x, y, mip_level, array_layer, old_layout, new_layout, buffer, buffer_offset,
+            buffer_size, wait_count, signal_count, waits, signals
+        }
+    }
+}
+
+fn constants() -> Vec<(String, usize)> {
+    let mut constants = numbers! {
+        zs_status {
+            ZS_OK, ZS_ERROR_ARGUMENT, ZS_ERROR_IO, ZS_ERROR_FORMAT, ZS_ERROR_WEIGHTS, ZS_ERROR_NO_DEVICE,
+            ZS_ERROR_OUT_OF_MEMORY, ZS_ERROR_DRIVER, ZS_ERROR_DEVICE_LOST, ZS_ERROR_CANCELLED, ZS_ERROR_UNSUPPORTED,
+            ZS_ERROR_INTERNAL
+        }
+        zs_device_kind { ZS_DEVICE_OTHER, ZS_DEVICE_DISCRETE, ZS_DEVICE_CPU }
+        zs_pixel_format { ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32 }
+        zs_precision { ZS_PRECISION_EXACT }
+        zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
+        zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
+        zs_requirement_kind {
+            ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE, ZS_REQUIRES_INSTANCE_EXTENSION
+        }
+    };
+    let versions = [ZS_VERSION_MAJOR, ZS_VERSION_MINOR, ZS_VERSION_PATCH, ZS_ABI_VERSION];
+    let names = ["ZS_VERSION_MAJOR", "ZS_VERSION_MINOR", "ZS_VERSION_PATCH", "ZS_ABI_VERSION"];
+    constants.extend(names.into_iter().map(str::to_owned).zip(versions.map(|version| version as usize)));
+    let version = format!("{ZS_VERSION_MAJOR}.{ZS_VERSION_MINOR}.{ZS_VERSION_PATCH}");
+    assert_eq!(version, env!("CARGO_PKG_VERSION"));
+    constants
+}
+
+#[test]
+fn is_what_c_sees() {
+    let enumerations = ["status", "device_kind", "pixel_format", "precision", "selection", "depth", "requirement_kind"];
+    let mut expected = [structures(), constants()].concat();
+    expected.extend(enumerations.map(|name| (format!("sizeof(zs_{name})"), 4)));
+    let mut program = "#include <stdio.h>\n#include <zipsplat.h>\nint main(void) {\n".to_owned();
+    for (expression, _) in &expected {
+        let _ = writeln!(program, "    printf(\"%zu %s\\n\", (size_t)({expression}), \"{expression}\");");
+    }
+    program.push_str("    return 0;\n}\n");
+    let listing: String = expected.iter().fold(String::new(), |all, (name, value)| all + &format!("{value} {name}\n"));
+    for source in ["layout.c", "layout.cpp"] {
+        let found = success(runner(&installation().compile_text(source, &program, Linking::Shared)));
+        assert_eq!(found, listing, "{source}");
+    }
+}
+
+/// Every field and every number of the header is in the lists above.
+#[test]
+fn nothing_was_left_out() {
+    let header = std::fs::read_to_string(root().join("engine/include/zipsplat.h")).expect("the header");
+    let code: Vec<&str> = header.lines().map(str::trim).filter(|line| !line.starts_with("//")).collect();
+    let structures = structures();
+    let fields = structures.iter().filter(|(name, _)| name.starts_with("offsetof")).count();
+    let bodies = code.join("\n");
+    let bodies = bodies.split("typedef struct ").filter_map(|part| part.split_once(" {\n"));
+    let found: usize = bodies.map(|(_, rest)| rest.split('}').next().unwrap_or_default().matches(';').count()).sum();
+    assert_eq!(
+        (fields, structures.len() - fields),
+        (found, code.iter().filter(|line| line.starts_with("} zs_")).count())
+    );
+    let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
+    assert_eq!(constants().len() - 4, numbers);
+    assert_eq!(code.iter().filter(|line| line.starts_with("#define ZS_")).count(), 4 + 1, "and ZS_RATIO_AUTO");
+}

@@ -1,0 +1,14 @@
+//! The C ABI, as C, C++ and Python see it.
+#![allow(unsafe_code)] // It is called as C calls it.
+
+mod arguments;
+mod calls;
+mod compile;
+mod cycles;
+mod examples;
+mod header;
+mod installation;
+mod layout;
+mod random_calls;
+mod same_bits;
+mod threads;

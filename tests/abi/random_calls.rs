@@ -1,0 +1,186 @@
+//! Random calls with random arguments, good and bad, on objects that come and go: a status, never a crash, and what succeeds
+//! keeps giving the same bits.
+
+use crate::calls::*;
+use std::ptr::{dangling_mut, null, null_mut};
+use zipsplat::ffi::*;
+
+/// splitmix64
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) % bound as u64) as usize
+    }
+
+    fn of<T: Copy>(&mut self, values: &[T]) -> T {
+        values[self.below(values.len())]
+    }
+
+    /// Mostly the good value.
+    fn mostly<T: Copy>(&mut self, good: T, bad: &[T]) -> T {
+        if self.below(8) > 0 { good } else { self.of(bad) }
+    }
+
+    /// One of the objects, or NULL.
+    fn handle<T>(&mut self, pool: &[Object<T>]) -> *mut T {
+        if pool.is_empty() || self.below(8) == 0 { null_mut() } else { pool[self.below(pool.len())].handle }
+    }
+}
+
+/// Most objects of a kind.
+const POOL: usize = 3;
+
+#[derive(Default)]
+struct World {
+    contexts: Vec<Object<zs_context>>,
+    models: Vec<Object<zs_model>>,
+    scenes: Vec<Object<zs_scene>>,
+    renderers: Vec<Object<zs_renderer>>,
+    succeeded: [u32; 8],
+}
+
+/// Keeps a new object; a failed call must have left NULL.
+fn keep<T>(
+    pool: &mut Vec<Object<T>>,
+    random: &mut Random,
+    destroy: unsafe extern "C" fn(*mut T),
+    make: impl FnOnce(*mut *mut T) -> zs_status,
+) -> bool {
+    let mut handle = dangling_mut();
+    let status = make(&mut handle);
+    assert_eq!(status == zs_status::ZS_OK, !handle.is_null(), "{status:?}: {}", message());
+    if handle.is_null() {
+        assert!(!message().is_empty() && status != zs_status::ZS_ERROR_INTERNAL, "{status:?}: {}", message());
+        return false;
+    }
+    if pool.len() == POOL {
+        pool.swap_remove(random.below(POOL));
+    }
+    pool.push(Object::new(destroy, |out| {
+        // SAFETY: where to put it.
+        unsafe { out.write(handle) };
+        zs_status::ZS_OK
+    }));
+    true
+}
+
+impl World {
+    fn step(&mut self, random: &mut Random, images: &[zs_image]) {
+        let call = random.below(8);
+        let done = match call {
+            0 => keep(&mut self.contexts, random, zs_context_destroy, |out| {
+                // SAFETY: no options, and where to put it.
+                unsafe { zs_context_create(null(), out) }
+            }),
+            1 => self.load(random),
+            2 => self.reconstruct(random, images),
+            3 => {
+                let (context, scene) = (random.handle(&self.contexts), random.handle(&self.scenes));
+                keep(&mut self.renderers, random, zs_renderer_destroy, |out| {
+                    // SAFETY: live objects or NULL.
+                    unsafe { zs_renderer_create(context, scene, out) }
+                })
+            }
+            4 => {
+                let (renderer, scene) = (random.handle(&self.renderers), random.handle(&self.scenes));
+                // SAFETY: live objects or NULL.
+                unsafe { zs_renderer_set_scene(renderer, scene) == zs_status::ZS_OK }
+            }
+            5 | 6 => self.draw(random),
+            _ => self.destroy_one(random),
+        };
+        self.succeeded[call] += u32::from(done);
+    }
+
+    fn load(&mut self, random: &mut Random) -> bool {
+        let context = random.handle(&self.contexts);
+        let size = random.mostly(micro().len(), &[0, 1, 8, 100, micro().len() / 2, micro().len() - 1]);
+        let mut bytes = micro()[..size].to_vec();
+        for _ in 0..random.mostly(0, &[1, 10]) {
+            // In the header, most of which is JSON.
+            let at = random.below(bytes.len().clamp(1, 4000));
+            if let Some(byte) = bytes.get_mut(at) {
+                *byte ^= 1 << random.below(8);
+            }
+        }
+        keep(&mut self.models, random, zs_model_destroy, |out| {
+            // SAFETY: a live object or NULL, bytes of that length.
+            unsafe { zs_model_from_memory(context, bytes.as_ptr().cast(), bytes.len(), null(), out) }
+        })
+    }
+
+    fn reconstruct(&mut self, random: &mut Random, images: &[zs_image]) -> bool {
+        let model = random.handle(&self.models);
+        let mut image = images[0];
+        image.format = random.mostly(image.format, &[0, -1, 6]);
+        image.width = random.mostly(image.width, &[0, 1, u32::MAX]);
+        image.stride = random.mostly(0, &[1, -1, i64::MIN]);
+        let options = zs_reconstruct_options {
+            struct_size: random.mostly(size_of::<zs_reconstruct_options>() as u32, &[0, 4, 63, 65, u32::MAX]),
+            ratio: random.mostly(0.5, &[0.0, 1.0, -1.0, f64::NAN]),
+            selection: random.mostly(0, &[1, 2, 3, -1]),
+            width: random.mostly(SIDE, &[0, 1, 14, 28, u32::MAX]),
+            ..reconstruct_options()
+        };
+        let list = [image, images[1]];
+        let count = random.mostly(2, &[0, 1, 193, usize::MAX]);
+        keep(&mut self.scenes, random, zs_scene_destroy, |out| {
+            // SAFETY: a live object or NULL; counts above the list's are refused before it is read.
+            unsafe { zs_reconstruct(model, list.as_ptr(), count, &options, out) }
+        })
+    }
+
+    fn draw(&mut self, random: &mut Random) -> bool {
+        let renderer = random.handle(&self.renderers);
+        let mut camera = camera(random.of(&[1, 16, 33]), random.of(&[1, 16, 33]), 0.1);
+        camera.fx = random.mostly(camera.fx, &[0.0, -1.0, f64::NAN, 1e-300, 1e300]);
+        camera.translation[2] = random.mostly(0.0, &[f64::INFINITY, 1e300, -1e9]);
+        let mut pixels = vec![0u8; 16 * 33 * 33];
+        let picture = zs_picture {
+            pixels: random.mostly(pixels.as_mut_ptr().cast(), &[null_mut()]),
+            stride: random.mostly(0, &[1, i64::MAX, i64::MIN]),
+            alpha: null_mut(),
+            depth: null_mut(),
+        };
+        let mut options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
+        let format = 1 + random.below(5) as i32;
+        options.format = random.mostly(format, &[0, 6, i32::MIN]);
+        options.background[1] = random.mostly(0.5, &[f32::NAN, f32::INFINITY, 1e38]);
+        // SAFETY: a live object or NULL, memory as large as any of these pictures.
+        let status = unsafe { zs_render(renderer, &camera, &picture, 1, &options) };
+        assert_ne!(status, zs_status::ZS_ERROR_INTERNAL, "{}", message());
+        status == zs_status::ZS_OK
+    }
+
+    /// Rarely more than are made, in any order.
+    fn destroy_one(&mut self, random: &mut Random) -> bool {
+        fn one<T>(pool: &mut Vec<Object<T>>, random: &mut Random) -> bool {
+            let some = !pool.is_empty();
+            if some {
+                pool.swap_remove(random.below(pool.len()));
+            }
+            some
+        }
+        match random.below(4) {
+            0 => one(&mut self.contexts, random),
+            1 => one(&mut self.models, random),
+            2 => one(&mut self.scenes, random),
+            _ => one(&mut self.renderers, random),
+        }
+    }
+}
+
+#[test]
+fn end_in_a_status() {
+    let photos = photos(2);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let (mut random, mut world) = (Random(1), World::default());
+    (0..400).for_each(|_| world.step(&mut random, &images));
+    // Neither everything failed nor everything succeeded.
+    assert!(world.succeeded.iter().all(|count| *count > 3), "{:?}", world.succeeded);
+    assert!(world.succeeded.iter().sum::<u32>() < 370, "{:?}", world.succeeded);
+}

@@ -1,0 +1,211 @@
+//! What goes through C is what Rust gives, bit for bit.
+
+use crate::calls::*;
+use glam::{DMat3, DVec3};
+use std::ops::ControlFlow;
+use zipsplat::{
+    ffi::*,
+    reconstruct::{Model, Ratio, Request, Selection},
+    stages::render::{Depth, Frame, RenderRequest, Renderer},
+    types::{Camera, Image, Intrinsics, Pose, Scene},
+};
+use zipsplat_tests::{compare::assert_same, device::device};
+
+fn rust_scene(photos: &[Image], request: &Request) -> Scene {
+    let model = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
+    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).unwrap().scene
+}
+
+fn bits(scene: &Scene) -> Vec<u32> {
+    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
+    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
+    fields.flatten().map(|x| x.to_bits()).collect()
+}
+
+/// A photo in another format: its bytes, their distance from row to row, and where the top row begins.
+fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: bool) -> (Vec<u8>, i64, usize) {
+    let mut rows: Vec<Vec<u8>> = Vec::new();
+    for row in photo.rgb.chunks_exact(3 * photo.width as usize) {
+        let floats = |p: &[u8]| p.iter().flat_map(|v| (f32::from(*v) / 255.0).to_ne_bytes()).collect::<Vec<u8>>();
+        let pixel = |p: &[u8]| match format {
+            zs_pixel_format::ZS_PIXEL_RGB8 => p.to_vec(),
+            zs_pixel_format::ZS_PIXEL_RGBA8 => vec![p[0], p[1], p[2], 77],
+            zs_pixel_format::ZS_PIXEL_BGRA8 => vec![p[2], p[1], p[0], 77],
+            zs_pixel_format::ZS_PIXEL_RGB_F32 => floats(p),
+            zs_pixel_format::ZS_PIXEL_RGBA_F32 => [floats(p), 0.5f32.to_ne_bytes().to_vec()].concat(),
+        };
+        rows.push(row.chunks_exact(3).flat_map(pixel).chain(std::iter::repeat_n(99, padding)).collect());
+    }
+    let stride = rows[0].len() as i64;
+    if bottom_up {
+        rows.reverse();
+    }
+    let start = if bottom_up { (rows.len() - 1) * stride as usize } else { 0 };
+    (rows.concat(), if bottom_up { -stride } else { stride }, start)
+}
+
+#[test]
+fn photos_of_every_format_give_rusts_scene() {
+    let photos = photos(2);
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let expected = bits(&rust_scene(&photos, &request));
+    let context = context();
+    let model = model(&context);
+    let options = zs_reconstruct_options { ratio: 0.5, ..reconstruct_options() };
+    let formats = [
+        (zs_pixel_format::ZS_PIXEL_RGB8, 0, false),
+        (zs_pixel_format::ZS_PIXEL_RGBA8, 3, false),
+        (zs_pixel_format::ZS_PIXEL_BGRA8, 64, true),
+        (zs_pixel_format::ZS_PIXEL_RGB_F32, 1, false),
+        (zs_pixel_format::ZS_PIXEL_RGBA_F32, 0, true),
+    ];
+    for (format, padding, bottom_up) in formats {
+        let encoded: Vec<_> = photos.iter().map(|photo| encode(photo, format, padding, bottom_up)).collect();
+        let image = |(bytes, stride, start): &(Vec<u8>, i64, usize)| zs_image {
+            pixels: bytes[*start..].as_ptr().cast(),
+            stride: *stride,
+            format: format as i32,
+            ..image_of(&photos[0])
+        };
+        let images: Vec<_> = encoded.iter().map(image).collect();
+        assert_same(&format!("{format:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
+    }
+}
+
+#[test]
+fn options_and_cameras_give_rusts_scene() {
+    let photos = photos(3);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let context = context();
+    let model = model(&context);
+    let cameras: Vec<Camera> = (0..3)
+        .map(|i| Camera {
+            intrinsics: Intrinsics::from_fov(SIDE, SIDE, 1.0, 1.0),
+            pose: Pose {
+                rotation: DMat3::from_rotation_y(0.2 * f64::from(i + 1)),
+                translation: DVec3::new(0.1 * f64::from(i), 0.0, 0.05),
+            },
+        })
+        .collect();
+    let in_c = |camera: &Camera| {
+        let Intrinsics { width, height, fx, fy, cx, cy } = camera.intrinsics;
+        let rotation = camera.pose.rotation.transpose().to_cols_array();
+        zs_camera { width, height, fx, fy, cx, cy, rotation, translation: camera.pose.translation.to_array() }
+    };
+    let c_cameras: Vec<_> = cameras.iter().map(in_c).collect();
+    let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
+    let relative: Vec<_> = cameras.iter().map(relative).collect();
+    let cases = [
+        (ZS_RATIO_AUTO, Ratio::Auto, zs_selection::ZS_SELECT_KMEANS, Selection::KMEANS, false),
+        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_STRIDE, Selection::Stride, true),
+        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_RANDOM, Selection::Random(7), false),
+        (1.0, Ratio::Fixed(1.0), zs_selection::ZS_SELECT_KMEANS, Selection::KMEANS, true),
+    ];
+    for (number, ratio, choice, selection, posed) in cases {
+        let mut options =
+            zs_reconstruct_options { ratio: number, selection: choice as i32, seed: 7, ..reconstruct_options() };
+        if posed {
+            (options.cameras, options.camera_count) = (c_cameras.as_ptr(), 3);
+        }
+        let request = Request { ratio, selection, cameras: posed.then(|| relative.clone()) };
+        let expected = bits(&rust_scene(&photos, &request));
+        assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
+    }
+}
+
+fn rust_camera(camera: &zs_camera) -> Camera {
+    let zs_camera { width, height, fx, fy, cx, cy, translation, .. } = *camera;
+    let pose = Pose { rotation: DMat3::IDENTITY, translation: DVec3::from_array(translation) };
+    Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
+}
+
+/// A frame as the bytes of a format.
+fn pixels(frame: &Frame, format: zs_pixel_format) -> Vec<u8> {
+    let (rgb, alpha) = (frame.rgb.as_ref().unwrap(), frame.alpha.as_ref().unwrap());
+    let byte = |value: f32| Image::from_rgb_f32(1, 1, &[value; 3]).unwrap().rgb[0];
+    let words = |values: &[f32]| values.iter().flat_map(|v| v.to_ne_bytes()).collect::<Vec<u8>>();
+    let pixel = |(c, a): (&[f32], &f32)| match format {
+        zs_pixel_format::ZS_PIXEL_RGB8 => [c[0], c[1], c[2]].map(byte).to_vec(),
+        zs_pixel_format::ZS_PIXEL_RGBA8 => [c[0], c[1], c[2], *a].map(byte).to_vec(),
+        zs_pixel_format::ZS_PIXEL_BGRA8 => [c[2], c[1], c[0], *a].map(byte).to_vec(),
+        zs_pixel_format::ZS_PIXEL_RGB_F32 => words(c),
+        zs_pixel_format::ZS_PIXEL_RGBA_F32 => words(&[c[0], c[1], c[2], *a]),
+    };
+    rgb.chunks_exact(3).zip(alpha).flat_map(pixel).collect()
+}
+
+#[test]
+fn pictures_are_rusts() {
+    let context = context();
+    let photos = photos(2);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let scene = reconstruct(&model(&context), &images, &reconstruct_options());
+    let renderer = renderer(&context, &scene);
+    let cameras = [camera(64, 48, 0.0), camera(40, 33, 0.1), camera(64, 48, 0.2)];
+    let background = [0.1, 0.5, 0.9];
+    let request = RenderRequest { alpha: true, depth: Some(Depth::Expected), background, ..RenderRequest::default() };
+    let frames = Renderer::new(device()).render(&read(&scene), &cameras.each_ref().map(rust_camera), &request).unwrap();
+    let formats = [
+        (zs_pixel_format::ZS_PIXEL_RGB8, 3),
+        (zs_pixel_format::ZS_PIXEL_RGBA8, 4),
+        (zs_pixel_format::ZS_PIXEL_BGRA8, 4),
+        (zs_pixel_format::ZS_PIXEL_RGB_F32, 12),
+        (zs_pixel_format::ZS_PIXEL_RGBA_F32, 16),
+    ];
+    for (format, bytes) in formats {
+        let options = zs_render_options { background, ..render_options(format) };
+        for (camera, frame) in cameras.iter().zip(&frames) {
+            assert_same(&format!("{format:?}"), &draw(&renderer, camera, &options, bytes), &pixels(frame, format));
+        }
+    }
+    // All at once, with alpha and depth, rows apart and bottom-up.
+    let mut memory: Vec<_> = cameras
+        .map(|c| {
+            let count = (c.width * c.height) as usize;
+            (vec![9u8; count * 3 + c.height as usize * 5], vec![0.0f32; count], vec![0.0f32; count])
+        })
+        .into();
+    let pictures: Vec<_> = cameras
+        .iter()
+        .zip(&mut memory)
+        .map(|(camera, (pixels, alpha, depth))| {
+            let row = 3 * camera.width as usize + 5;
+            let top = (camera.height as usize - 1) * row;
+            let pixels = pixels[top..].as_mut_ptr().cast();
+            zs_picture { pixels, stride: -(row as i64), alpha: alpha.as_mut_ptr(), depth: depth.as_mut_ptr() }
+        })
+        .collect();
+    let options = zs_render_options { background, ..render_options(zs_pixel_format::ZS_PIXEL_RGB8) };
+    // SAFETY: live objects and memory as large as the pictures.
+    ok(unsafe { zs_render(renderer.handle, cameras.as_ptr(), pictures.as_ptr(), 3, &options) });
+    for ((camera, frame), (found, alpha, depth)) in cameras.iter().zip(&frames).zip(&memory) {
+        let row = 3 * camera.width as usize;
+        let rows: Vec<_> = found.chunks_exact(row + 5).rev().flat_map(|r| r[..row].to_vec()).collect();
+        assert!(found.chunks_exact(row + 5).all(|r| r[row..] == [9; 5]), "between rows");
+        assert_same("pixels", &rows, &pixels(frame, zs_pixel_format::ZS_PIXEL_RGB8));
+        assert_same("alpha", alpha, frame.alpha.as_ref().unwrap());
+        assert_same("depth", depth, frame.depth.as_ref().unwrap());
+    }
+}
+
+#[test]
+fn scenes_come_back_from_arrays_and_files() {
+    let context = context();
+    let photos = photos(1);
+    let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
+    let mut gaussians = read(&scene);
+    let array = arrays(&mut gaussians);
+    // SAFETY: arrays of their lengths, and where to put it.
+    let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
+    assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));
+    let folder = tempfile::tempdir().unwrap();
+    for extension in ["ply", "spz", "splat", "gltf", "glb"] {
+        let path = folder.path().join(format!("scene.{extension}"));
+        let text = c_string(path.to_str().unwrap());
+        // SAFETY: a live scene, a string, no options.
+        ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), std::ptr::null()) });
+        // SAFETY: a string, and where to put it.
+        let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), out) });
+        assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::read_scene(&path).unwrap()));
+    }
+}

@@ -1,0 +1,74 @@
+#!/usr/bin/env bash
+# Builds the C library and installs it under PREFIX: include/zipsplat.h, lib/libzipsplat.{so,a}, and what pkg-config and CMake
+# need to find them. PREFIX can be moved afterwards.
+# usage: tools/install.sh PREFIX
+#   DESTDIR         put before PREFIX, for packages
+#   ZIPSPLAT_LIBS   a folder that has the libraries already: nothing is built
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+prefix=${DESTDIR:-}$(realpath -m "${1:?usage: tools/install.sh PREFIX}")
+libs=${ZIPSPLAT_LIBS:-}
+if [[ -z $libs ]]; then
+  PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
+  cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat --lib
+  libs=${CARGO_TARGET_DIR:-$root/target}/release
+fi
+
+header=$root/engine/include/zipsplat.h
+number() { awk -v name="ZS_$1" '$1 == "#define" && $2 == name { print $3 }' "$header"; }
+version=$(number VERSION_MAJOR).$(number VERSION_MINOR).$(number VERSION_PATCH) abi=$(number ABI_VERSION)
+# What Rust's standard library takes from the system when it is linked statically.
+case $(uname -s) in
+  Darwin) shared=libzipsplat.$abi.dylib link=libzipsplat.dylib system='-framework CoreFoundation -liconv -lm' ;;
+  *) shared=libzipsplat.so.$abi link=libzipsplat.so system='-lgcc_s -lpthread -ldl -lm' ;;
+esac
+
+install -d "$prefix"/{include,lib/pkgconfig,lib/cmake/zipsplat}
+install -m 644 "$header" "$prefix/include/zipsplat.h"
+install -m 755 "$libs/$link" "$prefix/lib/$shared"
+ln -sf "$shared" "$prefix/lib/$link"
+install -m 644 "$libs/libzipsplat.a" "$prefix/lib/libzipsplat.a"
+
+# pc NAME DESCRIPTION LIBS
+pc() {
+  cat > "$prefix/lib/pkgconfig/$1.pc" << END
+prefix=\${pcfiledir}/../..
+Name: zipsplat
+Description: $2
+Version: $version
+Cflags: -I\${prefix}/include
+Libs: $3
+END
+}
+# shellcheck disable=SC2016 # ${prefix} is pkg-config's
+pc zipsplat 'Photos to a scene of 3D Gaussians, on Vulkan' '-L${prefix}/lib -lzipsplat'
+# shellcheck disable=SC2016
+pc zipsplat-static 'The same, linked statically' '${prefix}/lib/libzipsplat.a '"$system"
+
+cat > "$prefix/lib/cmake/zipsplat/zipsplat-config.cmake" << END
+# find_package(zipsplat) gives zipsplat::zipsplat, the shared library, and zipsplat::static.
+get_filename_component(_zipsplat "\${CMAKE_CURRENT_LIST_DIR}/../../.." ABSOLUTE)
+if(NOT TARGET zipsplat::zipsplat)
+  add_library(zipsplat::zipsplat SHARED IMPORTED)
+  set_target_properties(zipsplat::zipsplat PROPERTIES
+    IMPORTED_LOCATION "\${_zipsplat}/lib/$shared" IMPORTED_SONAME "$shared"
+    INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
+  add_library(zipsplat::static STATIC IMPORTED)
+  set_target_properties(zipsplat::static PROPERTIES
+    IMPORTED_LOCATION "\${_zipsplat}/lib/libzipsplat.a"
+    INTERFACE_LINK_LIBRARIES "$system"
+    INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
+endif()
+END
+# Versions of one ABI fit programs that were built for it or an earlier one of the same.
+cat > "$prefix/lib/cmake/zipsplat/zipsplat-config-version.cmake" << END
+set(PACKAGE_VERSION "$version")
+if(NOT PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION AND PACKAGE_FIND_VERSION_MAJOR EQUAL $(number VERSION_MAJOR))
+  set(PACKAGE_VERSION_COMPATIBLE TRUE)
+endif()
+if(PACKAGE_FIND_VERSION VERSION_EQUAL PACKAGE_VERSION)
+  set(PACKAGE_VERSION_EXACT TRUE)
+endif()
+END
+echo "zipsplat: version $version, ABI $abi, is in $prefix" >&2
