@@ -16,7 +16,7 @@ pub(super) struct Instance {
     pub debug: Option<ext::debug_utils::Instance>,
     messenger: vk::DebugUtilsMessengerEXT,
     pub messages: Box<Mutex<Vec<String>>>,
-    _entry: ash::Entry,
+    pub entry: ash::Entry,
 }
 
 /// One Vulkan device of this machine.
@@ -82,8 +82,7 @@ impl Instance {
             }
             e => Error::NoDevice(format!("vkCreateInstance: {e}")),
         })?;
-        let mut instance =
-            Self { debug: None, messenger: vk::DebugUtilsMessengerEXT::null(), messages, raw, _entry: entry };
+        let mut instance = Self { debug: None, messenger: vk::DebugUtilsMessengerEXT::null(), messages, raw, entry };
         if validation {
             instance.listen()?;
         }
@@ -91,7 +90,7 @@ impl Instance {
     }
 
     fn listen(&mut self) -> Result<()> {
-        let debug = ext::debug_utils::Instance::new(&self._entry, &self.raw);
+        let debug = ext::debug_utils::Instance::new(&self.entry, &self.raw);
         let severe = vk::DebugUtilsMessageSeverityFlagsEXT::WARNING | vk::DebugUtilsMessageSeverityFlagsEXT::ERROR;
         let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
             .message_severity(severe)
@@ -113,7 +112,7 @@ impl Instance {
             return Err(Error::NoDevice("no Vulkan driver is installed".into()));
         }
         let info = |(index, device): (usize, vk::PhysicalDevice)| {
-            let (limits, found) = probe(&self.raw, device);
+            let (limits, found) = probe(&self.entry, &self.raw, device);
             (device, DeviceInfo { index, missing: missing_features(&limits, &found), limits })
         };
         Ok(physical.into_iter().enumerate().map(info).collect())

@@ -19,8 +19,8 @@ mod schedule;
 
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};
-pub use kernel::{Binding, Kernel, LocalSize, Module};
-pub use limits::Limits;
+pub use kernel::{Binding, Element, Kernel, LocalSize, Module, Needs};
+pub use limits::{Limits, MatrixShape};
 pub use memory::{Resident, ResidentLayout};
 pub use plan::{ArenaRow, Plan, Tensor};
 pub use profile::{Profile, ProfileRow};

@@ -12,8 +12,8 @@ use serde::Serialize;
 use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
-    gpu::{Device, Recorder, Run},
-    ops::{Epilogue, Linear, pack_matrix},
+    gpu::{Device, Element, Recorder, Run},
+    ops::{Epilogue, Linear, LinearKernel, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
@@ -109,7 +109,8 @@ fn on_device(
     let packed = pack_matrix(b, inner, columns);
     let weight = rec.constant::<f32>("weight", packed.len());
     let bias = rec.constant::<f32>("bias", columns);
-    let out = Linear { weight, bias, inner, columns }.apply(&mut rec, "out", input, rows, Epilogue::default());
+    let kernel = LinearKernel::Panels(Element::F32);
+    let out = Linear { weight, bias, inner, columns, kernel }.apply(&mut rec, "out", input, rows, Epilogue::default());
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     run.write(input, a)?;

@@ -11,6 +11,7 @@ use serde_json::json;
 use zipsplat::{
     Error, Result,
     gpu::{Limits, Recorder},
+    ops::Arithmetic,
     reconstruct::{Network, Shape},
 };
 
@@ -23,7 +24,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let Size(width, height) = *size;
     let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
     let limits = limits(session)?;
-    let network = Network::new(checkpoint.architecture(), &limits);
+    let network = Network::new(checkpoint.architecture(), &limits, Arithmetic::EXACT);
     let mut rec = Recorder::new(&limits);
     network.record(&mut rec, shape);
     let plan = rec.finish()?;
