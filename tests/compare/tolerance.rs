@@ -61,6 +61,12 @@ impl Tolerance {
     /// Gaussians of a network run in f16 (f32 accumulation): the reference under autocast deviates by 8e-4 rms.
     pub const F16: Tolerance = Tolerance { max: 0.1, rms: 2e-3 };
 
+    /// Taps of a network whose matrix products take f16 factors (f32 accumulation and residual stream), where its weights
+    /// are f16 numbers. A rounding moves a factor by at most 2^-11, at random, so a product's rms by as much or less. What a
+    /// block adds to the stream has passed about four such roundings in a row, sqrt(4) = 2 of them at random; the stream,
+    /// being a sum of blocks, deviates no more, relatively. Single elements: 8 times that over millions, as in sums.
+    pub const F16_TAP: Tolerance = Tolerance { max: 16.0 * F16_ROUNDING, rms: 2.0 * F16_ROUNDING };
+
     /// Gaussians of a network run in bf16 (f32 accumulation): the reference under autocast deviates by 7e-3 rms.
     pub const BF16: Tolerance = Tolerance { max: 0.6, rms: 1.5e-2 };
 

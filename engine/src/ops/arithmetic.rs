@@ -3,8 +3,7 @@
 use crate::gpu::{Element, Limits, MatrixShape};
 
 /// What is traded for time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
     Exact,
@@ -36,5 +35,15 @@ impl Arithmetic {
     pub fn fast(limits: &Limits) -> Option<Self> {
         let matrices = limits.matrices;
         limits.half_storage.then_some(Self { element: Element::F16, linear: matrices, attention: matrices })
+    }
+}
+
+impl Precision {
+    /// `exact` or `fast`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Precision::Exact => "exact",
+            Precision::Fast => "fast",
+        }
     }
 }

@@ -193,10 +193,14 @@ fn half(value: f32) -> [u8; 2] {
 
 /// The matrix `weight` `[columns, inner]` as ops/linear reads it in f32.
 pub fn pack_matrix(weight: &[f32], inner: usize, columns: usize) -> Vec<f32> {
+    bytemuck::pod_collect_to_vec(&pack_matrix_for(LinearKernel::Panels(Element::F32), weight, inner, columns))
+}
+
+/// The bytes of the matrix `weight` `[columns, inner]` as `kernel` reads them.
+pub(super) fn pack_matrix_for(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
     let mut packed = Vec::new();
-    let kernel = LinearKernel::Panels(Element::F32);
     Packing::Matrix { inner, columns, gated: false, kernel }.pack(weight, &mut packed);
-    bytemuck::pod_collect_to_vec(&packed)
+    packed
 }
 
 /// Columns, each a row of a checkpoint's matrix, as `[panels, padded inner, PANEL_COLUMNS]`.
