@@ -1,3 +1,4 @@
 //! Pictures against truth.
 
+mod precision;
 mod render;

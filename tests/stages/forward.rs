@@ -5,19 +5,10 @@ use zipsplat::gpu::{Element, Run};
 use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Model, Ratio, Request, Selection};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose};
-use zipsplat::weights::{Architecture, Checkpoint};
-use zipsplat_tests::architectures;
+use zipsplat::weights::Architecture;
 use zipsplat_tests::compare::{Tolerance, assert_gaussians_within, assert_nearest, assert_same, assert_tap_within};
-use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
-
-/// Arithmetics with f16 that the device has: on matrix units and without.
-fn half_arithmetics() -> Vec<Arithmetic> {
-    let mut found: Vec<_> = Arithmetic::fast(device().limits()).into_iter().collect();
-    found.extend(found.first().map(|fast| Arithmetic { linear: None, attention: None, ..*fast }));
-    found.dedup();
-    found
-}
+use zipsplat_tests::networks::{half_arithmetics, images, model};
 
 /// What each tap may deviate by.
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
@@ -25,26 +16,6 @@ fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
         Element::F32 => Tolerance::of_tap(key),
         Element::F16 => Tolerance::F16_TAP,
     }
-}
-
-/// A model of generated weights, as the goldens use.
-fn model(config: &str, arithmetic: Arithmetic) -> Model {
-    let key = if config == "tiny_rect" { "tiny" } else { config };
-    let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
-    let progress = |_| std::ops::ControlFlow::Continue(());
-    Model::load_with(device(), &checkpoint, arithmetic, progress).expect("small models fit")
-}
-
-/// `in/images_u8` `[views, 3, height, width]` as pictures.
-fn images(golden: &Golden) -> Vec<Image> {
-    let (shape, values) = (golden.shape("in/images_u8"), golden.u8("in/images_u8"));
-    let (height, width) = (shape[2], shape[3]);
-    let area = height * width;
-    let picture = |view: &[u8]| {
-        let rgb = (0..area).flat_map(|i| [view[i], view[area + i], view[2 * area + i]]).collect();
-        Image::new(width as u32, height as u32, rgb).expect("golden images are whole")
-    };
-    values.chunks(3 * area).map(picture).collect()
 }
 
 /// `in/camera` and `in/pose`, where a case has priors.

@@ -1,10 +1,12 @@
 //! The command line: global options, and those that several commands share.
 
-use crate::commands::Command;
+use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
 use std::{fmt, str::FromStr};
 use zipsplat::{
     Error, Result,
+    gpu::{Device, Limits},
+    ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
     weights::Checkpoint,
 };
@@ -34,7 +36,7 @@ pub struct Cli {
 /// Options of every command.
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info` or a part of its name [default: the best]
+    /// Vulkan device: its number in `zipsplat info` or a part of its name; none plans for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Print the result as JSON
@@ -85,16 +87,49 @@ pub struct Quality {
     /// Pixels that the network sees of each photo: multiples of the patch (14)
     #[arg(long, value_name = "WxH", default_value = "252x252")]
     pub size: Size,
-    /// Arithmetic
-    #[arg(long, value_enum, default_value = "exact")]
-    pub precision: Precision,
+    #[command(flatten)]
+    pub arithmetic: ArithmeticOption,
+}
+
+/// In which arithmetic.
+#[derive(Args)]
+pub struct ArithmeticOption {
+    /// Arithmetic [default: fast on GPUs with matrix units, else exact]
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionName>,
 }
 
 /// Arithmetic of a reconstruction.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Precision {
+enum PrecisionName {
     /// f32 throughout
     Exact,
+    /// f16 factors of matrix products, all else f32
+    Fast,
+}
+
+impl ArithmeticOption {
+    /// The precision asked for, or the device's best, and its arithmetic there; kernels that failed their test are noted.
+    pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
+        let Chosen { precision, arithmetic, notes } = Chosen::of(device, self.asked())?;
+        notes.iter().for_each(|note| session.note(note));
+        Ok((precision, arithmetic))
+    }
+
+    /// The same for a device that is not there.
+    pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
+        match (self.asked().unwrap_or(Precision::best(limits)), Arithmetic::fast(limits)) {
+            (Precision::Fast, Some(fast)) => (Precision::Fast, fast),
+            _ => (Precision::Exact, Arithmetic::EXACT),
+        }
+    }
+
+    fn asked(&self) -> Option<Precision> {
+        self.precision.map(|name| match name {
+            PrecisionName::Exact => Precision::Exact,
+            PrecisionName::Fast => Precision::Fast,
+        })
+    }
 }
 
 /// Width and height in pixels.

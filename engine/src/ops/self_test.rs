@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Element, Recorder, Run, Tensor},
+    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
     kernels::MODULES,
 };
 use half::f16;
@@ -32,38 +32,57 @@ pub struct SelfTest {
 impl Precision {
     /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
     /// which convert f16 slowly.
-    pub fn best(device: &Device) -> Self {
-        if !device.limits().cpu && device.limits().matrices.is_some() { Precision::Fast } else { Precision::Exact }
+    pub fn best(limits: &Limits) -> Self {
+        if !limits.cpu && limits.matrices.is_some() { Precision::Fast } else { Precision::Exact }
     }
 }
 
-impl Arithmetic {
-    /// The arithmetic of a precision on a device, and what is worth knowing about it: kernels that failed their self-test.
+/// A precision and its arithmetic on a device.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// The precision.
+    pub precision: Precision,
+    /// Its arithmetic.
+    pub arithmetic: Arithmetic,
+    /// Kernels that failed their self-test.
+    pub notes: Vec<String>,
+}
+
+impl Chosen {
+    /// The arithmetic of a precision on a device; of its best, where none is asked for.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the device cannot compute in that precision; a failure of the device.
-    pub fn choose(device: &Device, precision: Precision) -> Result<(Self, Vec<String>)> {
-        let refused = |found: &str| Error::argument("precision", found, format!("exact on {}", device.limits().name));
-        if precision == Precision::Exact {
-            return Ok((Self::EXACT, Vec::new()));
+    /// [`Error::Argument`] where the device cannot compute in the precision asked for; a failure of the device.
+    pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
+        let exact = |notes| Self { precision: Precision::Exact, arithmetic: Arithmetic::EXACT, notes };
+        let limits = device.limits();
+        if precision.unwrap_or(Precision::best(limits)) == Precision::Exact {
+            return Ok(exact(Vec::new()));
         }
-        let fast = Self::fast(device.limits()).ok_or_else(|| refused("fast, without 16-bit floats in buffers"))?;
-        let test = SelfTest::of(device)?;
+        let (fast, test) = match Arithmetic::fast(limits) {
+            Some(fast) => (fast, SelfTest::of(device)?),
+            None => return Err(refused("fast, without 16-bit floats in buffers", limits)),
+        };
         let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
         let note = |(kernel, deviation): &(String, f64)| {
-            format!("{kernel} deviates {deviation:.1} times what it may on {}: not used", device.limits().name)
+            format!("{kernel} deviates {deviation:.1} times what it may on {}: not used", limits.name)
         };
         let notes = failed.map(note).collect();
         if !(test.passed("ops/linear_f16_f32") && test.passed("ops/attention_f16")) {
-            return Err(refused("fast, which failed its self-test"));
+            let asked = precision.is_some();
+            return if asked { Err(refused("fast, which failed its self-test", limits)) } else { Ok(exact(notes)) };
         }
-        let arithmetic = Self {
+        let arithmetic = Arithmetic {
             linear: fast.linear.filter(|_| test.passed("ops/linear_matrix")),
             attention: fast.attention.filter(|_| test.passed("ops/attention_matrix")),
             ..fast
         };
-        Ok((arithmetic, notes))
+        Ok(Self { precision: Precision::Fast, arithmetic, notes })
     }
+}
+
+fn refused(found: &str, limits: &Limits) -> Error {
+    Error::argument("precision", found, format!("exact on {}", limits.name))
 }
 
 impl SelfTest {

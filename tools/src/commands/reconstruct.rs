@@ -47,7 +47,7 @@ pub struct Reconstruct {
 
 impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let Quality { ratio, select, size, precision: _ } = &self.quality;
+        let Quality { ratio, select, size, arithmetic } = &self.quality;
         // Whatever can be refused is refused before anything that takes time.
         outputs::check_file(&self.output)?;
         if SceneFormat::of_extension(&self.output).is_none() {
@@ -63,12 +63,13 @@ impl Reconstruct {
         let photo_cameras = poses.as_ref().map(|poses| poses.for_photos(&photos)).transpose()?;
         poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
+        let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, *size, stage))?;
         let cameras = photo_cameras.map(|cameras| cameras::of_views(&cameras, &views)).transpose()?;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let (model, load_weights) =
-            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let (model, load_weights) = session
+            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
         let (result, _) = session.stage("reconstruct", |stage| {
             model.reconstruct(&images, &request, |progress| {
@@ -90,15 +91,17 @@ impl Reconstruct {
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
             "gaussians": result.scene.len(), "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
+            "precision": precision.name(),
             "seconds": seconds,
         });
         let mut text = format!(
-            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, at most {} of {}\n",
+            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} precision, at most {} of {}\n",
             self.output.display(),
             HumanCount(result.scene.len() as u64),
             images.len(),
             HumanCount(result.tokens as u64),
             HumanCount(tokens as u64),
+            precision.name(),
             bytes(result.peak_bytes),
             device.limits().name,
         );

@@ -3,7 +3,7 @@
 use super::{Group, Repeats, Spread, group, stage_of, timed_device};
 use crate::{
     noise::Noise,
-    options::{Size, Weights, parse_ratio},
+    options::{ArithmeticOption, Size, Weights, parse_ratio},
     session::{Session, Stage},
     table::{Table, bytes},
 };
@@ -32,12 +32,15 @@ pub struct Forward {
     #[arg(long, value_name = "WxH", default_value = "252x252")]
     size: Size,
     #[command(flatten)]
+    arithmetic: ArithmeticOption,
+    #[command(flatten)]
     repeats: Repeats,
 }
 
 /// Times of one shape, or of a part of it.
 #[derive(Serialize)]
 struct Row {
+    precision: &'static str,
     views: usize,
     tokens: usize,
     /// Share of all tokens that these are.
@@ -65,8 +68,9 @@ impl Forward {
             Shape::new(checkpoint.architecture(), *views, [width, height], (*ratio, selection), false)?;
         }
         let device = timed_device(session)?;
-        let (model, _) =
-            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
+        let (model, _) = session
+            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
         let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
         let mut noise = Noise(0);
         let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
@@ -76,8 +80,8 @@ impl Forward {
             let name = format!("{views} views");
             let (measured, _) =
                 session.stage(&name, |stage| self.measure(&model, &images[..*views], request, stage))?;
-            text += &describe(&measured, &device.limits().name);
-            rows.extend(measured);
+            text += &describe(&measured, precision.name(), &device.limits().name);
+            rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         session.report(&rows, text)
     }
@@ -102,6 +106,7 @@ impl Forward {
             }
         }
         let row = |stage: &str, kernel: &str, group: Group| Row {
+            precision: "",
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
@@ -134,7 +139,7 @@ fn only(profile: &Profile, stage: &str) -> Profile {
     Profile { rows: profile.rows.iter().filter(|row| stage_of(row) == stage).cloned().collect() }
 }
 
-fn describe(rows: &[Row], device: &str) -> String {
+fn describe(rows: &[Row], precision: &str, device: &str) -> String {
     let Some(total) = rows.first() else { return String::new() };
     let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s"];
     let mut table = Table::new(2, &headings);
@@ -154,7 +159,7 @@ fn describe(rows: &[Row], device: &str) -> String {
         ]);
     }
     format!(
-        "{} views, {} tokens on {device}: {} at most, {} of it the arena\n{table}\n",
+        "{} views, {} tokens, {precision} precision on {device}: {} at most, {} of it the arena\n{table}\n",
         total.views,
         total.tokens,
         bytes(total.peak_bytes),
