@@ -12,7 +12,7 @@ fn every_kernel_of_this_device_passes() {
     let matrices = test.deviations.iter().filter(|(kernel, _)| kernel.ends_with("_matrix")).count();
     assert_eq!(matrices >= 2, limits.matrices.is_some(), "{test:?}");
     // A kernel that did nothing would differ by as much as its result.
-    assert!(test.deviations.iter().all(|(_, deviation)| (0.0..0.5).contains(deviation)), "{test:?}");
+    assert!(test.deviations.iter().all(|(_, deviation)| deviation.is_some_and(|times| times < 0.5)), "{test:?}");
 }
 
 #[test]

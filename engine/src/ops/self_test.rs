@@ -14,7 +14,7 @@ use half::f16;
 use std::{
     fs,
     hash::{DefaultHasher, Hash, Hasher},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 /// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same f16 factors, so a linear
@@ -26,7 +26,8 @@ const ATTENTION_LIMIT: f64 = 2e-2;
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfTest {
     /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
-    pub deviations: Vec<(String, f64)>,
+    /// None where it gave no number.
+    pub deviations: Vec<(String, Option<f64>)>,
 }
 
 impl Precision {
@@ -64,8 +65,9 @@ impl Chosen {
             None => return Err(refused("fast, without 16-bit floats in buffers", limits)),
         };
         let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
-        let note = |(kernel, deviation): &(String, f64)| {
-            format!("{kernel} deviates {deviation:.1} times what it may on {}: not used", limits.name)
+        let note = |(kernel, deviation): &(String, Option<f64>)| match deviation {
+            Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
+            None => format!("{kernel} gave no result on {}: not used", limits.name),
         };
         let notes = failed.map(note).collect();
         if !(test.passed("ops/linear_f16_f32") && test.passed("ops/attention_f16")) {
@@ -96,12 +98,18 @@ impl SelfTest {
         if let Some(test) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Ok(test);
         }
+        // A driver that ends this process, or hangs, is not asked again.
+        Self { deviations: vec![("the self-test".into(), None)] }.keep(file.as_deref());
         let test = Self::run(device)?;
-        if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(&test)) {
+        test.keep(file.as_deref());
+        Ok(test)
+    }
+
+    fn keep(&self, file: Option<&Path>) {
+        if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
             // A test that cannot be remembered is run again.
             let _ = file.parent().map(fs::create_dir_all).and_then(|_| fs::write(file, bytes).ok());
         }
-        Ok(test)
     }
 
     /// Runs every fast kernel that the device can run.
@@ -142,7 +150,7 @@ impl SelfTest {
     /// A kernel none of whose tiles is within the device's limits fails.
     fn none_fits(&mut self, kernel: &str, none: bool) {
         if none {
-            self.deviations.push((kernel.into(), f64::MAX));
+            self.deviations.push((kernel.into(), None));
         }
     }
 
@@ -152,7 +160,7 @@ impl SelfTest {
         // Unlike f64::max, which loses NaN.
         let worst = exact.iter().zip(fast).map(apart).fold(0.0, |worst, x| if x <= worst { worst } else { x });
         let deviation = worst / rms / limit;
-        self.deviations.push((kernel.into(), if deviation.is_nan() { f64::MAX } else { deviation }));
+        self.deviations.push((kernel.into(), deviation.is_finite().then_some(deviation)));
     }
 
     fn linear(&mut self, device: &Device, name: &str, kernel: LinearKernel, [rows, columns]: [usize; 2]) -> Result<()> {
@@ -215,8 +223,8 @@ impl SelfTest {
 /// Channels of the largest heads, which take most shared memory.
 const WIDEST_HEAD: usize = 128;
 
-fn passes(deviation: f64) -> bool {
-    deviation <= 1.0
+fn passes(deviation: Option<f64>) -> bool {
+    deviation.is_some_and(|times| times <= 1.0)
 }
 
 fn write(run: &mut Run, element: Element, tensor: Tensor, values: &[f32]) -> Result<()> {
@@ -247,4 +255,24 @@ fn cache_file(device: &Device) -> Option<PathBuf> {
     MODULES.iter().filter(|module| module.needs.half_storage).for_each(|module| module.spirv.hash(&mut kernels));
     let subgroup = device.limits().subgroup_size;
     Some(cache.join(format!("self-test/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_agrees_passes() {
+        let exact = [1.0, -1.0, 1.0];
+        let passed = |fast: [f32; 3]| {
+            let mut test = SelfTest::default();
+            test.compare("kernel", 1e-3, &exact, &fast);
+            test.passed("kernel")
+        };
+        assert!(passed(exact) && passed([1.0009, -1.0, 1.0]));
+        assert!(
+            !passed([1.0011, -1.0, 1.0]) && !passed([f32::NAN, -1.0, 1.0]) && !passed([1.0, f32::INFINITY, f32::NAN])
+        );
+        assert!(!SelfTest::default().passed("kernel"), "what was not tested");
+    }
 }
