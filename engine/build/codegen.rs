@@ -46,11 +46,13 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)]) -> S
         "kernels/{name}.comp: elements change its interface"
     );
     let mut members = fields(interface).0;
-    let mut index = String::from("0");
+    let mut index = String::new();
     for element in source.elements.iter().map(|e| e.to_lowercase()) {
         writeln!(members, "        pub {element}: Element,").expect("string");
-        index = format!("2 * ({index}) + self.{element} as usize");
+        let outer = if index.is_empty() { index } else { format!("2 * ({index}) + ") };
+        index = format!("{outer}self.{element} as usize");
     }
+    let index = if index.is_empty() { "0".into() } else { index };
     let mut push = String::new();
     for m in &interface.push {
         let (a, b) = (m.offset / 4, m.offset / 4 + m.count);

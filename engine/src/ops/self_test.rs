@@ -91,7 +91,7 @@ impl SelfTest {
     /// The result for a device, out of the user's cache where it was found before.
     ///
     /// # Errors
-    /// A failure of the device.
+    /// [`Error::DeviceLost`]; other failures are those of its kernels.
     pub fn of(device: &Device) -> Result<Self> {
         let file = cache_file(device);
         let known = file.as_ref().and_then(|file| fs::read(file).ok());
@@ -99,8 +99,12 @@ impl SelfTest {
             return Ok(test);
         }
         // A driver that ends this process, or hangs, is not asked again.
-        Self { deviations: vec![("the self-test".into(), None)] }.keep(file.as_deref());
-        let test = Self::run(device)?;
+        let no_result = Self { deviations: vec![("the self-test".into(), None)] };
+        no_result.keep(file.as_deref());
+        let test = match Self::run(device) {
+            Err(Error::DeviceLost) => return Err(Error::DeviceLost),
+            result => result.unwrap_or(no_result),
+        };
         test.keep(file.as_deref());
         Ok(test)
     }
