@@ -124,7 +124,9 @@ impl Shared {
             .timeline_semaphore(true)
             .scalar_block_layout(true)
             .shader_float16(matrices)
-            .vulkan_memory_model(matrices);
+            .vulkan_memory_model(matrices)
+            // Else atomics would be restricted to workgroups, also in kernels without that model.
+            .vulkan_memory_model_device_scope(matrices);
         let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
             .synchronization2(true)
             .maintenance4(true)

@@ -125,6 +125,7 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
         && half_storage
         && f12.shader_float16 == vk::TRUE
         && f12.vulkan_memory_model == vk::TRUE
+        && f12.vulkan_memory_model_device_scope == vk::TRUE
         // Mesa 26.1's lavapipe crashes where it compiles its matrices of 8 x 8 for subgroups of 16.
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
     let matrix_shape = || matrix_shape(entry, instance, device);

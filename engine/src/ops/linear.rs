@@ -9,9 +9,9 @@ use crate::{
     kernels::{limits::LINEAR_ROWS, ops},
 };
 
-/// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, rows / LINEAR_ROWS along an axis, below
-/// the 65,535 that every device has.
-const NARROWEST: usize = SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_535) + 1;
+/// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, rows / LINEAR_ROWS along an
+/// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
+const NARROWEST: usize = (SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_535) + 1).next_multiple_of(256);
 
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]

@@ -191,13 +191,8 @@ fn half(value: f32) -> [u8; 2] {
     f16::from_f32(value.clamp(f16::MIN.to_f32(), f16::MAX.to_f32())).to_ne_bytes()
 }
 
-/// The matrix `weight` `[columns, inner]` as ops/linear reads it in f32.
-pub fn pack_matrix(weight: &[f32], inner: usize, columns: usize) -> Vec<f32> {
-    bytemuck::pod_collect_to_vec(&pack_matrix_for(LinearKernel::Panels(Element::F32), weight, inner, columns))
-}
-
 /// The bytes of the matrix `weight` `[columns, inner]` as `kernel` reads them.
-pub(super) fn pack_matrix_for(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
+pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
     let mut packed = Vec::new();
     Packing::Matrix { inner, columns, gated: false, kernel }.pack(weight, &mut packed);
     packed

@@ -1,8 +1,7 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
 use super::{
-    Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision,
-    parameters::pack_matrix_for,
+    Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, pack_matrix,
     tile::{AttentionTile, LinearTile},
 };
 use crate::{
@@ -162,7 +161,8 @@ impl SelfTest {
         let rms = (exact.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / exact.len() as f64).sqrt();
         let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs());
         // Unlike f64::max, which loses NaN.
-        let worst = exact.iter().zip(fast).map(apart).fold(0.0, |worst, x| if x <= worst { worst } else { x });
+        let larger = |a: f64, b: f64| if a.is_nan() || b <= a { a } else { b };
+        let worst = exact.iter().zip(fast).map(apart).fold(0.0, larger);
         let deviation = worst / rms / limit;
         self.deviations.push((kernel.into(), deviation.is_finite().then_some(deviation)));
     }
@@ -172,7 +172,7 @@ impl SelfTest {
         let (a, b, bias) = (noise(1, rows * INNER), noise(2, columns * INNER), noise(3, columns));
         let run = |kernel: LinearKernel| -> Result<Vec<f32>> {
             let mut rec = Recorder::new(device.limits());
-            let packed = pack_matrix_for(kernel, &b, INNER, columns);
+            let packed = pack_matrix(kernel, &b, INNER, columns);
             let (weight, bias_tensor) = (rec.constant::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));
             let input = rec.input::<u8>("input", a.len() * kernel.element().bytes());
             let layer = Linear { weight, bias: bias_tensor, inner: INNER, columns, kernel };
