@@ -27,12 +27,11 @@ fn main() {
         .into_iter()
         .map(|kernel| {
             let words = fs::read(root.join("spirv").join(format!("{}.spv", kernel.name))).expect("refreshed above");
-            let plain = plain.iter().find(|plain| plain.name.strip_suffix(sources::PLAIN) == Some(&kernel.name));
-            (kernel, reflect::reflect(&kernel.name, &words), plain.map(|plain| plain.name.as_str()))
+            (kernel, reflect::reflect(&kernel.name, &words))
         })
         .collect();
     let limits = fs::read_to_string(root.join("shared/limits.glsl")).expect("kernels/shared/limits.glsl");
-    fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &limits)).expect("OUT_DIR is writable");
+    fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &plain, &limits)).expect("OUT_DIR is writable");
 }
 
 /// The shared library is known by its ABI version, so that programs never meet one of another.

@@ -4,6 +4,7 @@
 //! - [`golden`] opens the dumps of the PyTorch implementation.
 //! - [`mod@device`] is the device that tests run on.
 //! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
+//! - [`networks`] are models and pictures of the goldens.
 //! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
 //! - [`scenes`] are Gaussians and cameras as the engine takes them.
 
@@ -11,5 +12,6 @@ pub mod architectures;
 pub mod compare;
 pub mod device;
 pub mod golden;
+pub mod networks;
 pub mod reference;
 pub mod scenes;

@@ -1,22 +1,25 @@
 //! The Rust side of the kernel table.
 
 use crate::{
-    reflect::{Interface, Scalar},
+    reflect::{COOPERATIVE_MATRIX, Interface, STORAGE_BUFFER_16_BIT, Scalar},
     sources::Source,
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
-/// Source text of `kernels.rs` for kernels, each with the name of its variant without effects: constants of limits.glsl, one struct a kernel, and the list of all modules.
-pub fn table(root: &Path, kernels: &[(&Source, Interface, Option<&str>)], limits: &str) -> String {
+/// Source text of `kernels.rs`: constants of limits.glsl, one struct a kernel, and the list of all modules. `plain` are the
+/// variants without effects.
+pub fn table(root: &Path, kernels: &[(&Source, Interface)], plain: &[&Source], limits: &str) -> String {
     let mut areas = BTreeMap::<&str, String>::new();
     let mut all = String::new();
-    for (source, interface, plain) in kernels {
-        let (area, stem) = source.name.split_once('/').expect("kernels lie one folder deep");
-        let kernel = camel_case(stem);
-        writeln!(all, "    &<{area}::{kernel} as Kernel>::MODULE,").expect("string");
-        *areas.entry(area).or_default() += &kernel_struct(root, source, &kernel, interface, *plain);
+    for modules in kernels.chunk_by(|a, b| a.0.kernel == b.0.kernel) {
+        let (area, stem) = modules[0].0.kernel.split_once('/').expect("kernels lie one folder deep");
+        for index in 0..modules.len() {
+            writeln!(all, "    &{area}::{}[{index}],", table_name(stem)).expect("string");
+        }
+        let plain = plain.iter().find(|plain| plain.kernel == modules[0].0.kernel).copied();
+        *areas.entry(area).or_default() += &kernel_struct(root, stem, modules, plain);
     }
-    let mut text = String::from("use crate::gpu::{Binding, Kernel, LocalSize, Module, Tensor};\n\n");
+    let mut text = String::from("use crate::gpu::{Binding, Element, Kernel, LocalSize, Module, Needs, Tensor};\n\n");
     writeln!(text, "/// Constants that kernels and host share, from kernels/shared/limits.glsl.\npub mod limits {{")
         .expect("string");
     for line in limits.lines().filter_map(|l| l.strip_prefix("const ")) {
@@ -36,81 +39,62 @@ pub fn table(root: &Path, kernels: &[(&Source, Interface, Option<&str>)], limits
     text
 }
 
-fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interface, plain: Option<&str>) -> String {
-    let name = &source.name;
-    let mut fields = String::new();
-    let mut bindings = String::new();
-    let mut buffers = Vec::new();
-    for b in &interface.buffers {
-        writeln!(fields, "        pub {}: Tensor,", b.name).expect("string");
-        let (reads, writes) = (b.reads, b.writes);
-        write!(
-            bindings,
-            "Binding {{ name: {:?}, binding: {}, reads: {reads}, writes: {writes} }}, ",
-            b.name, b.binding
-        )
-        .expect("string");
-        buffers.push(format!("self.{}", b.name));
+fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)], plain: Option<&Source>) -> String {
+    let (source, interface) = &modules[0];
+    let (name, kernel) = (&source.kernel, camel_case(stem));
+    let fields = |i: &Interface| (fields(i), i.buffers.iter().map(|b| b.binding).collect::<Vec<_>>());
+    assert!(
+        modules.iter().all(|m| fields(&m.1) == fields(interface)),
+        "kernels/{name}.comp: elements change its interface"
+    );
+    let mut members = fields(interface).0;
+    let mut index = String::new();
+    for element in source.elements.iter().map(|e| e.to_lowercase()) {
+        writeln!(members, "        pub {element}: Element,").expect("string");
+        let outer = if index.is_empty() { index } else { format!("2 * ({index}) + ") };
+        index = format!("{outer}self.{element} as usize");
     }
+    let index = if index.is_empty() { "0".into() } else { index };
     let mut push = String::new();
-    let mut push_bytes = 0;
     for m in &interface.push {
-        let ty = rust_type(m.scalar);
-        let (ty, value) = match m.count {
-            1 => (ty.to_owned(), format!("[self.{}]", m.name)),
-            n => (format!("[{ty}; {n}]"), format!("self.{}", m.name)),
-        };
-        writeln!(fields, "        pub {}: {ty},", m.name).expect("string");
-        let end = m.offset + 4 * m.count;
-        let (a, b) = (m.offset / 4, end / 4);
+        let (a, b) = (m.offset / 4, m.offset / 4 + m.count);
+        let value = if m.count == 1 { format!("[self.{}]", m.name) } else { format!("self.{}", m.name) };
         writeln!(
             push,
             "            for (word, v) in words[{a}..{b}].iter_mut().zip({value}) {{ *word = v{}; }}",
             to_bits(m.scalar)
         )
         .expect("string");
-        push_bytes = push_bytes.max(end);
     }
-    assert!(push_bytes <= 64, "kernels/{name}.comp: {push_bytes} bytes of push constants, at most 64 (16 words)");
-    let mut constants = Vec::new();
-    let mut ids = Vec::new();
-    for (id, field, scalar) in &interface.constants {
-        writeln!(fields, "        pub {field}: {},", rust_type(*scalar)).expect("string");
-        constants.push(format!("self.{field}{}", to_bits(*scalar)));
-        ids.push(id.to_string());
-    }
-    let local_size = match interface.local_size {
-        Some(size) => format!("LocalSize::Fixed({size:?})"),
-        None => "LocalSize::Subgroup".to_owned(),
-    };
-    let path = |name: &str| root.join(format!("spirv/{name}.spv")).display().to_string();
-    let spirv = path(name);
-    let plain = plain.map_or_else(String::new, |name| {
-        let spirv = path(name);
+    let list = |items: Vec<String>| items.join(", ");
+    let buffers = list(interface.buffers.iter().map(|b| format!("self.{}", b.name)).collect());
+    let constants = list(
+        interface.constants.iter().map(|(_, field, scalar)| format!("self.{field}{}", to_bits(*scalar))).collect(),
+    );
+    let table: String = modules.iter().map(|(source, interface)| module(root, source, interface)).collect();
+    let plain = plain.map_or_else(String::new, |plain| {
         format!(
             "
-        const PLAIN: Module = Module {{ name: {name:?}, spirv: include_bytes!({spirv:?}), ..Self::MODULE }};"
+        fn plain(&self) -> &'static Module {{
+            static PLAIN: [Module; 1] = [{}];
+            &PLAIN[0]
+        }}",
+            module(root, plain, interface)
         )
     });
-    let (summary, buffers, constants, ids) =
-        (source.summary.replace('[', "\\["), buffers.join(", "), constants.join(", "), ids.join(", "));
+    let (summary, table_name, count) = (source.summary.replace('[', "\\["), table_name(stem), modules.len());
     format!(
         "
     /// {summary}
     #[allow(missing_docs)]
     #[derive(Clone, Copy, Debug)]
     pub struct {kernel} {{
-{fields}    }}
+{members}    }}
+
+    pub(super) static {table_name}: [Module; {count}] = [{table}];
 
     impl Kernel for {kernel} {{
-        const MODULE: Module = Module {{
-            name: {name:?},
-            spirv: include_bytes!({spirv:?}),
-            bindings: &[{bindings}],
-            push_bytes: {push_bytes},
-            constant_ids: &[{ids}],
-            local_size: {local_size},
-        }};{plain}
+        fn module(&self) -> &'static Module {{ &{table_name}[{index}] }}{plain}
         fn buffers(&self) -> Vec<Tensor> {{ vec![{buffers}] }}
         #[allow(unused_mut)]
         fn push(&self) -> [u32; 16] {{
@@ -121,6 +105,62 @@ fn kernel_struct(root: &Path, source: &Source, kernel: &str, interface: &Interfa
     }}
 "
     )
+}
+
+/// Buffers, push constants and specialisation constants as members of a kernel's struct.
+fn fields(interface: &Interface) -> String {
+    let mut fields = String::new();
+    for b in &interface.buffers {
+        writeln!(fields, "        pub {}: Tensor,", b.name).expect("string");
+    }
+    for m in &interface.push {
+        let ty = rust_type(m.scalar);
+        let ty = if m.count == 1 { ty.to_owned() } else { format!("[{ty}; {}]", m.count) };
+        writeln!(fields, "        pub {}: {ty},", m.name).expect("string");
+    }
+    for (_, field, scalar) in &interface.constants {
+        writeln!(fields, "        pub {field}: {},", rust_type(*scalar)).expect("string");
+    }
+    fields
+}
+
+/// The `Module` of one choice of element types.
+fn module(root: &Path, source: &Source, interface: &Interface) -> String {
+    let (name, kernel) = (&source.name, &source.kernel);
+    let push_bytes = interface.push.iter().map(|m| m.offset + 4 * m.count).max().unwrap_or(0);
+    assert!(push_bytes <= 64, "kernels/{kernel}.comp: {push_bytes} bytes of push constants, at most 64 (16 words)");
+    let mut bindings = String::new();
+    for b in &interface.buffers {
+        let (name, binding, reads, writes) = (&b.name, b.binding, b.reads, b.writes);
+        write!(bindings, "Binding {{ name: {name:?}, binding: {binding}, reads: {reads}, writes: {writes} }}, ")
+            .expect("string");
+    }
+    let ids: Vec<_> = interface.constants.iter().map(|c| c.0).collect();
+    let subgroups = interface.constants.iter().position(|c| c.1 == "subgroups");
+    let local_size = match (interface.local_size, subgroups) {
+        (Some(size), _) => format!("LocalSize::Fixed({size:?})"),
+        (None, Some(index)) => format!("LocalSize::Subgroups({index})"),
+        (None, None) => "LocalSize::Subgroup".to_owned(),
+    };
+    let spirv = root.join(format!("spirv/{name}.spv"));
+    let spirv = spirv.display();
+    let (half, matrices) = (interface.has(STORAGE_BUFFER_16_BIT), interface.has(COOPERATIVE_MATRIX));
+    format!(
+        "Module {{
+            name: {name:?},
+            spirv: include_bytes!(\"{spirv}\"),
+            bindings: &[{bindings}],
+            push_bytes: {push_bytes},
+            constant_ids: &{ids:?},
+            local_size: {local_size},
+            needs: Needs {{ half_storage: {half}, matrices: {matrices} }},
+        }}, "
+    )
+}
+
+/// Name of the table of a kernel's modules.
+fn table_name(stem: &str) -> String {
+    format!("{}_MODULES", stem.to_uppercase())
 }
 
 fn rust_type(scalar: Scalar) -> &'static str {

@@ -10,8 +10,10 @@ pub struct Interface {
     pub push: Vec<Member>,
     /// Specialisation constants by id, without id 0.
     pub constants: Vec<(u32, String, Scalar)>,
-    /// Workgroup size; `None` where id 0 makes it one subgroup.
+    /// Workgroup size; `None` where id 0 makes it whole subgroups.
     pub local_size: Option<[u32; 3]>,
+    /// Capabilities.
+    pub capabilities: Vec<u32>,
 }
 
 pub struct Buffer {
@@ -45,6 +47,17 @@ enum Type {
     Other,
 }
 
+/// Capabilities of kernels that not every device can run.
+pub const STORAGE_BUFFER_16_BIT: u32 = 4433;
+pub const COOPERATIVE_MATRIX: u32 = 6022;
+
+impl Interface {
+    /// Whether the kernel declares a capability.
+    pub fn has(&self, capability: u32) -> bool {
+        self.capabilities.contains(&capability)
+    }
+}
+
 const SPEC_ID: u32 = 1;
 const NON_WRITABLE: u32 = 24;
 const NON_READABLE: u32 = 25;
@@ -63,6 +76,7 @@ struct Tables {
     constants: BTreeMap<u32, u32>,
     variables: Vec<(u32, u32, u32)>,
     local_size: Option<[u32; 3]>,
+    capabilities: Vec<u32>,
 }
 
 /// Reads the interface of the module `name`.
@@ -111,10 +125,10 @@ pub fn reflect(name: &str, bytes: &[u8]) -> Interface {
         })
         .collect();
     constants.sort_by_key(|c| c.0);
-    let one_subgroup = constants.first().is_some_and(|c| c.0 == 0);
+    let whole_subgroups = constants.first().is_some_and(|c| c.0 == 0);
     constants.retain(|c| c.0 != 0);
-    let local_size = if one_subgroup { None } else { tables.local_size };
-    Interface { buffers, push, constants, local_size }
+    let local_size = if whole_subgroups { None } else { tables.local_size };
+    Interface { buffers, push, constants, local_size, capabilities: tables.capabilities }
 }
 
 fn scan(words: &[u32]) -> Tables {
@@ -126,6 +140,7 @@ fn scan(words: &[u32]) -> Tables {
         match opcode {
             5 => drop(t.names.insert(op[0], text(&op[1..]))),
             6 => drop(t.member_names.insert((op[0], op[1]), text(&op[2..]))),
+            17 => t.capabilities.push(op[0]),
             16 if op[1] == 17 => t.local_size = Some([op[2], op[3], op[4]]),
             20 => drop(t.types.insert(op[0], Type::Scalar(Scalar::Bool))),
             21 => drop(t.types.insert(

@@ -7,10 +7,17 @@ use std::{
     path::Path,
 };
 
-/// One `.comp` file.
+/// One `.comp` file for one choice of its element types.
+///
+/// A line `#pragma element T` makes the type `T` of some buffers' values f32 in one module and f16 in another. It stands for
+/// the macros `T`, `T4` (four of them), and `to_T(x)` and `to_T4(x)`, which saturate at f16's largest value.
 pub struct Source {
     /// Path below `kernels/` without its extension, for example `render/project`.
+    pub kernel: String,
+    /// That, followed by the element types where one of them is not f32: `ops/layer_norm_f16`.
     pub name: String,
+    /// Names of the element types.
+    pub elements: Vec<String>,
     /// The text with every include in place.
     #[cfg_attr(not(feature = "compile-kernels"), allow(dead_code))]
     pub text: String,
@@ -30,9 +37,7 @@ pub fn find(root: &Path) -> Vec<Source> {
     for area in folders(root) {
         for file in entries(&root.join(&area)) {
             if let Some(stem) = file.strip_suffix(".comp") {
-                let source = load(root, format!("{area}/{stem}"));
-                sources.extend(plain(&source));
-                sources.push(source);
+                sources.extend(load(root, format!("{area}/{stem}")));
             }
         }
     }
@@ -86,7 +91,7 @@ fn compile(root: &Path, stale: &[&Source]) {
     options.set_optimization_level(shaderc::OptimizationLevel::Zero);
     options.set_warnings_as_errors();
     for kernel in stale {
-        let file = format!("kernels/{}.comp", kernel.name);
+        let file = format!("kernels/{}.comp", kernel.kernel);
         let spirv = compiler
             .compile_into_spirv(&kernel.text, shaderc::ShaderKind::Compute, &file, "main", Some(&options))
             .unwrap_or_else(|e| panic!("{e}"));
@@ -107,6 +112,30 @@ fn remove_orphans(root: &Path, kernels: &[Source]) {
     }
 }
 
+/// A kernel's modules; the types of the first element change slowest, f32 before f16.
+fn load(root: &Path, kernel: String) -> Vec<Source> {
+    let text = with_includes(root, &format!("{kernel}.comp"), &mut BTreeSet::new());
+    let summary = text
+        .lines()
+        .map_while(|l| l.strip_prefix("//"))
+        .map(|l| l.trim())
+        .take_while(|l| !l.is_empty())
+        .collect::<Vec<_>>()
+        .join(" ");
+    let elements: Vec<String> = text.lines().filter_map(|l| l.strip_prefix(ELEMENT)).map(String::from).collect();
+    let module = |choice: usize| {
+        let is_half = |element: usize| choice >> (elements.len() - 1 - element) & 1 == 1;
+        let types: String = (0..elements.len()).map(|e| if is_half(e) { "_f16" } else { "_f32" }).collect();
+        let name = if choice == 0 { kernel.clone() } else { format!("{kernel}{types}") };
+        let text = with_elements(&text, &elements, is_half);
+        let hash = hash(&text);
+        Source { kernel: kernel.clone(), name, elements: elements.clone(), text, summary: summary.clone(), hash }
+    };
+    let mut modules: Vec<Source> = (0..1 << elements.len()).map(module).collect();
+    modules.extend(plain(&modules[0]));
+    modules
+}
+
 /// The variant without effects, where the kernel has any.
 fn plain(source: &Source) -> Option<Source> {
     let effect = |line: &str| {
@@ -119,26 +148,43 @@ fn plain(source: &Source) -> Option<Source> {
         (_, Some(rest)) if names.contains(rest.split([' ', ')']).next().unwrap_or_default()) => "\n".into(),
         _ => format!("{line}\n"),
     };
+    if names.is_empty() {
+        return None;
+    }
+    assert!(source.elements.is_empty(), "kernels/{}.comp: effects and elements in one kernel", source.kernel);
     let text: String = source.text.lines().map(fixed).collect();
-    let (name, summary) = (format!("{}{PLAIN}", source.name), source.summary.clone());
-    (text != source.text).then(|| Source { name, hash: hash(&text), text, summary })
+    let (kernel, name, summary) = (source.kernel.clone(), format!("{}{PLAIN}", source.name), source.summary.clone());
+    Some(Source { kernel, name, elements: Vec::new(), hash: hash(&text), text, summary })
 }
 
 fn hash(text: &str) -> String {
     Sha256::digest(text).iter().map(|b| format!("{b:02x}")).collect()
 }
 
-fn load(root: &Path, name: String) -> Source {
-    let text = with_includes(root, &format!("{name}.comp"), &mut BTreeSet::new());
-    let hash = hash(&text);
-    let summary = text
-        .lines()
-        .map_while(|l| l.strip_prefix("//"))
-        .map(|l| l.trim())
-        .take_while(|l| !l.is_empty())
-        .collect::<Vec<_>>()
-        .join(" ");
-    Source { name, text, summary, hash }
+/// Begins the line that names an element type.
+const ELEMENT: &str = "#pragma element ";
+
+/// `text` with the macros of its element types.
+fn with_elements(text: &str, elements: &[String], is_half: impl Fn(usize) -> bool) -> String {
+    let mut out = String::new();
+    for line in text.lines() {
+        let Some(t) = line.strip_prefix(ELEMENT) else {
+            out += &format!("{line}\n");
+            continue;
+        };
+        let element = elements.iter().position(|e| e == t).expect("found in this text");
+        out += &match is_half(element) {
+            true => format!(
+                "#extension GL_EXT_shader_16bit_storage : require\n#define {t} float16_t\n#define {t}4 f16vec4\n\
+                 #define to_{t}(x) float16_t(clamp(x, -65504.0, 65504.0))\n\
+                 #define to_{t}4(x) f16vec4(clamp(x, -65504.0, 65504.0))\n"
+            ),
+            false => {
+                format!("#define {t} float\n#define {t}4 vec4\n#define to_{t}(x) (x)\n#define to_{t}4(x) (x)\n")
+            }
+        };
+    }
+    out
 }
 
 /// Resolves each `#include "shared/x.glsl"` below `root` once, keeping line numbers of the outer file.

@@ -9,6 +9,7 @@ pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape
 use crate::{
     Error, Result,
     gpu::{Device, Plan, Profile, Progress, Recorder, Resident, Run, StageTimes},
+    ops::Arithmetic,
     stages::{
         backbone::{POSE_VALUES, interpolate_positions, rotary_tables},
         cluster::{even_indices, random_indices},
@@ -45,7 +46,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// Loads a checkpoint onto a device. `progress` gets the share that is done and may stop the loading.
+    /// Loads a checkpoint onto a device, to compute in f32. `progress` gets the share that is done and may stop it.
     ///
     /// # Errors
     /// Where the device has too little memory or the checkpoint cannot be read; [`Error::Cancelled`].
@@ -54,7 +55,20 @@ impl Model {
         checkpoint: &Checkpoint,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        let network = Network::new(checkpoint.architecture(), device.limits());
+        Self::load_with(device, checkpoint, Arithmetic::EXACT, progress)
+    }
+
+    /// As [`Model::load`], for an arithmetic that the device has.
+    ///
+    /// # Errors
+    /// As [`Model::load`].
+    pub fn load_with(
+        device: &Device,
+        checkpoint: &Checkpoint,
+        arithmetic: Arithmetic,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
+        let network = Network::new(checkpoint.architecture(), device.limits(), arithmetic);
         let resident = Arc::new(network.parameters.load(device, checkpoint, progress)?);
         let name = "backbone.backbone.pos_embed";
         let mut learned_positions = vec![0.0; checkpoint.shape(name)?.iter().product()];

@@ -1,16 +1,17 @@
 // Average of the local and the global half of a feature: the skip path around the layer that merges them.
 //
-// Halves [rows, 2 * width] f32
+// Halves [rows, 2 * width] INPUT
 // Out    [rows, width] f32
 //
 // One invocation an element.
 #version 460
+#pragma element INPUT
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
 
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0) readonly buffer Halves { float halves[]; };
+layout(set = 0, binding = 0) readonly buffer Halves { INPUT halves[]; };
 layout(set = 0, binding = 1) writeonly buffer Out { float result[]; };
 
 layout(push_constant) uniform Push {
@@ -24,5 +25,5 @@ void main() {
         return;
     }
     uint at = i / width * 2 * width + i % width;
-    result[i] = 0.5 * (halves[at] + halves[at + width]);
+    result[i] = 0.5 * (float(halves[at]) + float(halves[at + width]));
 }

@@ -1,13 +1,14 @@
 // Softmax attention of one head over one sequence, with a running maximum (FlashAttention, Dao et al. 2022).
 //
-// Q       [heads, sequences * queries, DIM] f32, already scaled by 1 / sqrt(DIM)
-// K       [heads, sequences, DIM, padded keys] f32: keys run fastest, padded to a multiple of 4
-// V       [heads, sequences * keys, DIM] f32
-// Out     [sequences * queries, heads * DIM] f32
+// Q       [heads, sequences * queries, DIM] ELEMENT, already scaled by 1 / sqrt(DIM)
+// K       [heads, sequences, DIM, padded keys] ELEMENT: keys run fastest, padded to a multiple of 4
+// V       [heads, sequences * keys, DIM] ELEMENT
+// Out     [sequences * queries, heads * DIM] ELEMENT
 //
 // One workgroup (a subgroup) owns ROWS queries of a head; each lane scores 4 keys at a time, then gathers 4 channels of
 // the values (VECTORS times). Memory is linear in tokens.
 #version 460
+#pragma element ELEMENT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -22,10 +23,10 @@ layout(constant_id = 2) const uint VECTORS = 2; // ceil(DIM / (4 * subgroup size
 const uint ROWS = ATTENTION_ROWS;
 const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
 
-layout(set = 0, binding = 0) readonly buffer Q { vec4 q[]; };
-layout(set = 0, binding = 1) readonly buffer K { vec4 k[]; };
-layout(set = 0, binding = 2) readonly buffer V { vec4 v[]; };
-layout(set = 0, binding = 3) writeonly buffer Out { vec4 result[]; };
+layout(set = 0, binding = 0) readonly buffer Q { ELEMENT4 q[]; };
+layout(set = 0, binding = 1) readonly buffer K { ELEMENT4 k[]; };
+layout(set = 0, binding = 2) readonly buffer V { ELEMENT4 v[]; };
+layout(set = 0, binding = 3) writeonly buffer Out { ELEMENT4 result[]; };
 
 layout(push_constant) uniform Push {
     uint queries;
@@ -70,12 +71,12 @@ void main() {
         }
         for (uint c = 0; c < quads; c++) {
             uint at = k_at + 4 * c * key_quads;
-            vec4 k0 = k[at];
-            vec4 k1 = k[at + key_quads];
-            vec4 k2 = k[at + 2 * key_quads];
-            vec4 k3 = k[at + 3 * key_quads];
+            vec4 k0 = vec4(k[at]);
+            vec4 k1 = vec4(k[at + key_quads]);
+            vec4 k2 = vec4(k[at + 2 * key_quads]);
+            vec4 k3 = vec4(k[at + 3 * key_quads]);
             [[unroll]] for (uint r = 0; r < ROWS; r++) {
-                vec4 x = q[q_at[r] + c];
+                vec4 x = vec4(q[q_at[r] + c]);
                 score[r] += x.x * k0;
                 score[r] += x.y * k1;
                 score[r] += x.z * k2;
@@ -104,10 +105,10 @@ void main() {
             uint key = 4 * (tile + j);
             [[unroll]] for (uint c = 0; c < VECTORS; c++) {
                 uint channel = min(lane + c * lanes, quads - 1);
-                vec4 v0 = v[v_base + key * quads + channel];
-                vec4 v1 = v[v_base + min(key + 1, keys - 1) * quads + channel];
-                vec4 v2 = v[v_base + min(key + 2, keys - 1) * quads + channel];
-                vec4 v3 = v[v_base + min(key + 3, keys - 1) * quads + channel];
+                vec4 v0 = vec4(v[v_base + key * quads + channel]);
+                vec4 v1 = vec4(v[v_base + min(key + 1, keys - 1) * quads + channel]);
+                vec4 v2 = vec4(v[v_base + min(key + 2, keys - 1) * quads + channel]);
+                vec4 v3 = vec4(v[v_base + min(key + 3, keys - 1) * quads + channel]);
                 [[unroll]] for (uint r = 0; r < ROWS; r++) {
                     vec4 w = weights[r][j];
                     sum[r][c] += w.x * v0;
@@ -128,7 +129,7 @@ void main() {
                 uint channel = lane + c * lanes;
                 if (channel < quads) {
                     uint row = sequence * queries + query;
-                    result[(row * heads + head) * quads + channel] = sum[r][c] / all;
+                    result[(row * heads + head) * quads + channel] = to_ELEMENT4(sum[r][c] / all);
                 }
             }
         }

@@ -4,11 +4,12 @@
 // Addend    [rows, width] f32, packed; read where ADD
 // Weight    [width] f32
 // Bias      [width] f32
-// Out       [rows, out_stride] f32, columns from out_column on
+// Out       [rows, out_stride] OUTPUT, columns from out_column on
 //
 // One workgroup (a subgroup) owns a row. Mean and variance take two passes, as a difference of sums would cancel.
 // With `patches` > 0 the source has one more row (a camera token) before every `patches` rows, which is left out.
 #version 460
+#pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
@@ -21,7 +22,7 @@ layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
 layout(set = 0, binding = 1) readonly buffer Addend { float addend[]; };
 layout(set = 0, binding = 2) readonly buffer Weight { float weight[]; };
 layout(set = 0, binding = 3) readonly buffer Bias { float bias[]; };
-layout(set = 0, binding = 4) writeonly buffer Out { float result[]; };
+layout(set = 0, binding = 4) writeonly buffer Out { OUTPUT result[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -58,6 +59,6 @@ void main() {
     float scale = 1.0 / sqrt(subgroupAdd(squares) / float(width) + eps);
     uint to = row * out_stride + out_column;
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
-        result[to + c] = (load(from, row, c) - mean) * scale * weight[c] + bias[c];
+        result[to + c] = to_OUTPUT((load(from, row, c) - mean) * scale * weight[c] + bias[c]);
     }
 }

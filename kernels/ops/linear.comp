@@ -1,15 +1,17 @@
 // Linear layer with its epilogue: out = residual + gamma * activation(a * weight + bias).
 //
-// A         [rows, inner] f32, inner a multiple of 4
-// Weight    [panels, inner, PANEL_COLUMNS] f32, panels of columns, the last padded (SwiGLU: gate and value columns alternate)
+// A         [rows, inner] INPUT, inner a multiple of 4
+// Weight    [panels, inner, PANEL_COLUMNS] INPUT, panels of columns, the last padded (SwiGLU: gate and value columns alternate)
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] f32, half as many columns after SwiGLU
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; f16 saturates
 //
 // One workgroup (a subgroup) owns ROWS rows of 4 columns a lane; A is read at addresses that are uniform over the
 // subgroup, so nothing passes through shared memory.
 #version 460
+#pragma element INPUT
+#pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #include "shared/gelu.glsl"
@@ -23,12 +25,12 @@ layout(constant_id = 3) const bool ADD = false;
 
 const uint ROWS = LINEAR_ROWS;
 
-layout(set = 0, binding = 0) readonly buffer A { vec4 a[]; };
-layout(set = 0, binding = 1) readonly buffer Weight { vec4 weight[]; };
+layout(set = 0, binding = 0) readonly buffer A { INPUT4 a[]; };
+layout(set = 0, binding = 1) readonly buffer Weight { INPUT4 weight[]; };
 layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
 layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
 layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
-layout(set = 0, binding = 5) buffer Out { float result[]; };
+layout(set = 0, binding = 5) buffer Out { OUTPUT result[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -47,7 +49,7 @@ void store(uint row, uint column, float value) {
     if (ADD) {
         value += residual[at];
     }
-    result[at] = value;
+    result[at] = to_OUTPUT(value);
 }
 
 void main() {
@@ -68,12 +70,12 @@ void main() {
     }
     for (uint k = 0; k < quads_inner; k++) {
         uint at = weight_at + 4 * k * panel_quads;
-        vec4 b0 = weight[at];
-        vec4 b1 = weight[at + panel_quads];
-        vec4 b2 = weight[at + 2 * panel_quads];
-        vec4 b3 = weight[at + 3 * panel_quads];
+        vec4 b0 = vec4(weight[at]);
+        vec4 b1 = vec4(weight[at + panel_quads]);
+        vec4 b2 = vec4(weight[at + 2 * panel_quads]);
+        vec4 b3 = vec4(weight[at + 3 * panel_quads]);
         [[unroll]] for (uint r = 0; r < ROWS; r++) {
-            vec4 x = a[row_at[r] + k];
+            vec4 x = vec4(a[row_at[r] + k]);
             sum[r] += x.x * b0;
             sum[r] += x.y * b1;
             sum[r] += x.z * b2;
@@ -94,8 +96,8 @@ void main() {
             vec4 v = sum[r] + offset;
             if (ACTIVATION == 2) {
                 uint at = row * (columns / 2) + 2 * quad;
-                result[at] = silu(v.x) * v.y;
-                result[at + 1] = silu(v.z) * v.w;
+                result[at] = to_OUTPUT(silu(v.x) * v.y);
+                result[at + 1] = to_OUTPUT(silu(v.z) * v.w);
             } else {
                 [[unroll]] for (uint c = 0; c < 4; c++) {
                     if (4 * quad + c < columns) {

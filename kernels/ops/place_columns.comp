@@ -1,17 +1,18 @@
 // Writes an array into some columns of a wider one: how two arrays are joined side by side.
 //
 // Source [rows, width] f32
-// Out    [rows, out_width] f32, columns from out_column on
+// Out    [rows, out_width] OUTPUT, columns from out_column on
 //
 // One invocation an element.
 #version 460
+#pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
 
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
-layout(set = 0, binding = 1) writeonly buffer Out { float result[]; };
+layout(set = 0, binding = 1) writeonly buffer Out { OUTPUT result[]; };
 
 layout(push_constant) uniform Push {
     uint count; // rows * width
@@ -23,6 +24,6 @@ layout(push_constant) uniform Push {
 void main() {
     uint i = global_index();
     if (i < count) {
-        result[i / width * out_width + out_column + i % width] = source[i];
+        result[i / width * out_width + out_column + i % width] = to_OUTPUT(source[i]);
     }
 }

@@ -1,15 +1,17 @@
 // Takes queries, keys or values of every head out of a projection: normalises, rotates and scales them once, and lays
 // them out as attention reads them.
 //
-// Projection [rows, stride] f32; this part begins at column `column`
+// Projection [rows, stride] ELEMENT; this part begins at column `column`
 // Weight     [dim] f32, affine norm over a head's channels; read where NORM
 // Bias       [dim] f32; read where NORM
 // Rotary     [tokens, dim / 2] (cos, sin) of each rotated pair; read where ROTATE
-// Out        [heads, out_rows, dim] f32, or where TRANSPOSE [heads, sequences, dim, padded length]
+// Out        [heads, out_rows, out_dim] ELEMENT, channels from dim on zero, or where TRANSPOSE [heads, sequences, dim,
+//            padded length]
 //
 // One workgroup (a subgroup) owns one head of one row, two channels a lane at a time. Rotary embedding: RoPE 2D (Su et
 // al. 2021; DA3), half of the channels with y and half with x, pairs half a half apart.
 #version 460
+#pragma element ELEMENT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
@@ -20,16 +22,17 @@ layout(constant_id = 1) const bool NORM = false;
 layout(constant_id = 2) const bool ROTATE = false;
 layout(constant_id = 3) const bool TRANSPOSE = false;
 
-layout(set = 0, binding = 0) readonly buffer Projection { float projection[]; };
+layout(set = 0, binding = 0) readonly buffer Projection { ELEMENT projection[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
 layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
 layout(set = 0, binding = 3) readonly buffer Rotary { vec2 rotary[]; };
-layout(set = 0, binding = 4) writeonly buffer Out { float result[]; };
+layout(set = 0, binding = 4) writeonly buffer Out { ELEMENT result[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
     uint heads;
     uint dim;
+    uint out_dim;
     uint stride;
     uint column;
     uint first_row; // row of Out that this dispatch's row 0 is
@@ -51,9 +54,9 @@ void store(uint head, uint row, uint channel, float value) {
         uint padded = (sequence + 3) / 4 * 4;
         uint sequences = out_rows / sequence;
         uint at = (head * sequences + row / sequence) * dim + channel;
-        result[at * padded + row % sequence] = value;
+        result[at * padded + row % sequence] = to_ELEMENT(value);
     } else {
-        result[(head * out_rows + row) * dim + channel] = value;
+        result[(head * out_rows + row) * out_dim + channel] = to_ELEMENT(value);
     }
 }
 
@@ -72,19 +75,19 @@ void main() {
     if (NORM) {
         float sum = 0.0;
         for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
-            sum += projection[from + c];
+            sum += float(projection[from + c]);
         }
         mean = subgroupAdd(sum) / float(dim);
         float squares = 0.0;
         for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
-            float d = projection[from + c] - mean;
+            float d = float(projection[from + c]) - mean;
             squares += d * d;
         }
         normal = 1.0 / sqrt(subgroupAdd(squares) / float(dim) + eps);
     }
     for (uint p = gl_LocalInvocationID.x; p < dim / 2; p += gl_WorkGroupSize.x) {
         uint c = pair_channel(p);
-        vec2 x = vec2(projection[from + c], projection[from + c + apart]);
+        vec2 x = vec2(float(projection[from + c]), float(projection[from + c + apart]));
         if (NORM) {
             x = (x - mean) * normal * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
         }
@@ -95,5 +98,10 @@ void main() {
         x *= scale;
         store(head, first_row + row, c, x.x);
         store(head, first_row + row, c + apart, x.y);
+    }
+    if (!TRANSPOSE) {
+        for (uint c = dim + gl_LocalInvocationID.x; c < out_dim; c += gl_WorkGroupSize.x) {
+            store(head, first_row + row, c, 0.0);
+        }
     }
 }

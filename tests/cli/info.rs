@@ -31,7 +31,12 @@ fn files_are_told_apart_by_content() {
 #[test]
 fn a_plan_takes_what_a_run_then_takes() {
     let folder = Folder::new();
-    for options in ["--size 28x28", "--size 70x42 --ratio 0.5", "--size 28x42 --ratio 0.5 --select stride"] {
+    for options in [
+        "--size 28x28",
+        "--size 70x42 --ratio 0.5",
+        "--size 28x42 --ratio 0.5 --select stride",
+        "--size 28x28 --precision fast",
+    ] {
         let shared = format!("--weights @/micro.safetensors {options} --json");
         let plan = folder.run(&format!("info --plan --views 2 {shared}")).json();
         let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply")).json();
@@ -45,4 +50,15 @@ fn a_plan_takes_what_a_run_then_takes() {
     let line = "info --plan --views 3 --weights seeded:vitg --ratio auto --poses";
     let (top, all) = (folder.run(line).success(), folder.run(&format!("{line} --all")).success());
     assert!(top.lines().count() < 30 && all.lines().count() > 50 && top.contains("--all shows them"), "{top}");
+}
+
+#[test]
+fn the_largest_network_takes_192_views_within_its_memory() {
+    let folder = Folder::new();
+    for (precision, most) in [("fast", 6_000_000_000), ("exact", 12_000_000_000)] {
+        let options = format!("--views 192 --weights seeded:vitg --precision {precision} --json");
+        let plan = folder.run(&format!("--device none info --plan {options}")).json();
+        assert_eq!(plan["precision"], precision);
+        assert!(plan["peak_bytes"].as_u64().is_some_and(|bytes| bytes <= most), "{precision}: {}", plan["peak_bytes"]);
+    }
 }

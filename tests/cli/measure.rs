@@ -39,9 +39,12 @@ fn forward_adds_up() {
 #[test]
 fn the_linear_layer_and_the_host_agree() {
     let rows = rows(&Folder::new(), "gemm");
-    assert_eq!(rows.len(), 3);
+    let exact = rows.iter().filter(|row| row["kernel"] == "exact").count();
+    assert_eq!((exact, rows.len() % exact), (3, 0), "one a shape and kernel");
     for row in rows {
-        assert!(row["difference"].as_f64().is_some_and(|difference| difference < 1e-5), "{row}");
+        // Both factors of a product are rounded to 11 bits.
+        let most = if row["kernel"] == "exact" { 1e-5 } else { 1e-3 };
+        assert!(row["difference"].as_f64().is_some_and(|difference| difference < most), "{row}");
         assert!(ordered(&row["device_ms"]) && ordered(&row["host_ms"]), "{row}");
     }
 }

@@ -1,5 +1,7 @@
 //! The table of tolerances.
 
+use zipsplat::gpu::Element;
+
 /// The most that an array may deviate from truth; both are relative to the rms of the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
@@ -11,6 +13,9 @@ pub struct Tolerance {
 
 /// Half a unit in the last place of 1: the most that one f32 rounding moves a value, relatively.
 const F32_ROUNDING: f64 = f32::EPSILON as f64 / 2.0;
+
+/// The same of one f16 rounding.
+const F16_ROUNDING: f64 = 1.0 / 2048.0;
 
 /// Taps of the network (digits and the compression prefix removed) and fields of Gaussians, in f32.
 ///
@@ -49,8 +54,18 @@ impl Tolerance {
     /// relative to that element, which may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
+    /// What rounding a result to f16 adds: half a unit in the last place of 11 bits, relative to an element, which may be
+    /// eight times the rms.
+    pub const ROUNDED_F16: Tolerance = Tolerance { max: 8.0 * F16_ROUNDING, rms: F16_ROUNDING };
+
     /// Gaussians of a network run in f16 (f32 accumulation): the reference under autocast deviates by 8e-4 rms.
     pub const F16: Tolerance = Tolerance { max: 0.1, rms: 2e-3 };
+
+    /// Taps of a network whose matrix products take f16 factors (f32 accumulation and residual stream), where its weights
+    /// are f16 numbers. A rounding moves a factor by at most 2^-11, at random, so a product's rms by as much or less. What a
+    /// block adds to the stream has passed about four such roundings in a row, sqrt(4) = 2 of them at random; the stream,
+    /// being a sum of blocks, deviates no more, relatively. Single elements: 8 times that over millions, as in sums.
+    pub const F16_TAP: Tolerance = Tolerance { max: 16.0 * F16_ROUNDING, rms: 2.0 * F16_ROUNDING };
 
     /// Gaussians of a network run in bf16 (f32 accumulation): the reference under autocast deviates by 7e-3 rms.
     pub const BF16: Tolerance = Tolerance { max: 0.6, rms: 1.5e-2 };
@@ -107,10 +122,17 @@ impl Tolerance {
         Tolerance { max: 8.0 * walk, rms: 2.0 * walk }
     }
 
+    /// The tolerance of a result stored in this type.
+    pub fn stored_in(self, element: Element) -> Tolerance {
+        match element {
+            Element::F32 => self,
+            Element::F16 => self.and(Self::ROUNDED_F16),
+        }
+    }
+
     /// The tolerance of the same sums where the factors are rounded to f16 (11 bits) before they are multiplied:
     /// every term moves by up to 2^-10 relatively, at random, so the sum by as much relative to its rms.
     pub fn sum_of_f16(terms: usize) -> Tolerance {
-        const F16_ROUNDING: f64 = 1.0 / 2048.0;
         let Tolerance { max, rms } = Tolerance::sum_of(terms);
         Tolerance { max: max + 8.0 * F16_ROUNDING, rms: rms + 2.0 * F16_ROUNDING }
     }

@@ -1,5 +1,6 @@
 //! Pictures against truth.
 
 mod effects;
+mod precision;
 mod properties;
 mod render;

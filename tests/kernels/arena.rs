@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use zipsplat::Error;
 use zipsplat::gpu::{ArenaRow, Limits, Recorder, Run, Tensor};
 use zipsplat::kernels::ops::Add;
+use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Kept, Network, Shape};
 use zipsplat::stages::ViewGrid;
 use zipsplat_tests::{architectures, compare::assert_same, device::device};
@@ -139,7 +140,7 @@ fn a_group_count_beyond_the_device_is_refused() {
 
 /// The map of a forward pass of the micro network.
 fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, u64) {
-    let network = Network::new(&architectures::golden("micro"), limits);
+    let network = Network::new(&architectures::golden("micro"), limits, Arithmetic::EXACT);
     let grid = ViewGrid { views, rows: 4, columns: 5, patch: 14 };
     let mut rec = Recorder::new(limits);
     if observe {

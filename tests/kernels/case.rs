@@ -1,7 +1,9 @@
 //! One plan under test: inputs with their values, and outputs that show what was not written and what should not have been.
 
 use bytemuck::Pod;
-use zipsplat::gpu::{Limits, Recorder, Run, Tensor};
+use half::f16;
+use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
+use zipsplat::ops::{AttentionKernel, LinearKernel};
 use zipsplat_tests::device::device;
 
 /// Bytes behind an output that nothing may write.
@@ -32,6 +34,30 @@ impl Case {
         tensor
     }
 
+    /// Values as a kernel takes them in this type.
+    pub fn input_of(&mut self, element: Element, values: &[f32]) -> Tensor {
+        match element {
+            Element::F32 => self.input(values),
+            Element::F16 => self.input(&values.iter().map(|x| f16::from_f32(*x)).collect::<Vec<_>>()),
+        }
+    }
+
+    /// A tensor of `len` results of this type.
+    pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
+        match element {
+            Element::F32 => self.output::<f32>(len),
+            Element::F16 => self.output::<f16>(len),
+        }
+    }
+
+    /// Runs the plan and reads one result of this type.
+    pub fn result_of(self, element: Element, output: Tensor) -> Vec<f32> {
+        match element {
+            Element::F32 => self.result(output),
+            Element::F16 => self.result::<f16>(output).into_iter().map(f16::to_f32).collect(),
+        }
+    }
+
     /// A tensor of `len` results.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let bytes = len * size_of::<T>();
@@ -59,6 +85,32 @@ impl Case {
     /// Runs the plan and reads one result.
     pub fn result<T: Pod>(self, output: Tensor) -> Vec<T> {
         self.run().read(output).unwrap()
+    }
+}
+
+/// Number types that the device's kernels take.
+pub fn elements() -> Vec<Element> {
+    let half = device().limits().half_storage.then_some(Element::F16);
+    [Element::F32].into_iter().chain(half).collect()
+}
+
+/// Kernels of linear layers that the device has.
+pub fn linear_kernels() -> Vec<LinearKernel> {
+    let panels = elements().into_iter().map(LinearKernel::Panels);
+    panels.chain(device().limits().matrices.map(LinearKernel::Matrix)).collect()
+}
+
+/// Kernels of attention that the device has.
+pub fn attention_kernels() -> Vec<AttentionKernel> {
+    let lanes = elements().into_iter().map(AttentionKernel::Lanes);
+    lanes.chain(device().limits().matrices.map(AttentionKernel::Matrix)).collect()
+}
+
+/// Values as they are once they are stored in this type.
+pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
+    match element {
+        Element::F32 => values,
+        Element::F16 => values.into_iter().map(|x| f16::from_f32(x).to_f32()).collect(),
     }
 }
 

@@ -4,10 +4,11 @@ use crate::case::random;
 use std::ops::ControlFlow;
 use zipsplat::gpu::{Device, DeviceOptions, Progress, Recorder, Run};
 use zipsplat::kernels::ops::Add;
+use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Model, Ratio, Request};
 use zipsplat::types::{Image, Scene};
 use zipsplat::weights::Checkpoint;
-use zipsplat_tests::{architectures, compare::assert_same, device::device};
+use zipsplat_tests::{architectures, compare::assert_same, device::device, networks::half_arithmetics};
 
 /// Views of 4 x 5 patches of noise.
 fn images(views: u32) -> Vec<Image> {
@@ -20,8 +21,12 @@ fn images(views: u32) -> Vec<Image> {
 }
 
 fn model(device: &Device) -> Model {
+    model_with(device, Arithmetic::EXACT)
+}
+
+fn model_with(device: &Device, arithmetic: Arithmetic) -> Model {
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
-    Model::load(device, &checkpoint, |_| ControlFlow::Continue(())).unwrap()
+    Model::load_with(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn reconstruct(model: &Model, views: u32, ratio: f64) -> Scene {
@@ -37,12 +42,15 @@ fn bits(scene: &Scene) -> Vec<u32> {
 
 #[test]
 fn every_run_gives_the_same_bits() {
-    let model_here = model(device());
-    let first = bits(&reconstruct(&model_here, 2, 0.5));
-    assert!(!first.is_empty());
-    assert_same("again", &bits(&reconstruct(&model_here, 2, 0.5)), &first);
     let elsewhere = Device::open(&DeviceOptions::default()).unwrap();
-    assert_same("on another opening of the device", &bits(&reconstruct(&model(&elsewhere), 2, 0.5)), &first);
+    for arithmetic in half_arithmetics().into_iter().chain([Arithmetic::EXACT]) {
+        let model_here = model_with(device(), arithmetic);
+        let first = bits(&reconstruct(&model_here, 2, 0.5));
+        assert!(!first.is_empty());
+        assert_same("again", &bits(&reconstruct(&model_here, 2, 0.5)), &first);
+        let model_there = model_with(&elsewhere, arithmetic);
+        assert_same("on another opening of the device", &bits(&reconstruct(&model_there, 2, 0.5)), &first);
+    }
 }
 
 #[test]
@@ -57,9 +65,11 @@ fn binding_parts_of_tensors_changes_no_bit() {
     // Just above the largest weight, far below the pictures, the hidden layers and the head's output.
     let narrow = DeviceOptions { max_binding_bytes: Some(200 << 10), ..DeviceOptions::default() };
     let narrow = Device::open(&narrow).unwrap();
-    for ratio in [0.5, 1.0] {
-        let whole = bits(&reconstruct(&model(device()), 24, ratio));
-        assert_same(&format!("ratio {ratio}"), &bits(&reconstruct(&model(&narrow), 24, ratio)), &whole);
+    let cases = half_arithmetics().into_iter().map(|half| (half, 1.0));
+    for (arithmetic, ratio) in cases.chain([(Arithmetic::EXACT, 0.5), (Arithmetic::EXACT, 1.0)]) {
+        let whole = bits(&reconstruct(&model_with(device(), arithmetic), 24, ratio));
+        let parts = bits(&reconstruct(&model_with(&narrow, arithmetic), 24, ratio));
+        assert_same(&format!("ratio {ratio}, {arithmetic:?}"), &parts, &whole);
     }
 }
 

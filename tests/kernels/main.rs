@@ -3,6 +3,7 @@
 mod arena;
 mod case;
 mod determinism;
+mod self_test;
 
 mod backbone {
     mod average_halves;

@@ -1,32 +1,22 @@
 //! The forward pass against the dumps of the PyTorch implementation, tap by tap, and its invariants.
 
 use std::collections::HashMap;
-use zipsplat::gpu::Run;
+use zipsplat::gpu::{Element, Run};
+use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Model, Ratio, Request, Selection};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
 use zipsplat::weights::{Architecture, Checkpoint};
-use zipsplat_tests::architectures;
-use zipsplat_tests::compare::{assert_gaussians_close, assert_nearest, assert_same, assert_tap};
+use zipsplat_tests::compare::{Tolerance, assert_gaussians_within, assert_nearest, assert_same, assert_tap_within};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
+use zipsplat_tests::networks::{half_arithmetics, images, model};
 
-/// A model of generated weights, as the goldens use.
-fn model(config: &str) -> Model {
-    let key = if config == "tiny_rect" { "tiny" } else { config };
-    let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
-    Model::load(device(), &checkpoint, |_| std::ops::ControlFlow::Continue(())).expect("small models fit")
-}
-
-/// `in/images_u8` `[views, 3, height, width]` as pictures.
-fn images(golden: &Golden) -> Vec<Image> {
-    let (shape, values) = (golden.shape("in/images_u8"), golden.u8("in/images_u8"));
-    let (height, width) = (shape[2], shape[3]);
-    let area = height * width;
-    let picture = |view: &[u8]| {
-        let rgb = (0..area).flat_map(|i| [view[i], view[area + i], view[2 * area + i]]).collect();
-        Image::new(width as u32, height as u32, rgb).expect("golden images are whole")
-    };
-    values.chunks(3 * area).map(picture).collect()
+/// What each tap may deviate by.
+fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
+    match arithmetic.element {
+        Element::F32 => Tolerance::of_tap(key),
+        Element::F16 => Tolerance::F16_TAP,
+    }
 }
 
 /// `in/camera` and `in/pose`, where a case has priors.
@@ -67,11 +57,11 @@ fn tap_names(a: &Architecture) -> (Vec<String>, Vec<String>) {
     (before, after)
 }
 
-/// Every tap of one golden, with its own choice of tokens; then what k-means chooses.
-fn check(file: &str) {
+/// Every tap of one golden, with its own choice of tokens; then, in f32, what k-means chooses.
+fn check(file: &str, arithmetic: Arithmetic) {
     let Some(golden) = Golden::open(file) else { return };
     let config = file.split('.').next().expect("config.case");
-    let model = model(config);
+    let model = model(config, arithmetic);
     let (images, cameras) = (images(&golden), cameras(&golden));
     let (before, after) = tap_names(model.architecture());
     let stored = |key: &str| golden.has(key) || golden.has(&format!("{key}@sub"));
@@ -84,12 +74,13 @@ fn check(file: &str) {
         let (taps, _) = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
         for (name, key) in names.filter(|(_, key)| stored(key)) {
-            assert_tap(&golden, &key, &taps[name]);
+            assert_tap_within(&golden, &key, &taps[name], tap_tolerance(arithmetic, &key));
             compared += 1;
         }
         let scene = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene;
-        check_gaussians(&golden, &key("gauss"), &packed(&scene), model.architecture().gaussian_width());
-        if ratio < 1.0 {
+        check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
+        // A deviation of f16 is larger than the margin by which many tokens are nearest.
+        if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
             check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
         }
     }
@@ -107,14 +98,19 @@ fn packed(scene: &Scene) -> Vec<f32> {
 }
 
 /// Packed Gaussians `[n, width]`, of which large goldens store every `sub_step`-th.
-fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], width: usize) {
+fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], model: &Model, arithmetic: Arithmetic) {
+    let width = model.architecture().gaussian_width();
+    let tolerance = |field: &str| match arithmetic.element {
+        Element::F32 => Tolerance::of_field(field),
+        Element::F16 => Tolerance::F16,
+    };
     if golden.has(key) {
-        assert_gaussians_close(key, packed, &golden.f32(key), width);
+        assert_gaussians_within(key, packed, &golden.f32(key), width, tolerance);
         return;
     }
     let step = golden.i64("sub_step")[0] as usize;
     let kept: Vec<f32> = packed.chunks_exact(width).step_by(step).flatten().copied().collect();
-    assert_gaussians_close(key, &kept, &golden.f32(&format!("{key}@sub")), width);
+    assert_gaussians_within(key, &kept, &golden.f32(&format!("{key}@sub")), width, tolerance);
 }
 
 fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Request, prefix: &str) {
@@ -127,16 +123,18 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
     let key = |name: &str| format!("{prefix}/{name}");
     let assigned: Vec<i64> = run.read::<u32>(find("assign")).unwrap().iter().map(|i| *i as i64).collect();
     assert_same(&key("assign"), &assigned, &golden.i64(&key("assign")));
-    assert_tap(golden, &key("centroids"), &run.read::<f32>(find("centroids")).unwrap());
+    let centroids = run.read::<f32>(find("centroids")).unwrap();
+    let tolerance = Tolerance::of_tap("centroids");
+    assert_tap_within(golden, &key("centroids"), &centroids, tolerance);
     let nearest: Vec<u32> = run.read(find("nearest")).unwrap();
     assert_nearest(&key("nearest_idx"), &nearest, &golden.i64(&key("nearest_top2")), &golden.f32(&key("nearest_gap")));
 }
 
 /// Every golden of a configuration, committed or in the larger set.
-fn check_all(config: &str) {
+fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     let files = golden::list(&format!("{config}."));
     for file in files.iter().filter(|f| f.ends_with(".safetensors") && !f.contains(".weights.")) {
-        check(file);
+        arithmetics.iter().for_each(|arithmetic| check(file, *arithmetic));
     }
 }
 
@@ -155,42 +153,32 @@ fn embedded() {
             let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
             let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone() };
             let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
-            check_gaussians(&golden, &key("gauss"), &packed(&found.scene), model.architecture().gaussian_width());
+            check_gaussians(&golden, &key("gauss"), &packed(&found.scene), &model, Arithmetic::EXACT);
         }
     }
 }
 
-#[test]
-fn micro() {
-    check_all("micro");
+/// Tests of a configuration in f32 and in f16.
+macro_rules! configurations {
+    ($($exact:ident $half:ident $config:literal),*) => { $(
+        #[test]
+        fn $exact() {
+            check_all($config, &[Arithmetic::EXACT]);
+        }
+
+        #[test]
+        fn $half() {
+            check_all($config, &half_arithmetics());
+        }
+    )* };
 }
 
-#[test]
-fn tiny() {
-    check_all("tiny");
-}
-
-#[test]
-fn tiny_with_small_activations() {
-    check_all("tiny_eps");
-}
-
-#[test]
-fn tiny_not_square() {
-    check_all("tiny_rect");
-}
-
-#[test]
-fn tiny_with_swiglu() {
-    check_all("tiny_swiglu");
-}
-
-#[test]
-fn small_is_vits() {
-    check_all("small");
-}
-
-#[test]
-fn slice_of_the_giant() {
-    check_all("giant_slice");
-}
+configurations!(
+    micro micro_in_f16 "micro",
+    tiny tiny_in_f16 "tiny",
+    tiny_with_small_activations tiny_with_small_activations_in_f16 "tiny_eps",
+    tiny_not_square tiny_not_square_in_f16 "tiny_rect",
+    tiny_with_swiglu tiny_with_swiglu_in_f16 "tiny_swiglu",
+    small_is_vits small_is_vits_in_f16 "small",
+    slice_of_the_giant slice_of_the_giant_in_f16 "giant_slice"
+);

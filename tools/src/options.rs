@@ -1,10 +1,12 @@
 //! The command line: global options, and those that several commands share.
 
-use crate::commands::Command;
+use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
 use std::{fmt, str::FromStr};
 use zipsplat::{
-    Result,
+    Error, Result,
+    gpu::{Device, Limits},
+    ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
     types::Scene,
     weights::{Architecture, Checkpoint},
@@ -35,7 +37,7 @@ pub struct Cli {
 /// Options of every command.
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info` or a part of its name [default: the best]
+    /// Vulkan device: its number in `zipsplat info` or a part of its name; none plans for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Print the result as JSON
@@ -93,9 +95,16 @@ pub struct Quality {
     /// Pixels that the network sees of each photo: multiples of the patch (14) [default: what the weights are best with]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Arithmetic
-    #[arg(long, value_enum, default_value = "exact")]
-    pub precision: Precision,
+    #[command(flatten)]
+    pub arithmetic: ArithmeticOption,
+}
+
+/// In which arithmetic.
+#[derive(Args)]
+pub struct ArithmeticOption {
+    /// Arithmetic [default: fast on GPUs with matrix units, else exact]
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionName>,
 }
 
 impl Quality {
@@ -114,9 +123,35 @@ impl Quality {
 
 /// Arithmetic of a reconstruction.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Precision {
+enum PrecisionName {
     /// f32 throughout
     Exact,
+    /// f16 factors of matrix products, all else f32
+    Fast,
+}
+
+impl ArithmeticOption {
+    /// The precision asked for, or the device's best, and its arithmetic there; kernels that failed their test are noted.
+    pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
+        let Chosen { precision, arithmetic, notes } = Chosen::of(device, self.asked())?;
+        notes.iter().for_each(|note| session.note(note));
+        Ok((precision, arithmetic))
+    }
+
+    /// The same for a device that is not there.
+    pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
+        match (self.asked().unwrap_or(Precision::best(limits)), Arithmetic::fast(limits)) {
+            (Precision::Fast, Some(fast)) => (Precision::Fast, fast),
+            _ => (Precision::Exact, Arithmetic::EXACT),
+        }
+    }
+
+    fn asked(&self) -> Option<Precision> {
+        self.precision.map(|name| match name {
+            PrecisionName::Exact => Precision::Exact,
+            PrecisionName::Fast => Precision::Fast,
+        })
+    }
 }
 
 /// Width and height in pixels.

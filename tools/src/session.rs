@@ -20,6 +20,8 @@ use zipsplat::{
 
 /// What takes no longer than this shows no progress.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// What `--device` calls no device.
+const NO_DEVICE: &str = "none";
 /// Steps of a progress bar.
 const STEPS: u64 = 1000;
 
@@ -45,6 +47,11 @@ impl<'a> Session<'a> {
     /// Opens the device that `--device` names, or the best one.
     pub fn device(&self) -> Result<Device> {
         Device::open(&DeviceOptions { selector: self.global.device.clone(), ..DeviceOptions::default() })
+    }
+
+    /// Whether the user asked for no device: what needs one fails, a plan is made for an ordinary one.
+    pub fn plans_for_none(&self) -> bool {
+        self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
     /// Whether the user named a device.

@@ -74,7 +74,9 @@ impl Device {
         let [instance, physical, device, queue] = handles.map(|handle| handle as usize as u64);
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
-        let (limits, found) = probe(&instance.raw, physical);
+        let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
+        // What the app did not have to enable.
+        (limits.half_storage, limits.matrices) = (false, None);
         let missing = missing_features(&limits, &found);
         if !missing.is_empty() {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));

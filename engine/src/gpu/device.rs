@@ -128,22 +128,38 @@ impl Device {
 
 impl Shared {
     fn open(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
-        let (mut limits, found) = probe(&instance.raw, physical);
+        let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
-        let extensions = [khr::push_descriptor::NAME.as_ptr()];
-        let mut v12 = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true).scalar_block_layout(true);
+        let mut extensions = vec![khr::push_descriptor::NAME.as_ptr()];
+        let matrices = limits.matrices.is_some();
+        let mut v11 = vk::PhysicalDeviceVulkan11Features::default().storage_buffer16_bit_access(limits.half_storage);
+        let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
+            .timeline_semaphore(true)
+            .scalar_block_layout(true)
+            .shader_float16(matrices)
+            .vulkan_memory_model(matrices)
+            // Else atomics would be restricted to workgroups, also in kernels without that model.
+            .vulkan_memory_model_device_scope(matrices);
         let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
             .synchronization2(true)
             .maintenance4(true)
             .subgroup_size_control(true)
             .compute_full_subgroups(true);
-        let info = vk::DeviceCreateInfo::default()
+        let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default().cooperative_matrix(true);
+        if matrices {
+            extensions.push(khr::cooperative_matrix::NAME.as_ptr());
+        }
+        let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
             .enabled_extension_names(&extensions)
+            .push_next(&mut v11)
             .push_next(&mut v12)
             .push_next(&mut v13);
+        if matrices {
+            info = info.push_next(&mut cooperative);
+        }
         // SAFETY: `physical` belongs to the instance; the features and extensions were found on it.
         let raw = unsafe { instance.raw.create_device(physical, &info, None) }
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
@@ -207,10 +223,11 @@ impl Shared {
         let subgroup = self.limits.subgroup_size;
         let mut values = constants.to_vec();
         let mut ids = module.constant_ids.to_vec();
-        let one_subgroup = module.local_size == LocalSize::Subgroup;
-        if one_subgroup {
-            ids.push(0);
-            values.push(subgroup);
+        let whole_subgroups = !matches!(module.local_size, LocalSize::Fixed(_));
+        if whole_subgroups {
+            // In the order of ids: validation 1.4.309 looks matrix sizes up by id as if it were a place.
+            ids.insert(0, 0);
+            values.insert(0, module.local_size.xyz(subgroup, constants)[0]);
         }
         let entries: Vec<_> = (ids.iter().zip(0u32..))
             .map(|(id, i)| vk::SpecializationMapEntry { constant_id: *id, offset: 4 * i, size: 4 })
@@ -224,7 +241,7 @@ impl Shared {
             .module(layout.module)
             .name(c"main")
             .specialization_info(&specialization);
-        if one_subgroup && self.subgroup_control {
+        if whole_subgroups && self.subgroup_control {
             stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut size);
         }
         let info = vk::ComputePipelineCreateInfo::default()

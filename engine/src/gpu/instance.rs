@@ -18,7 +18,7 @@ pub(super) struct Instance {
     pub messages: Box<Mutex<Vec<String>>>,
     /// Whether it is ours to destroy.
     owned: bool,
-    _entry: ash::Entry,
+    pub entry: ash::Entry,
 }
 
 /// One Vulkan device of this machine.
@@ -83,7 +83,7 @@ impl Instance {
             e => Error::NoDevice(format!("vkCreateInstance: {e}")),
         })?;
         let messenger = vk::DebugUtilsMessengerEXT::null();
-        let mut instance = Self { debug: None, messenger, messages, owned: true, raw, _entry: entry };
+        let mut instance = Self { debug: None, messenger, messages, owned: true, raw, entry };
         if validation {
             instance.listen()?;
         }
@@ -104,11 +104,11 @@ impl Instance {
         // SAFETY: the caller vouches for the instance.
         let raw = unsafe { ash::Instance::load(entry.static_fn(), instance) };
         let messenger = vk::DebugUtilsMessengerEXT::null();
-        Ok(Self { debug: None, messenger, messages: Box::default(), owned: false, raw, _entry: entry })
+        Ok(Self { debug: None, messenger, messages: Box::default(), owned: false, raw, entry })
     }
 
     fn listen(&mut self) -> Result<()> {
-        let debug = ext::debug_utils::Instance::new(&self._entry, &self.raw);
+        let debug = ext::debug_utils::Instance::new(&self.entry, &self.raw);
         let severe = vk::DebugUtilsMessageSeverityFlagsEXT::WARNING | vk::DebugUtilsMessageSeverityFlagsEXT::ERROR;
         let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
             .message_severity(severe)
@@ -130,7 +130,7 @@ impl Instance {
             return Err(Error::NoDevice("no Vulkan driver is installed".into()));
         }
         let info = |(index, device): (usize, vk::PhysicalDevice)| {
-            let (limits, found) = probe(&self.raw, device);
+            let (limits, found) = probe(&self.entry, &self.raw, device);
             (device, DeviceInfo { index, missing: missing_features(&limits, &found), limits })
         };
         Ok(physical.into_iter().enumerate().map(info).collect())

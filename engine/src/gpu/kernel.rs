@@ -17,6 +17,17 @@ pub struct Module {
     pub constant_ids: &'static [u32],
     /// Workgroup size.
     pub local_size: LocalSize,
+    /// What the device must have beside the basics.
+    pub needs: Needs,
+}
+
+/// What a kernel asks of a device beside the basics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Needs {
+    /// 16-bit floats in buffers.
+    pub half_storage: bool,
+    /// Matrices that a subgroup multiplies (VK_KHR_cooperative_matrix).
+    pub matrices: bool,
 }
 
 /// One storage buffer of a kernel.
@@ -39,14 +50,49 @@ pub enum LocalSize {
     Fixed([u32; 3]),
     /// One subgroup, whatever its size on the device (specialisation constant 0).
     Subgroup,
+    /// As many subgroups as the constant at this index of [`Module::constant_ids`] says.
+    Subgroups(usize),
+}
+
+impl LocalSize {
+    /// Invocations along x, y and z on a device whose subgroups have `subgroup` of them.
+    pub(super) fn xyz(self, subgroup: u32, constants: &[u32]) -> [u32; 3] {
+        match self {
+            LocalSize::Fixed(size) => size,
+            LocalSize::Subgroup => [subgroup, 1, 1],
+            LocalSize::Subgroups(index) => [constants[index] * subgroup, 1, 1],
+        }
+    }
+}
+
+/// The type of the values in a buffer that a kernel takes in several types (`#pragma element` in its source).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize)]
+pub enum Element {
+    /// IEEE single precision.
+    #[default]
+    F32,
+    /// IEEE half precision.
+    F16,
+}
+
+impl Element {
+    /// Bytes of one value.
+    pub fn bytes(self) -> usize {
+        match self {
+            Element::F32 => 4,
+            Element::F16 => 2,
+        }
+    }
 }
 
 /// A call of a kernel: its tensors, push constants and specialisation constants by name.
 pub trait Kernel {
-    /// Code and interface.
-    const MODULE: Module;
+    /// Code and interface, for the element types of this call.
+    fn module(&self) -> &'static Module;
     /// The same without the code of any effect: see [`super::Recorder::plain`].
-    const PLAIN: Module = Self::MODULE;
+    fn plain(&self) -> &'static Module {
+        self.module()
+    }
     /// Tensors in the order of [`Module::bindings`].
     fn buffers(&self) -> Vec<Tensor>;
     /// Push constants, by word.

@@ -30,6 +30,25 @@ pub struct Limits {
     pub memory_bytes: u64,
     /// Nanoseconds of one timestamp tick; 0 where there are no timestamps.
     pub timestamp_ns: f64,
+    /// Invocations that a workgroup may have.
+    pub max_invocations: u32,
+    /// Whether kernels may read and write 16-bit floats.
+    pub half_storage: bool,
+    /// Matrices that a subgroup multiplies as one: f16 factors, f32 sums (VK_KHR_cooperative_matrix).
+    pub matrices: Option<MatrixShape>,
+    /// Device and driver, exactly: what was measured on one is not true of another.
+    pub identity: String,
+}
+
+/// Sides of the matrices that a subgroup multiplies: `[m, k]` times `[k, n]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct MatrixShape {
+    /// Rows of the product.
+    pub m: u32,
+    /// Columns of the product.
+    pub n: u32,
+    /// Terms of a sum.
+    pub k: u32,
 }
 
 impl Default for Limits {
@@ -48,6 +67,10 @@ impl Default for Limits {
             shared_bytes: 32 << 10,
             memory_bytes: u64::MAX,
             timestamp_ns: 1.0,
+            max_invocations: 1024,
+            half_storage: true,
+            matrices: Some(MatrixShape { m: 16, n: 16, k: 16 }),
+            identity: "none".into(),
         }
     }
 }
@@ -76,15 +99,21 @@ pub(super) struct Found {
 }
 
 /// Reads what a device is and can do.
-pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
+pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
+    let mut f11 = vk::PhysicalDeviceVulkan11Features::default();
     let mut f12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut f13 = vk::PhysicalDeviceVulkan13Features::default();
     let mut properties =
         vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
-    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut f12).push_next(&mut f13);
+    let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
+    let mut features = vk::PhysicalDeviceFeatures2::default()
+        .push_next(&mut f11)
+        .push_next(&mut f12)
+        .push_next(&mut f13)
+        .push_next(&mut cooperative);
     // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
     let (memory, families, extensions) = unsafe {
         instance.get_physical_device_properties2(device, &mut properties);
@@ -103,6 +132,17 @@ pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Li
     let kind = base.device_type;
     let api = base.api_version;
     let driver_version = text(v12.driver_info_as_c_str().ok());
+    let has = |name| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+    let half_storage = f11.storage_buffer16_bit_access == vk::TRUE;
+    let matrices = has(khr::cooperative_matrix::NAME)
+        && cooperative.cooperative_matrix == vk::TRUE
+        && half_storage
+        && f12.shader_float16 == vk::TRUE
+        && f12.vulkan_memory_model == vk::TRUE
+        && f12.vulkan_memory_model_device_scope == vk::TRUE
+        // Mesa 26.1's lavapipe crashes where it compiles its matrices of 8 x 8 for subgroups of 16.
+        && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
+    let matrix_shape = || matrix_shape(entry, instance, device);
     let limits = Limits {
         name: text(base.device_name_as_c_str().ok()),
         driver: format!("{} {driver_version}", text(v12.driver_name_as_c_str().ok())),
@@ -122,6 +162,10 @@ pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Li
             .max()
             .unwrap_or(0),
         timestamp_ns: if timestamps { base.limits.timestamp_period as f64 } else { 0.0 },
+        max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
+        half_storage,
+        matrices: matrices.then(matrix_shape).flatten(),
+        identity: format!("{}-{}-{:x}", hex(&v11.device_uuid), hex(&v11.driver_uuid), base.driver_version),
     };
     let operations = vk::SubgroupFeatureFlags::BASIC
         | vk::SubgroupFeatureFlags::VOTE
@@ -130,7 +174,7 @@ pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Li
         | vk::SubgroupFeatureFlags::SHUFFLE;
     let subgroups = v11.subgroup_supported_operations.contains(operations)
         && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    let has = [
+    let offered = [
         f12.timeline_semaphore,
         f12.scalar_block_layout,
         f13.synchronization2,
@@ -138,12 +182,13 @@ pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Li
         f13.subgroup_size_control,
         f13.compute_full_subgroups,
     ];
-    let mut has = has.into_iter();
-    let required = REQUIRED_FEATURES.map(|(name, _)| (name.to_str().unwrap_or_default(), has.next() == Some(vk::TRUE)));
+    let mut offered = offered.into_iter();
+    let required =
+        REQUIRED_FEATURES.map(|(name, _)| (name.to_str().unwrap_or_default(), offered.next() == Some(vk::TRUE)));
     let found = Found {
         api,
         queue_family,
-        push_descriptor: extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::push_descriptor::NAME)),
+        push_descriptor: has(khr::push_descriptor::NAME),
         features: required
             .into_iter()
             .chain([("subgroup arithmetic, ballot and shuffle in compute", subgroups)])
@@ -153,6 +198,33 @@ pub(super) fn probe(instance: &ash::Instance, device: vk::PhysicalDevice) -> (Li
             .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),
     };
     (limits, found)
+}
+
+/// The largest matrices with f16 factors and f32 sums that a subgroup multiplies; of two as large, the squarer ones,
+/// whose rows and columns are loaded least often for what they give.
+fn matrix_shape(entry: &ash::Entry, instance: &ash::Instance, device: vk::PhysicalDevice) -> Option<MatrixShape> {
+    let loader = khr::cooperative_matrix::Instance::new(entry, instance);
+    // SAFETY: a plain query; the device has the extension.
+    let shapes = unsafe { loader.get_physical_device_cooperative_matrix_properties(device) }.unwrap_or_default();
+    let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
+    let fits = |p: &&vk::CooperativeMatrixPropertiesKHR<'_>| {
+        [p.a_type, p.b_type] == [half; 2]
+            && [p.c_type, p.result_type] == [single; 2]
+            && p.scope == vk::ScopeKHR::SUBGROUP
+    };
+    // Kernels move 8 halves at a time.
+    let whole =
+        |p: &&vk::CooperativeMatrixPropertiesKHR<'_>| [p.m_size, p.n_size, p.k_size].iter().all(|side| side % 8 == 0);
+    let best = shapes
+        .iter()
+        .filter(fits)
+        .filter(whole)
+        .max_by_key(|p| (p.m_size * p.n_size * p.k_size, p.m_size.min(p.n_size)))?;
+    Some(MatrixShape { m: best.m_size, n: best.n_size, k: best.k_size })
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// What a device would need to have and has not.

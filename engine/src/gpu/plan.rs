@@ -1,6 +1,6 @@
 //! A recorded plan: commands, and where every tensor lies.
 
-use super::{Module, arena::Placement};
+use super::{Element, Module, arena::Placement};
 
 /// A range of device memory that kernels see as one array. Copy it freely; it owns nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +30,17 @@ impl Tensor {
         assert!(from.is_multiple_of(super::arena::ALIGNMENT), "slice at byte {from} is not on a 256-byte boundary");
         assert!(from + bytes <= self.bytes, "slice {from}+{bytes} of {} bytes", self.bytes);
         Tensor { offset: self.offset + from, bytes, ..*self }
+    }
+
+    /// As [`Tensor::slice`], of a type that is known when it is recorded.
+    ///
+    /// # Panics
+    /// As [`Tensor::slice`].
+    pub fn slice_of(&self, element: Element, first: usize, len: usize) -> Tensor {
+        match element {
+            Element::F32 => self.slice::<f32>(first, len),
+            Element::F16 => self.slice::<u16>(first, len),
+        }
     }
 
     /// Length in bytes.

@@ -1,7 +1,7 @@
 //! Records kernel calls into a plan.
 
 use super::{
-    Kernel, Limits, LocalSize, Plan, Tensor,
+    Element, Kernel, Limits, Needs, Plan, Tensor,
     arena::{self, Lifetime},
     plan::{Allocation, Command, Dispatch, Groups, Home, Operation, Role},
 };
@@ -42,6 +42,14 @@ impl Recorder {
     /// Scratch of `len` elements, alive from its first to its last use.
     pub fn tensor<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Scratch)
+    }
+
+    /// As [`Recorder::tensor`], of a type that is known when it is recorded.
+    pub fn tensor_of(&mut self, element: Element, name: &str, len: usize) -> Tensor {
+        match element {
+            Element::F32 => self.tensor::<f32>(name, len),
+            Element::F16 => self.tensor::<u16>(name, len),
+        }
     }
 
     /// A tensor that the host writes before every run; its bytes are free for others after its last use.
@@ -104,10 +112,7 @@ impl Recorder {
 
     /// Dispatches at least `threads` invocations, in whole workgroups.
     pub fn dispatch<K: Kernel>(&mut self, kernel: K, threads: impl Threads) -> Recorded<'_> {
-        let size = match K::MODULE.local_size {
-            LocalSize::Fixed(size) => size,
-            LocalSize::Subgroup => [self.limits.subgroup_size, 1, 1],
-        };
+        let size = kernel.module().local_size.xyz(self.limits.subgroup_size, &kernel.constants());
         let (threads, one_dimensional) = (threads.xyz(), threads.one_dimensional());
         let groups = [0, 1, 2].map(|i| threads[i].div_ceil(size[i]));
         self.fixed(kernel, groups, one_dimensional)
@@ -123,7 +128,7 @@ impl Recorder {
         if one_dimensional && groups[0] > GROUP_FOLD {
             groups = [GROUP_FOLD, groups[0].div_ceil(GROUP_FOLD), 1];
         }
-        let module = &K::MODULE;
+        let module = kernel.module();
         if let Some(axis) = (0..3).find(|&i| groups[i] > self.limits.max_groups[i]) {
             self.fail(Error::argument(
                 format!("workgroups of {} along axis {axis}", module.name),
@@ -186,7 +191,10 @@ impl Recorder {
     }
 
     fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
-        let module = if self.plain { &K::PLAIN } else { &K::MODULE };
+        let module = if self.plain { kernel.plain() } else { kernel.module() };
+        let Needs { half_storage, matrices } = module.needs;
+        let can = (!half_storage || self.limits.half_storage) && (!matrices || self.limits.matrices.is_some());
+        assert!(can, "{} needs what {} has not: {:?}", module.name, self.limits.name, module.needs);
         let buffers = kernel.buffers();
         for (tensor, binding) in buffers.iter().zip(module.bindings) {
             if tensor.bytes > self.limits.max_binding_bytes {

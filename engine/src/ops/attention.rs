@@ -1,8 +1,8 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::Norm;
+use super::{Norm, tile::AttentionTile};
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, MatrixShape, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
@@ -53,17 +53,51 @@ pub struct Attention {
     pub queries: usize,
     /// Keys of a sequence.
     pub keys: usize,
+    /// What computes it.
+    pub kernel: AttentionKernel,
+}
+
+/// The kernel of an attention, which decides the layout of queries, keys and values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AttentionKernel {
+    /// ops/attention: everything of this type, keys with tokens running fastest.
+    Lanes(Element),
+    /// ops/attention_matrix: everything in f16, on matrix units; heads padded to whole matrices.
+    Matrix(MatrixShape),
+}
+
+impl AttentionKernel {
+    /// Type of queries, keys, values and of what comes out.
+    pub fn element(self) -> Element {
+        match self {
+            AttentionKernel::Lanes(element) => element,
+            AttentionKernel::Matrix(_) => Element::F16,
+        }
+    }
 }
 
 impl Attention {
     /// Tensors for queries, keys and values.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 3] {
-        let (width, sequences) = (self.heads.width(), self.sequences);
-        [
-            rec.tensor::<f32>("queries", sequences * self.queries * width),
-            rec.tensor::<f32>("keys", sequences * self.keys.next_multiple_of(4) * width),
-            rec.tensor::<f32>("values", sequences * self.keys * width),
-        ]
+        let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
+        let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
+        let (queries, keys, values) = match self.kernel {
+            AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
+            // The last workgroup reads queries beyond the end.
+            AttentionKernel::Matrix(shape) => {
+                (queries + AttentionTile::most_rows(rec.limits(), shape) * self.channels(), keys, keys)
+            }
+        };
+        let element = self.kernel.element();
+        [("queries", queries), ("keys", keys), ("values", values)].map(|(name, len)| rec.tensor_of(element, name, len))
+    }
+
+    /// Channels of a head as queries, keys and values hold it.
+    fn channels(&self) -> usize {
+        match self.kernel {
+            AttentionKernel::Lanes(_) => self.heads.dim,
+            AttentionKernel::Matrix(shape) => self.heads.dim.next_multiple_of(shape.n.max(shape.k) as usize),
+        }
     }
 
     /// Takes a part of `projection` `[rows, stride]`, whose first row is row `first_row` of all, into `out`.
@@ -89,6 +123,7 @@ impl Attention {
             rows: rows as u32,
             heads: self.heads.count as u32,
             dim: self.heads.dim as u32,
+            out_dim: self.channels() as u32,
             stride: projection.1 as u32,
             column: part.column as u32,
             first_row: first_row as u32,
@@ -99,7 +134,8 @@ impl Attention {
             eps,
             norm: part.norm.is_some(),
             rotate: part.rotary.is_some(),
-            transpose: part.keys,
+            transpose: part.keys && matches!(self.kernel, AttentionKernel::Lanes(_)),
+            element: self.kernel.element(),
         };
         rec.dispatch_groups(kernel, rows * self.heads.count);
     }
@@ -109,10 +145,19 @@ impl Attention {
         1.0 / (self.heads.dim as f32).sqrt()
     }
 
-    /// softmax(q k) v of every head, `[sequences * queries, width]` f32.
-    pub fn record(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3]) -> Tensor {
+    /// softmax(q k) v of every head, `[sequences * queries, width]`.
+    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 3]) -> Tensor {
+        let len = self.sequences * self.queries * self.heads.width();
+        let out = rec.tensor_of(self.kernel.element(), "attended", len);
+        match self.kernel {
+            AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out),
+            AttentionKernel::Matrix(shape) => self.matrix(rec, shape, tensors, out),
+        }
+        out
+    }
+
+    fn lanes(&self, rec: &mut Recorder, element: Element, [q, k, v]: [Tensor; 3], out: Tensor) {
         let Heads { count, dim } = self.heads;
-        let out = rec.tensor::<f32>("attended", self.sequences * self.queries * self.heads.width());
         let kernel = ops::Attention {
             q,
             k,
@@ -124,10 +169,38 @@ impl Attention {
             heads: count as u32,
             dim: dim as u32,
             vectors: (dim as u32).div_ceil(4 * rec.limits().subgroup_size),
+            element,
         };
         let groups = [self.queries.div_ceil(ATTENTION_ROWS as usize), count, self.sequences];
-        let flops = 4 * self.sequences * self.queries * self.keys * self.heads.width();
-        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(flops as u64);
-        out
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
+    }
+
+    fn matrix(&self, rec: &mut Recorder, shape: MatrixShape, [q, k, v]: [Tensor; 3], out: Tensor) {
+        let Heads { count, dim } = self.heads;
+        let tile = AttentionTile::choose(rec.limits(), shape, self.channels(), self.queries, count * self.sequences);
+        let kernel = ops::AttentionMatrix {
+            q,
+            k,
+            v,
+            out,
+            queries: self.queries as u32,
+            keys: self.keys as u32,
+            sequences: self.sequences as u32,
+            heads: count as u32,
+            dim: dim as u32,
+            subgroups: tile.subgroups,
+            matrix_m: shape.m,
+            matrix_n: shape.n,
+            matrix_k: shape.k,
+            repeat_m: tile.repeat,
+            tile: tile.keys,
+            channels: self.channels() as u32,
+        };
+        let groups = [self.queries.div_ceil(tile.rows(shape)), count, self.sequences];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
+    }
+
+    fn flops(&self) -> u64 {
+        (4 * self.sequences * self.queries * self.keys * self.heads.width()) as u64
     }
 }

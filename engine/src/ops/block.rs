@@ -1,6 +1,6 @@
 //! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
 
-use super::{Activation, Attention, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, row_chunks};
+use super::{Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, row_chunks};
 use crate::{
     gpu::{Recorder, Tensor},
     weights::Ffn,
@@ -9,6 +9,7 @@ use crate::{
 /// A block's parameters.
 pub struct Block {
     heads: Heads,
+    attention: AttentionKernel,
     norm1: Norm,
     qkv: Linear,
     qk_norm: Option<[Norm; 2]>,
@@ -47,6 +48,7 @@ impl Block {
         let head_norm = |p: &mut ParameterLayout, n| p.norm(&format!("{name}.attn.{n}_norm"), heads.dim, QK_NORM_EPS);
         Self {
             heads,
+            attention: p.attention(),
             norm1: p.norm(&format!("{name}.norm1"), width, eps),
             qkv: p.linear(&format!("{name}.attn.qkv"), width, 3 * width),
             qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),
@@ -65,11 +67,14 @@ impl Block {
             sequences: sequences.count,
             queries: sequences.tokens,
             keys: sequences.tokens,
+            kernel: self.attention,
         };
         let [q, k, v] = attention.tensors(rec);
-        for part in row_chunks(rec, rows, &[width, 3 * width]) {
-            let normed = self.norm1.apply(rec, x.slice::<f32>(part.start * width, part.len() * width), part.len());
-            let qkv = self.qkv.apply(rec, "qkv", normed, part.len(), Epilogue::default());
+        let output = self.attention.element();
+        for part in row_chunks(rec, rows, &[4 * width, output.bytes() * 3 * width]) {
+            let rows_of_x = x.slice::<f32>(part.start * width, part.len() * width);
+            let normed = self.norm1.apply(rec, rows_of_x, part.len(), self.qkv.element());
+            let qkv = self.qkv.apply(rec, "qkv", normed, part.len(), Epilogue { output, ..Epilogue::default() });
             let [q_norm, k_norm] = self.qk_norm.map_or([None; 2], |n| n.map(Some));
             let rotary = sequences.rotary;
             let parts = [
@@ -110,16 +115,14 @@ impl Mlp {
     /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all `[rows, width]`.
     pub fn record(&self, rec: &mut Recorder, residual: Tensor, addend: Option<Tensor>, out: Tensor, rows: usize) {
         let width = self.norm.width;
-        for part in row_chunks(rec, rows, &[width, self.fc1.columns]) {
+        let output = self.fc2.element();
+        for part in row_chunks(rec, rows, &[4 * width, output.bytes() * self.fc1.columns]) {
             let rows_of = |t: Tensor| t.slice::<f32>(part.start * width, part.len() * width);
-            let normed = match addend {
-                Some(addend) => self.norm.apply_to_sum(rec, rows_of(residual), rows_of(addend), part.len()),
-                None => self.norm.apply(rec, rows_of(residual), part.len()),
-            };
-            let activation = Epilogue { activation: self.activation, ..Epilogue::default() };
+            let (residual_rows, addend) = (rows_of(residual), addend.map(rows_of));
+            let normed = self.norm.apply_to_sum(rec, residual_rows, addend, part.len(), self.fc1.element());
+            let activation = Epilogue { activation: self.activation, output, ..Epilogue::default() };
             let hidden = self.fc1.apply(rec, "hidden", normed, part.len(), activation);
-            let epilogue =
-                Epilogue { gamma: Some(self.gamma), residual: Some(rows_of(residual)), ..Epilogue::default() };
+            let epilogue = Epilogue { gamma: Some(self.gamma), residual: Some(residual_rows), ..Epilogue::default() };
             self.fc2.record(rec, hidden, part.len(), rows_of(out), epilogue);
         }
     }

@@ -1,7 +1,7 @@
 //! A cross-attention block: queries look at keys; what it adds to the queries is returned on its own.
 
 use super::{
-    Attention, Epilogue, Heads, Linear, Norm, ParameterLayout, Part,
+    Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part,
     block::{Mlp, QK_NORM_EPS},
     row_chunks,
 };
@@ -13,6 +13,7 @@ use crate::{
 /// A cross-attention block's parameters.
 pub struct CrossBlock {
     heads: Heads,
+    attention: AttentionKernel,
     norm_q: Norm,
     norm_kv: Norm,
     q_proj: Linear,
@@ -30,6 +31,7 @@ impl CrossBlock {
         let width = heads.width();
         Self {
             heads,
+            attention: p.attention(),
             norm_q: p.norm(&format!("{name}.norm_q"), width, eps),
             norm_kv: p.norm(&format!("{name}.norm_kv"), width, eps),
             q_proj: p.linear(&format!("{name}.attn.q_proj"), width, width),
@@ -46,19 +48,21 @@ impl CrossBlock {
     /// attention, d2 = gamma2 * mlp(norm(queries + d1)).
     pub fn record(&self, rec: &mut Recorder, queries: (Tensor, usize), keys: (Tensor, usize)) -> Tensor {
         let width = self.heads.width();
-        let attention = Attention { heads: self.heads, sequences: 1, queries: queries.1, keys: keys.1 };
+        let (kernel, heads) = (self.attention, self.heads);
+        let attention = Attention { heads, sequences: 1, queries: queries.1, keys: keys.1, kernel };
+        let for_attention = Epilogue { output: kernel.element(), ..Epilogue::default() };
         let [q, k, v] = attention.tensors(rec);
-        for part in row_chunks(rec, queries.1, &[width]) {
+        for part in row_chunks(rec, queries.1, &[4 * width]) {
             let x = queries.0.slice::<f32>(part.start * width, part.len() * width);
-            let normed = self.norm_q.apply(rec, x, part.len());
-            let projected = self.q_proj.apply(rec, "q", normed, part.len(), Epilogue::default());
+            let normed = self.norm_q.apply(rec, x, part.len(), self.q_proj.element());
+            let projected = self.q_proj.apply(rec, "q", normed, part.len(), for_attention);
             let what = Part { norm: Some(self.q_norm), scale: attention.scale(), ..Part::default() };
             attention.split(rec, (projected, width), part.start, part.len(), what, q);
         }
-        for part in row_chunks(rec, keys.1, &[width, 2 * width]) {
+        for part in row_chunks(rec, keys.1, &[4 * width, kernel.element().bytes() * 2 * width]) {
             let x = keys.0.slice::<f32>(part.start * width, part.len() * width);
-            let normed = self.norm_kv.apply(rec, x, part.len());
-            let projected = self.kv_proj.apply(rec, "kv", normed, part.len(), Epilogue::default());
+            let normed = self.norm_kv.apply(rec, x, part.len(), self.kv_proj.element());
+            let projected = self.kv_proj.apply(rec, "kv", normed, part.len(), for_attention);
             let parts = [
                 (Part { norm: Some(self.k_norm), keys: true, ..Part::default() }, k),
                 (Part { column: width, ..Part::default() }, v),

@@ -1,26 +1,40 @@
 //! Linear layers with fused epilogues.
 
-use super::rows::{SCRATCH_BYTES, row_chunks};
+use super::{
+    rows::{SCRATCH_BYTES, row_chunks},
+    tile::LinearTile,
+};
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, MatrixShape, Recorder, Tensor},
     kernels::{limits::LINEAR_ROWS, ops},
 };
 
-/// Narrower layers are cut as if they were this wide, which keeps their workgroups, rows / LINEAR_ROWS along x, below the
-/// 65,535 that every device has.
-const NARROWEST: usize = SCRATCH_BYTES as usize / (4 * LINEAR_ROWS as usize * 65_535) + 1;
+/// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, rows / LINEAR_ROWS along an
+/// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
+const NARROWEST: usize = (SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_535) + 1).next_multiple_of(256);
 
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// `[panels, inner, PANEL_COLUMNS]` f32, the last panel padded.
+    /// As `kernel` reads it.
     pub weight: Tensor,
     /// `[columns]` f32.
     pub bias: Tensor,
-    /// Values of an input row, padded to a multiple of 4.
+    /// Values of an input row, padded to whole vectors of the kernel.
     pub inner: usize,
     /// Outputs, before SwiGLU halves them.
     pub columns: usize,
+    /// What computes it.
+    pub kernel: LinearKernel,
+}
+
+/// The kernel of a linear layer, which decides the layout of its weight.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinearKernel {
+    /// ops/linear: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
+    Panels(Element),
+    /// ops/linear_matrix: inputs and weight `[columns, inner]` in f16, on matrix units.
+    Matrix(MatrixShape),
 }
 
 /// What follows the bias.
@@ -44,9 +58,31 @@ pub struct Epilogue {
     pub gamma: Option<Tensor>,
     /// `[rows, columns]` f32; may be the output itself.
     pub residual: Option<Tensor>,
+    /// Type of the output.
+    pub output: Element,
+}
+
+impl LinearKernel {
+    /// Type of inputs and weight.
+    pub fn element(self) -> Element {
+        match self {
+            LinearKernel::Panels(element) => element,
+            LinearKernel::Matrix(_) => Element::F16,
+        }
+    }
+
+    /// Values that an input row is padded to a multiple of: 16 bytes.
+    pub fn vector(self) -> usize {
+        16 / self.element().bytes()
+    }
 }
 
 impl Linear {
+    /// Type of the inputs.
+    pub fn element(&self) -> Element {
+        self.kernel.element()
+    }
+
     /// Values of an output row.
     pub fn out_columns(&self, activation: Activation) -> usize {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
@@ -54,7 +90,7 @@ impl Linear {
 
     /// Applies the layer to `input` `[rows, inner]` into a new tensor.
     pub fn apply(&self, rec: &mut Recorder, name: &str, input: Tensor, rows: usize, epilogue: Epilogue) -> Tensor {
-        let out = rec.tensor::<f32>(name, rows * self.out_columns(epilogue.activation));
+        let out = rec.tensor_of(epilogue.output, name, rows * self.out_columns(epilogue.activation));
         self.record(rec, input, rows, out, epilogue);
         out
     }
@@ -64,27 +100,75 @@ impl Linear {
         let alone = epilogue.gamma.is_none() && epilogue.residual.is_none() && self.columns.is_multiple_of(4);
         assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");
         let out_columns = self.out_columns(epilogue.activation);
-        let lanes = rec.limits().subgroup_size as usize;
-        for part in row_chunks(rec, rows, &[self.inner, out_columns, NARROWEST]) {
-            let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
-            let out = rows_of(out, out_columns);
-            let kernel = ops::Linear {
-                a: rows_of(input, self.inner),
-                weight: self.weight,
-                bias: self.bias,
-                gamma: epilogue.gamma.unwrap_or(self.bias),
-                residual: epilogue.residual.map_or(self.bias, |t| rows_of(t, out_columns)),
-                out,
-                rows: part.len() as u32,
-                inner: self.inner as u32,
-                columns: self.columns as u32,
-                activation: epilogue.activation as u32,
-                scale: epilogue.gamma.is_some(),
-                add: epilogue.residual.is_some(),
-            };
-            let groups = [part.len().div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), 1];
-            let flops = 2 * part.len() * self.inner * self.columns;
-            rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(flops as u64);
+        let added = if epilogue.residual.is_some() { 4 * out_columns } else { 0 };
+        let widths = [self.element().bytes() * self.inner, epilogue.output.bytes() * out_columns, added, NARROWEST];
+        for part in row_chunks(rec, rows, &widths) {
+            let rows_of = |t: Tensor, e: Element, width: usize| t.slice_of(e, part.start * width, part.len() * width);
+            let input = rows_of(input, self.element(), self.inner);
+            let out = rows_of(out, epilogue.output, out_columns);
+            let residual = epilogue.residual.map(|t| rows_of(t, Element::F32, out_columns));
+            let epilogue = Epilogue { residual, ..epilogue };
+            match self.kernel {
+                LinearKernel::Panels(element) => self.panels(rec, element, input, part.len(), out, epilogue),
+                LinearKernel::Matrix(shape) => self.matrix(rec, shape, input, part.len(), out, epilogue),
+            }
         }
+    }
+
+    fn panels(&self, rec: &mut Recorder, input: Element, a: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
+        let lanes = rec.limits().subgroup_size as usize;
+        let kernel = ops::Linear {
+            a,
+            weight: self.weight,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.unwrap_or(self.bias),
+            out,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            input,
+            output: epilogue.output,
+        };
+        let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), 1];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    fn matrix(&self, rec: &mut Recorder, shape: MatrixShape, a: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
+        let tile = LinearTile::choose(rec.limits(), shape, rows, self.columns);
+        let [tile_rows, tile_columns] = tile.sides(shape);
+        let kernel = ops::LinearMatrix {
+            a,
+            weight: self.weight,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.unwrap_or(self.bias),
+            out,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            subgroups: tile.subgroups[0] * tile.subgroups[1],
+            subgroups_n: tile.subgroups[1],
+            matrix_m: shape.m,
+            matrix_n: shape.n,
+            matrix_k: shape.k,
+            repeat_m: tile.repeats[0],
+            repeat_n: tile.repeats[1],
+            tile_k: tile.k,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            output: epilogue.output,
+        };
+        // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
+        let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    fn flops(&self, rows: usize) -> u64 {
+        (2 * rows * self.inner * self.columns) as u64
     }
 }

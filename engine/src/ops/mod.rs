@@ -1,5 +1,6 @@
 //! Dispatches that several stages use. Each takes tensors and shapes and records; none owns device memory.
 
+mod arithmetic;
 mod attention;
 mod block;
 mod cross_block;
@@ -8,13 +9,17 @@ mod norm;
 mod parameters;
 mod rows;
 pub mod scan;
+mod self_test;
 pub mod sort;
+mod tile;
 
-pub use attention::{Attention, Heads, Part};
+pub use arithmetic::{Arithmetic, Precision};
+pub use attention::{Attention, AttentionKernel, Heads, Part};
 pub use block::{Block, Sequences};
 pub use cross_block::CrossBlock;
-pub use linear::{Activation, Epilogue, Linear};
+pub use linear::{Activation, Epilogue, Linear, LinearKernel};
 pub use norm::{Norm, NormRows};
 pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns};
+pub use self_test::{Chosen, SelfTest};

@@ -2,7 +2,7 @@
 
 use super::row_chunks;
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::ops,
 };
 
@@ -28,29 +28,36 @@ pub struct NormRows {
     pub out_stride: usize,
     /// First column of the output.
     pub out_column: usize,
+    /// Type of the output.
+    pub output: Element,
     /// Patches of a view where the input has a camera token before each view's patches, which is left out; else 0.
     pub patches: usize,
 }
 
 impl NormRows {
-    /// `rows` rows, packed.
+    /// `rows` rows, packed, as f32.
     pub fn packed(rows: usize, width: usize) -> Self {
-        Self { rows, out_stride: width, out_column: 0, patches: 0 }
+        Self { rows, out_stride: width, out_column: 0, output: Element::F32, patches: 0 }
     }
 }
 
 impl Norm {
-    /// Normalises `input` `[rows, width]` into a new tensor.
-    pub fn apply(&self, rec: &mut Recorder, input: Tensor, rows: usize) -> Tensor {
-        let out = rec.tensor::<f32>("normed", rows * self.width);
-        self.record(rec, input, None, out, NormRows::packed(rows, self.width));
-        out
+    /// Normalises `input` `[rows, width]` into a new tensor of type `output`.
+    pub fn apply(&self, rec: &mut Recorder, input: Tensor, rows: usize, output: Element) -> Tensor {
+        self.apply_to_sum(rec, input, None, rows, output)
     }
 
-    /// Normalises `input` + `addend` `[rows, width]` into a new tensor.
-    pub fn apply_to_sum(&self, rec: &mut Recorder, input: Tensor, addend: Tensor, rows: usize) -> Tensor {
-        let out = rec.tensor::<f32>("normed", rows * self.width);
-        self.record(rec, input, Some(addend), out, NormRows::packed(rows, self.width));
+    /// Normalises `input` (+ `addend`) `[rows, width]` into a new tensor of type `output`.
+    pub fn apply_to_sum(
+        &self,
+        rec: &mut Recorder,
+        input: Tensor,
+        addend: Option<Tensor>,
+        rows: usize,
+        output: Element,
+    ) -> Tensor {
+        let out = rec.tensor_of(output, "normed", rows * self.width);
+        self.record(rec, input, addend, out, NormRows { output, ..NormRows::packed(rows, self.width) });
         out
     }
 
@@ -61,7 +68,8 @@ impl Norm {
         // Cut at whole views where a view has a row more in the input than in the output.
         let view = rows.patches.max(1);
         let extra = rows.patches.min(1);
-        for part in row_chunks(rec, count / view, &[(view + extra) * width, view * width, view * stride]) {
+        let widths = [4 * (view + extra) * width, 4 * view * width, rows.output.bytes() * view * stride];
+        for part in row_chunks(rec, count / view, &widths) {
             let (first, last) = (part.start * view, part.end * view);
             let (first_in, last_in) = (part.start * (view + extra), part.end * (view + extra));
             let kernel = ops::LayerNorm {
@@ -69,7 +77,7 @@ impl Norm {
                 addend: addend.map_or(self.bias, |t| t.slice::<f32>(first * width, (last - first) * width)),
                 weight: self.weight,
                 bias: self.bias,
-                out: out.slice::<f32>(first * stride, (last - first) * stride),
+                out: out.slice_of(rows.output, first * stride, (last - first) * stride),
                 rows: (last - first) as u32,
                 width: width as u32,
                 out_stride: stride as u32,
@@ -77,6 +85,7 @@ impl Norm {
                 patches: rows.patches as u32,
                 eps: self.eps,
                 add: addend.is_some(),
+                output: rows.output,
             };
             rec.dispatch_groups(kernel, last - first);
         }

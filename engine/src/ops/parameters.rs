@@ -1,12 +1,13 @@
 //! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
 
-use super::{Linear, Norm};
+use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, Norm};
 use crate::{
     Error, Result,
-    gpu::{Device, Limits, Resident, ResidentLayout, Tensor},
+    gpu::{Device, Element, Limits, Resident, ResidentLayout, Tensor},
     kernels::limits::PANEL_COLUMNS,
     weights::Checkpoint,
 };
+use half::f16;
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
@@ -14,6 +15,7 @@ use std::ops::ControlFlow;
 pub struct ParameterLayout {
     layout: ResidentLayout,
     uploads: Vec<Upload>,
+    arithmetic: Arithmetic,
 }
 
 struct Upload {
@@ -22,38 +24,55 @@ struct Upload {
     packing: Packing,
 }
 
-/// How a checkpoint's `[columns, inner]` matrix becomes the `[panels, inner, PANEL_COLUMNS]` one that kernels read.
+/// How a checkpoint's values become what kernels read.
 #[derive(Clone, Copy)]
 enum Packing {
-    /// As it is.
+    /// As they are.
     Vector,
-    /// Transposed panel by panel; `inner` padded with zeros to a multiple of 4, columns to whole panels.
-    Matrix { inner: usize, columns: usize },
-    /// As `Matrix`, its first and second half of columns alternating: gate, value, gate, value.
-    GatedMatrix { inner: usize, columns: usize },
     /// A vector in the order of a gated matrix' columns.
     GatedVector,
+    /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
+    Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
+}
+
+/// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
+/// alternate, gate, value, gate, value.
+fn source_row(column: usize, columns: usize, gated: bool) -> usize {
+    if gated { (column % 2) * (columns / 2) + column / 2 } else { column }
 }
 
 impl ParameterLayout {
     /// An empty layout for devices of these limits.
-    pub fn new(limits: &Limits) -> Self {
-        Self { layout: ResidentLayout::new(limits), uploads: Vec::new() }
+    pub fn new(limits: &Limits, arithmetic: Arithmetic) -> Self {
+        Self { layout: ResidentLayout::new(limits), uploads: Vec::new(), arithmetic }
+    }
+
+    /// The kernel of attention.
+    pub fn attention(&self) -> AttentionKernel {
+        match self.arithmetic {
+            Arithmetic { attention: Some(shape), .. } => AttentionKernel::Matrix(shape),
+            Arithmetic { element, .. } => AttentionKernel::Lanes(element),
+        }
     }
 
     /// A parameter of `len` values as it is.
     pub fn vector(&mut self, name: String, len: usize) -> Tensor {
-        self.add(name, len, Packing::Vector)
+        self.add::<f32>(name, len, Packing::Vector)
     }
 
     /// `NAME.weight` `[columns, inner]` (a convolution's kernel counts as one row an output) and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, inner, columns, Packing::Matrix { inner, columns }, Packing::Vector)
+        self.matrix(name, inner, columns, false, self.arithmetic)
+    }
+
+    /// As [`ParameterLayout::linear`], in f32 whatever the arithmetic: for what f16 cannot hold and costs nothing.
+    pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
+        self.matrix(name, inner, columns, false, Arithmetic::EXACT)
     }
 
     /// As [`ParameterLayout::linear`] for a layer whose output is [gate | value].
     pub fn gated_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, inner, columns, Packing::GatedMatrix { inner, columns }, Packing::GatedVector)
+        self.matrix(name, inner, columns, true, self.arithmetic)
     }
 
     /// `NAME.weight` and `NAME.bias` of a layer norm.
@@ -98,63 +117,103 @@ impl ParameterLayout {
         Ok(resident)
     }
 
-    fn matrix(&mut self, name: &str, inner: usize, columns: usize, matrix: Packing, vector: Packing) -> Linear {
-        let padded = inner.next_multiple_of(4) * columns.next_multiple_of(PANEL_COLUMNS as usize);
+    fn matrix(&mut self, name: &str, inner: usize, columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
+        // The matrix kernel writes whole vectors.
+        let kernel = match arithmetic.linear {
+            Some(shape) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(shape),
+            _ => LinearKernel::Panels(arithmetic.element),
+        };
+        let packing = Packing::Matrix { inner, columns, gated, kernel };
+        let (weight, len) = (format!("{name}.weight"), packed_len(inner, columns, kernel));
         Linear {
-            weight: self.add(format!("{name}.weight"), padded, matrix),
-            bias: self.add(format!("{name}.bias"), columns, vector),
-            inner: inner.next_multiple_of(4),
+            weight: match kernel.element() {
+                Element::F32 => self.add::<f32>(weight, len, packing),
+                Element::F16 => self.add::<u16>(weight, len, packing),
+            },
+            bias: self.add::<f32>(
+                format!("{name}.bias"),
+                columns,
+                if gated { Packing::GatedVector } else { Packing::Vector },
+            ),
+            inner: inner.next_multiple_of(kernel.vector()),
             columns,
+            kernel,
         }
     }
 
-    fn add(&mut self, name: String, len: usize, packing: Packing) -> Tensor {
-        let tensor = self.layout.add::<f32>(len);
+    fn add<T>(&mut self, name: String, len: usize, packing: Packing) -> Tensor {
+        let tensor = self.layout.add::<T>(len);
         self.uploads.push(Upload { name, tensor, packing });
         tensor
     }
 }
 
+/// Values of a packed matrix.
+fn packed_len(inner: usize, columns: usize, kernel: LinearKernel) -> usize {
+    let inner = inner.next_multiple_of(kernel.vector());
+    match kernel {
+        LinearKernel::Panels(_) => inner * columns.next_multiple_of(PANEL_COLUMNS as usize),
+        LinearKernel::Matrix(_) => inner * columns,
+    }
+}
+
 impl Packing {
-    fn pack(self, source: &[f32], packed: &mut Vec<f32>) {
+    /// The bytes that kernels read.
+    fn pack(self, source: &[f32], packed: &mut Vec<u8>) {
         packed.clear();
         match self {
-            Packing::Vector => packed.extend_from_slice(source),
+            Packing::Vector => packed.extend_from_slice(bytemuck::cast_slice(source)),
             Packing::GatedVector => {
-                let half = source.len() / 2;
-                packed.extend((0..half).flat_map(|i| [source[i], source[half + i]]));
+                let value = |column| source[source_row(column, source.len(), true)];
+                packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
             }
-            Packing::Matrix { inner, columns } => transpose(source, inner, columns, packed, |column| column),
-            Packing::GatedMatrix { inner, columns } => {
-                transpose(source, inner, columns, packed, |column| (column % 2) * (columns / 2) + column / 2)
+            Packing::Matrix { inner, columns, gated, kernel } => {
+                packed.resize(packed_len(inner, columns, kernel) * kernel.element().bytes(), 0);
+                let row = |column: usize| &source[source_row(column, columns, gated) * inner..][..inner];
+                match kernel {
+                    LinearKernel::Panels(Element::F32) => panels(row, inner, columns, kernel, packed, f32::to_ne_bytes),
+                    LinearKernel::Panels(Element::F16) => panels(row, inner, columns, kernel, packed, half),
+                    LinearKernel::Matrix(_) => {
+                        let padded = 2 * inner.next_multiple_of(kernel.vector());
+                        packed.par_chunks_mut(padded).enumerate().for_each(|(column, out)| {
+                            let (out, _) = out.as_chunks_mut::<2>();
+                            out.iter_mut().zip(row(column)).for_each(|(out, value)| *out = half(*value));
+                        });
+                    }
+                }
             }
         }
     }
 }
 
-/// The matrix `weight` `[columns, inner]` as [`Linear::weight`] holds it.
-pub fn pack_matrix(weight: &[f32], inner: usize, columns: usize) -> Vec<f32> {
+/// A value as f16. One beyond its largest becomes that one.
+fn half(value: f32) -> [u8; 2] {
+    f16::from_f32(value.clamp(f16::MIN.to_f32(), f16::MAX.to_f32())).to_ne_bytes()
+}
+
+/// The bytes of the matrix `weight` `[columns, inner]` as `kernel` reads them.
+pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
     let mut packed = Vec::new();
-    Packing::Matrix { inner, columns }.pack(weight, &mut packed);
+    Packing::Matrix { inner, columns, gated: false, kernel }.pack(weight, &mut packed);
     packed
 }
 
-/// `[columns, inner]` -> `[panels, padded inner, PANEL_COLUMNS]`; column c comes from row `row_from_column(c)`.
-fn transpose(
-    source: &[f32],
+/// Columns, each a row of a checkpoint's matrix, as `[panels, padded inner, PANEL_COLUMNS]`.
+fn panels<'a, const N: usize>(
+    row: impl Fn(usize) -> &'a [f32] + Sync,
     inner: usize,
     columns: usize,
-    packed: &mut Vec<f32>,
-    row_from_column: impl Fn(usize) -> usize + Sync,
+    kernel: LinearKernel,
+    packed: &mut [u8],
+    encode: impl Fn(f32) -> [u8; N] + Sync,
 ) {
     const PANEL: usize = PANEL_COLUMNS as usize;
-    let padded = inner.next_multiple_of(4);
-    packed.resize(padded * columns.next_multiple_of(PANEL), 0.0);
-    packed.par_chunks_mut(padded * PANEL).enumerate().for_each(|(p, panel)| {
+    let padded = inner.next_multiple_of(kernel.vector());
+    packed.par_chunks_mut(padded * PANEL * N).enumerate().for_each(|(p, panel)| {
+        let (panel, _) = panel.as_chunks_mut::<N>();
         for column in p * PANEL..columns.min((p + 1) * PANEL) {
-            let row = &source[row_from_column(column) * inner..][..inner];
-            for (k, value) in row.iter().enumerate() {
-                panel[k * PANEL + column % PANEL] = *value;
+            for (k, value) in row(column).iter().enumerate() {
+                panel[k * PANEL + column % PANEL] = encode(*value);
             }
         }
     });

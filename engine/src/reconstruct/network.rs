@@ -4,7 +4,7 @@ use super::{Kept, Shape};
 use crate::{
     Result,
     gpu::{Limits, Recorder, Run, Tensor},
-    ops::ParameterLayout,
+    ops::{Arithmetic, ParameterLayout},
     stages::{
         backbone::{Backbone, BackboneInputs, POSE_VALUES},
         cluster,
@@ -35,8 +35,8 @@ pub struct Tensors {
 
 impl Network {
     /// Lays out a network; needs no device.
-    pub fn new(architecture: &Architecture, limits: &Limits) -> Self {
-        let mut parameters = ParameterLayout::new(limits);
+    pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
+        let mut parameters = ParameterLayout::new(limits, arithmetic);
         Self {
             backbone: Backbone::new(&mut parameters, architecture),
             fuse: Fuse::new(&mut parameters, architecture),

@@ -71,11 +71,13 @@ impl Gaussians {
         let count = chosen.map_or(grid.tokens(), |c| c.1);
         let color = rec.scope("color", |rec| self.color(rec, images, grid, chosen, count));
         let raw = rec.scope("head", |rec| {
-            let joined = join_columns(rec, count, [(scene, a.width), (color, a.color_width)]);
-            let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
-            let hidden = self.head[0].apply(rec, "hidden", joined, count, gelu);
-            let narrow = self.head[1].apply(rec, "narrow", hidden, count, Epilogue::default());
-            self.head[2].apply(rec, "raw", narrow, count, Epilogue::default())
+            let [first, second, third] = &self.head;
+            let joined = join_columns(rec, count, [(scene, a.width), (color, a.color_width)], first.element());
+            let gelu = Epilogue { activation: Activation::Gelu, output: second.element(), ..Epilogue::default() };
+            let hidden = first.apply(rec, "hidden", joined, count, gelu);
+            let plain = Epilogue { output: third.element(), ..Epilogue::default() };
+            let narrow = second.apply(rec, "narrow", hidden, count, plain);
+            third.apply(rec, "raw", narrow, count, Epilogue::default())
         });
         rec.observe("raw", raw);
         activate(rec, raw, count * a.gaussians_per_token, a.sh_degree)
@@ -115,7 +117,7 @@ pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize)
         sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", count * bases),
     };
     let GaussianTensors { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
-    for part in row_chunks(rec, count, &[11 + 3 * bases, 3, 4, 1, 3 * bases]) {
+    for part in row_chunks(rec, count, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
         let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
         let kernel = kernels::Activate {
             raw: rows_of(raw, 11 + 3 * bases),

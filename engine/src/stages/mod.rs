@@ -42,12 +42,11 @@ impl ViewGrid {
 fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &crate::ops::Linear) -> Tensor {
     let values = 3 * grid.patch * grid.patch;
     let out = rec.tensor::<f32>("embedded", grid.tokens() * linear.columns);
-    // Padded columns of the weight are zero, but an unwritten 0 * NaN would not be.
-    assert_eq!(values, linear.inner, "patches of whole vec4");
-    for part in crate::ops::row_chunks(rec, grid.views, &[grid.patches() * values, grid.patches() * linear.columns]) {
-        let view = values * grid.patches();
+    let (view, row) = (values * grid.patches(), linear.inner);
+    let widths = [4 * view, linear.element().bytes() * grid.patches() * row, 4 * grid.patches() * linear.columns];
+    for part in crate::ops::row_chunks(rec, grid.views, &widths) {
         let tokens = part.len() * grid.patches();
-        let patches = rec.tensor::<f32>("patches", tokens * values);
+        let patches = rec.tensor_of(linear.element(), "patches", tokens * row);
         let kernel = crate::kernels::backbone::Patchify {
             images: images.slice::<f32>(part.start * view, part.len() * view),
             out: patches,
@@ -55,8 +54,10 @@ fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &cr
             height: (grid.rows * grid.patch) as u32,
             width: (grid.columns * grid.patch) as u32,
             patch_size: grid.patch as u32,
+            stride: row as u32,
+            output: linear.element(),
         };
-        rec.dispatch(kernel, tokens * values);
+        rec.dispatch(kernel, tokens * row);
         let first = part.start * grid.patches() * linear.columns;
         let out = out.slice::<f32>(first, tokens * linear.columns);
         linear.record(rec, patches, tokens, out, crate::ops::Epilogue::default());

@@ -1,6 +1,6 @@
 //! Patches, exactly.
 
-use crate::case::{Case, random, rounded};
+use crate::case::{Case, elements, random, rounded, stored};
 use zipsplat::kernels::backbone::Patchify;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{
@@ -16,19 +16,26 @@ fn equals_the_reference() {
     for (views, rows, columns, patch) in shapes {
         let (height, width) = (rows * patch, columns * patch);
         let values = random(1, views * 3 * height * width);
-        let mut case = Case::new();
-        let out = case.output::<f32>(values.len());
-        let kernel = Patchify {
-            images: case.input(&values),
-            out,
-            views: views as u32,
-            height: height as u32,
-            width: width as u32,
-            patch_size: patch as u32,
-        };
-        case.rec.dispatch(kernel, values.len());
         let truth = patchify(&Images { values: widen(&values), views, height, width }, patch);
-        let name = format!("{views} views of {rows} x {columns} patches of {patch}");
-        assert_same(&name, &case.result::<f32>(out), &rounded(&truth));
+        let row = 3 * patch * patch;
+        for (output, padding) in elements().into_iter().flat_map(|output| [(output, 0), (output, 4)]) {
+            let (mut case, stride) = (Case::new(), row + padding);
+            let len = values.len() / row * stride;
+            let out = case.output_of(output, len);
+            let kernel = Patchify {
+                images: case.input(&values),
+                out,
+                views: views as u32,
+                height: height as u32,
+                width: width as u32,
+                patch_size: patch as u32,
+                stride: stride as u32,
+                output,
+            };
+            case.rec.dispatch(kernel, len);
+            let name = format!("{views} views of {rows} x {columns} patches of {patch}, {output:?} + {padding}");
+            let padded: Vec<f64> = truth.chunks(row).flat_map(|patch| [patch, &vec![0.0; padding]].concat()).collect();
+            assert_same(&name, &case.result_of(output, out), &stored(output, rounded(&padded)));
+        }
     }
 }

@@ -1,13 +1,16 @@
 //! Attention against softmax with every score held in f64.
 
-use crate::case::{Case, random};
+use crate::case::{Case, attention_kernels, random, stored};
+use zipsplat::gpu::{Element, Limits};
 use zipsplat::kernels::limits::{ATTENTION_ROWS, GROUP_FOLD};
-use zipsplat::ops::{Attention, Heads, Part};
+use zipsplat::ops::{Attention, AttentionKernel, Heads, Part};
 use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{ops::attention::attention, widen};
 
 /// Queries, keys and values `[sequences * tokens, heads * dim]` of one attention.
 struct Problem {
+    /// For any kernel.
     shape: Attention,
     q: Vec<f32>,
     k: Vec<f32>,
@@ -18,23 +21,34 @@ impl Problem {
     fn random(sequences: usize, queries: usize, keys: usize, count: usize, dim: usize) -> Problem {
         let width = count * dim;
         Problem {
-            shape: Attention { heads: Heads { count, dim }, sequences, queries, keys },
+            shape: Attention {
+                heads: Heads { count, dim },
+                sequences,
+                queries,
+                keys,
+                kernel: AttentionKernel::Lanes(Element::F32),
+            },
             q: random(1, sequences * queries * width),
             k: random(2, sequences * keys * width),
             v: random(3, sequences * keys * width),
         }
     }
 
+    /// Every kernel.
     fn check(&self, name: &str) {
-        let shape = self.shape;
-        let name = format!("{name} {shape:?}");
-        assert_close(&name, &self.attended(), &self.truth(), tolerance(shape));
+        for kernel in attention_kernels() {
+            let name = format!("{name} {:?} {kernel:?}", self.shape);
+            let tolerance = tolerance(self.shape, kernel.element());
+            let got = self.attended(device().limits(), kernel);
+            assert_close(&name, &got, &self.truth(kernel.element()), tolerance);
+        }
     }
 
     /// All padding holds NaN, which must reach nothing.
-    fn attended(&self) -> Vec<f32> {
-        let shape = self.shape;
-        let mut case = Case::new();
+    fn attended(&self, limits: &Limits, kernel: AttentionKernel) -> Vec<f32> {
+        let shape = Attention { kernel, ..self.shape };
+        let element = kernel.element();
+        let mut case = Case::within(limits);
         let tensors = shape.tensors(&mut case.rec);
         let parts = [
             (&self.q, shape.queries, Part { scale: shape.scale(), ..Part::default() }),
@@ -42,18 +56,20 @@ impl Problem {
             (&self.v, shape.keys, Part::default()),
         ];
         for (tensor, (values, tokens, part)) in tensors.into_iter().zip(parts) {
-            case.rec.fill(tensor, f32::NAN.to_bits());
-            let projection = (case.input(values), shape.heads.width());
+            // NaN as f32, and as two f16.
+            case.rec.fill(tensor, u32::MAX);
+            let projection = (case.input_of(element, values), shape.heads.width());
             shape.split(&mut case.rec, projection, 0, shape.sequences * tokens, part, tensor);
         }
         let out = shape.record(&mut case.rec, tensors);
         case.rec.output(out);
-        case.result(out)
+        case.result_of(element, out)
     }
 
-    fn truth(&self) -> Vec<f64> {
+    /// Of inputs as `element` stores them.
+    fn truth(&self, element: Element) -> Vec<f64> {
         let Attention { heads, queries, keys, .. } = self.shape;
-        let [q, k, v] = [&self.q, &self.k, &self.v].map(|x| widen(x));
+        let [q, k, v] = [&self.q, &self.k, &self.v].map(|x| widen(&stored(element, x.clone())));
         let kv = k.chunks(keys * heads.width()).zip(v.chunks(keys * heads.width()));
         let sequences = q.chunks(queries * heads.width()).zip(kv);
         sequences.flat_map(|(q, (k, v))| attention(q, k, v, heads.count, heads.dim)).collect()
@@ -62,8 +78,14 @@ impl Problem {
 
 /// A score is a sum of `dim` products; weights and the result are sums over keys. Values that average out leave the result
 /// smaller than its terms, but the terms' errors average out with them.
-fn tolerance(shape: Attention) -> Tolerance {
-    Tolerance::sum_of(shape.heads.dim).and(Tolerance::sum_of(shape.keys)).and(Tolerance::ELEMENTWISE)
+fn tolerance(shape: Attention, element: Element) -> Tolerance {
+    let sums = Tolerance::sum_of(shape.heads.dim).and(Tolerance::sum_of(shape.keys)).and(Tolerance::ELEMENTWISE);
+    match element {
+        Element::F32 => sums,
+        // Scaled queries are rounded, which moves scores that are below 1 here by less than themselves, then weights, then
+        // the result.
+        Element::F16 => sums.and(Tolerance::sum_of_f16(shape.keys)).stored_in(element),
+    }
 }
 
 const DIMS: [usize; 9] = [4, 8, 16, 24, 32, 48, 64, 96, 128];
@@ -85,7 +107,7 @@ fn every_number_of_queries_and_sequences() {
         }
     }
     let none = Problem::random(1, 0, 5, 2, 16);
-    assert!(none.attended().is_empty());
+    assert!(attention_kernels().into_iter().all(|kernel| none.attended(device().limits(), kernel).is_empty()));
 }
 
 #[test]
@@ -128,7 +150,7 @@ fn one_key_takes_all() {
         problem.q.fill(8.0);
         problem.k[16 * chosen..16 * (chosen + 1)].fill(50.0);
         let value = problem.v[16 * chosen..16 * (chosen + 1)].repeat(5);
-        assert_close("truth", &problem.truth(), &value, Tolerance::STORED);
+        assert_close("truth", &problem.truth(Element::F32), &value, Tolerance::STORED);
         problem.check("dominating key");
     }
 }
@@ -139,4 +161,18 @@ fn all_logits_far_below_zero() {
     problem.q.fill(64.0);
     problem.k.iter_mut().for_each(|x| *x = (*x * 8.0).round() - 48.0);
     problem.check("negative logits");
+}
+
+#[test]
+fn tiles_of_gpus() {
+    // On a CPU kernels take smaller tiles, which compile faster.
+    let limits = Limits { cpu: false, ..device().limits().clone() };
+    for (queries, keys, heads, dim) in [(1, 3, 1, 64), (70, 70, 2, 64), (300, 33, 30, 24)] {
+        let problem = Problem::random(1, queries, keys, heads, dim);
+        for kernel in attention_kernels() {
+            let tolerance = tolerance(problem.shape, kernel.element());
+            let name = format!("{:?} {kernel:?}", problem.shape);
+            assert_close(&name, &problem.attended(&limits, kernel), &problem.truth(kernel.element()), tolerance);
+        }
+    }
 }

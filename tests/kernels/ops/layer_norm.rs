@@ -1,8 +1,8 @@
 //! Layer normalisation against two passes in f64.
 
-use crate::case::{Case, random};
+use crate::case::{Case, elements, random};
 use zipsplat::{
-    gpu::Limits,
+    gpu::{Element, Limits},
     ops::{Norm, NormRows},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
@@ -25,13 +25,17 @@ fn norm(case: &mut Case, weight: &[f32], bias: &[f32], eps: f32) -> Norm {
 /// Norms packed rows `x` (+ `addend`) with random weights and holds them to the reference.
 fn check(name: &str, x: &[f32], addend: Option<&[f32]>, width: usize, eps: f32, tolerance: Tolerance) {
     let (weight, bias) = (random(91, width), random(92, width));
-    let mut case = Case::new();
-    let norm = norm(&mut case, &weight, &bias, eps);
-    let out = case.output::<f32>(x.len());
-    let (source, addend_tensor) = (case.input(x), addend.map(|a| case.input(a)));
-    norm.record(&mut case.rec, source, addend_tensor, out, NormRows::packed(x.len() / width, width));
-    let x = addend.map_or(widen(x), |addend| add(&widen(x), &widen(addend)));
-    assert_close(name, &case.result::<f32>(out), &layer_norm(&x, &weight, &bias, f64::from(eps)), tolerance);
+    let sum = addend.map_or(widen(x), |addend| add(&widen(x), &widen(addend)));
+    let truth = layer_norm(&sum, &weight, &bias, f64::from(eps));
+    for output in elements() {
+        let mut case = Case::new();
+        let norm = norm(&mut case, &weight, &bias, eps);
+        let out = case.output_of(output, x.len());
+        let (source, addend_tensor) = (case.input(x), addend.map(|a| case.input(a)));
+        let rows = NormRows { output, ..NormRows::packed(x.len() / width, width) };
+        norm.record(&mut case.rec, source, addend_tensor, out, rows);
+        assert_close(&format!("{name} {output:?}"), &case.result_of(output, out), &truth, tolerance.stored_in(output));
+    }
 }
 
 #[test]
@@ -91,7 +95,7 @@ fn equals_the_goldens() {
         let mut case = Case::new();
         let norm = norm(&mut case, &weight, &bias, eps);
         let input = case.input(&x);
-        let out = norm.apply(&mut case.rec, input, x.len() / width);
+        let out = norm.apply(&mut case.rec, input, x.len() / width, Element::F32);
         case.rec.output(out);
         assert_close(key, &case.result::<f32>(out), &golden.f32(key), tolerance(width));
     }
@@ -110,7 +114,7 @@ fn skips_camera_tokens_and_writes_between_other_columns() {
         let norm = norm(&mut case, &weight, &bias, 1e-5);
         let rows = views * patches;
         let (input, out) = (case.input(&x), case.output::<f32>(rows * stride));
-        let target = NormRows { rows, out_stride: stride, out_column: column, patches };
+        let target = NormRows { rows, out_stride: stride, out_column: column, output: Element::F32, patches };
         norm.record(&mut case.rec, input, None, out, target);
         let got: Vec<f32> = case.result(out);
 

@@ -1,10 +1,10 @@
 //! Linear layers and all their epilogues against the plain product in f64.
 
-use crate::case::{Case, random};
+use crate::case::{Case, elements, linear_kernels, random, stored};
 use zipsplat::{
-    gpu::Limits,
+    gpu::{Element, Limits, Tensor},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear},
+    ops::{Activation, Epilogue, Linear, LinearKernel},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -30,59 +30,102 @@ impl Layer {
         Layer { inner, columns, weight: random(1, columns * inner), bias: random(2, columns) }
     }
 
-    /// As the engine packs it; columns beyond the last hold NaN, which must reach nothing.
-    fn input(&self, case: &mut Case, activation: Activation) -> Linear {
+    /// As a kernel reads it; columns beyond the last hold NaN, which must reach nothing.
+    fn input(&self, case: &mut Case, kernel: LinearKernel, activation: Activation) -> Linear {
         let row_from_column = |c: usize| match activation {
             Activation::SwiGlu => c % 2 * (self.columns / 2) + c / 2,
             _ => c,
         };
         let panel = PANEL_COLUMNS as usize;
-        let mut weight = vec![f32::NAN; self.inner * self.columns.next_multiple_of(panel)];
-        for (i, value) in weight.iter_mut().enumerate() {
-            let (column, k) = (i / panel / self.inner * panel + i % panel, i / panel % self.inner);
-            if column < self.columns {
-                *value = self.weight[row_from_column(column) * self.inner + k];
-            }
-        }
+        let inner = self.inner.next_multiple_of(kernel.vector());
+        let value = |column: usize, k: usize| match (column < self.columns, k < self.inner) {
+            (true, true) => self.weight[row_from_column(column) * self.inner + k],
+            (true, false) => 0.0,
+            (false, _) => f32::NAN,
+        };
+        let weight: Vec<f32> = match kernel {
+            LinearKernel::Panels(_) => (0..inner * self.columns.next_multiple_of(panel))
+                .map(|i| value(i / panel / inner * panel + i % panel, i / panel % inner))
+                .collect(),
+            LinearKernel::Matrix(_) => (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect(),
+        };
         let bias: Vec<f32> = (0..self.columns).map(|c| self.bias[row_from_column(c)]).collect();
-        Linear { weight: case.input(&weight), bias: case.input(&bias), inner: self.inner, columns: self.columns }
+        let weight = case.input_of(kernel.element(), &weight);
+        Linear { weight, bias: case.input(&bias), inner, columns: self.columns, kernel }
     }
 
-    fn truth(&self, x: &[f32], activation: Activation, gamma: Option<&[f32]>, residual: Option<&[f32]>) -> Vec<f64> {
-        let sums = linear(&widen(x), &self.weight, &self.bias);
+    /// Rows as a kernel reads them, padded with zeros.
+    fn rows(&self, case: &mut Case, kernel: LinearKernel, x: &[f32]) -> Tensor {
+        let padding = self.inner.next_multiple_of(kernel.vector()) - self.inner;
+        let padded: Vec<f32> = x.chunks(self.inner).flat_map(|row| [row, &vec![0.0; padding]].concat()).collect();
+        case.input_of(kernel.element(), &padded)
+    }
+
+    /// Of factors as `element` stores them.
+    fn truth(&self, element: Element, x: &[f32], activation: Activation, gamma: Option<&[f32]>) -> Vec<f64> {
+        let weight = stored(element, self.weight.clone());
+        let sums = linear(&widen(&stored(element, x.to_vec())), &weight, &self.bias);
         let activated = match activation {
             Activation::None => sums,
             Activation::Gelu => sums.into_iter().map(gelu).collect(),
             Activation::SwiGlu => swiglu(&sums, self.columns / 2),
         };
-        let scaled = gamma.map_or(activated.clone(), |gamma| layer_scale(&activated, gamma));
-        residual.map_or(scaled.clone(), |residual| add(&scaled, &widen(residual)))
+        gamma.map_or(activated.clone(), |gamma| layer_scale(&activated, gamma))
     }
 
-    /// Sums of `inner` products. An activation's slope is at most 1.13, SwiGLU multiplies two such sums.
-    fn tolerance(&self, activation: Activation) -> Tolerance {
+    /// Sums of `inner` products, which f32 holds exactly where the factors are f16. An activation's slope is at most 1.13,
+    /// SwiGLU multiplies two such sums.
+    fn tolerance(&self, activation: Activation, output: Element) -> Tolerance {
         let sums = Tolerance::sum_of(self.inner).and(Tolerance::ELEMENTWISE);
-        if activation == Activation::SwiGlu { sums.times(2.0) } else { sums }
+        let sums = if activation == Activation::SwiGlu { sums.times(2.0) } else { sums };
+        sums.stored_in(output)
+    }
+
+    /// Kernels that can compute it.
+    fn kernels(&self, activation: Activation) -> Vec<LinearKernel> {
+        let vector = if activation == Activation::SwiGlu { 8 } else { 4 };
+        let whole =
+            |kernel: &LinearKernel| self.columns.is_multiple_of(vector) || matches!(kernel, LinearKernel::Panels(_));
+        linear_kernels().into_iter().filter(whole).collect()
     }
 }
 
+/// Every kernel, with outputs of every type.
 fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, scaled: bool, added: bool) {
+    for kernel in layer.kernels(activation) {
+        for output in elements() {
+            check_kernel(limits, (kernel, output), rows, layer, activation, scaled, added);
+        }
+    }
+}
+
+fn check_kernel(
+    limits: &Limits,
+    (kernel, output): (LinearKernel, Element),
+    rows: usize,
+    layer: &Layer,
+    activation: Activation,
+    scaled: bool,
+    added: bool,
+) {
     let mut case = Case::within(limits);
-    let device_layer = layer.input(&mut case, activation);
+    let device_layer = layer.input(&mut case, kernel, activation);
     let out_columns = device_layer.out_columns(activation);
     let x = random(3, rows * layer.inner);
     let gamma = scaled.then(|| random(4, out_columns));
     let residual = added.then(|| random(5, rows * out_columns));
-    let (input, out) = (case.input(&x), case.output::<f32>(rows * out_columns));
+    let (input, out) = (layer.rows(&mut case, kernel, &x), case.output_of(output, rows * out_columns));
     let epilogue = Epilogue {
         activation,
         gamma: gamma.as_ref().map(|g| case.input(g)),
         residual: residual.as_ref().map(|r| case.input(r)),
+        output,
     };
     device_layer.record(&mut case.rec, input, rows, out, epilogue);
-    let name = format!("{rows} x {} -> {} {activation:?} {scaled} {added}", layer.inner, layer.columns);
-    let truth = layer.truth(&x, activation, gamma.as_deref(), residual.as_deref());
-    assert_close(&name, &case.result::<f32>(out), &truth, layer.tolerance(activation));
+    let name = format!("{kernel:?} {rows} x {} -> {} {activation:?} {scaled} {added}", layer.inner, layer.columns);
+    let product = layer.truth(kernel.element(), &x, activation, gamma.as_deref());
+    let truth = residual.map_or(product.clone(), |residual| add(&product, &widen(&residual)));
+    assert_close(&name, &case.result_of(output, out), &truth, layer.tolerance(activation, output));
 }
 
 fn check_plain(rows: usize, inner: usize, columns: usize) {
@@ -101,7 +144,7 @@ fn equals_the_reference_around_its_tiles() {
 #[test]
 fn equals_the_reference_for_short_and_long_sums() {
     for inner in [4, 8, 60, 64, 68, 128, 588, 1536, 4096, 6144] {
-        check_plain(19, inner, 70);
+        check_plain(19, inner, 72);
     }
 }
 
@@ -130,15 +173,37 @@ fn the_activation_holds_far_from_zero() {
 
 #[test]
 fn adds_to_its_own_output() {
-    let (layer, rows) = (Layer::random(40, 50), 37);
-    let (x, stream, gamma) = (random(6, rows * 40), random(7, rows * 50), random(8, 50));
-    let mut case = Case::new();
-    let (input, residual) = (case.input(&x), case.input(&stream));
-    let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(residual), ..Epilogue::default() };
-    layer.input(&mut case, Activation::None).record(&mut case.rec, input, rows, residual, epilogue);
-    case.rec.output(residual);
-    let truth = layer.truth(&x, Activation::None, Some(&gamma), Some(&stream));
-    assert_close("in place", &case.result::<f32>(residual), &truth, layer.tolerance(Activation::None));
+    let (layer, rows) = (Layer::random(40, 52), 37);
+    let (x, stream, gamma) = (random(6, rows * 40), random(7, rows * 52), random(8, 52));
+    for kernel in linear_kernels() {
+        let mut case = Case::new();
+        let (input, residual) = (layer.rows(&mut case, kernel, &x), case.input(&stream));
+        let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(residual), ..Epilogue::default() };
+        let device_layer = layer.input(&mut case, kernel, Activation::None);
+        device_layer.record(&mut case.rec, input, rows, residual, epilogue);
+        case.rec.output(residual);
+        let product = layer.truth(kernel.element(), &x, Activation::None, Some(&gamma));
+        let truth = add(&product, &widen(&stream));
+        let tolerance = layer.tolerance(Activation::None, Element::F32);
+        assert_close(&format!("{kernel:?} in place"), &case.result::<f32>(residual), &truth, tolerance);
+    }
+}
+
+#[test]
+fn what_f16_cannot_hold_saturates() {
+    let layer = Layer { inner: 8, columns: 8, weight: vec![200.0; 64], bias: vec![0.0; 8] };
+    for kernel in linear_kernels().into_iter().filter(|_| elements().contains(&Element::F16)) {
+        for (activation, sign) in [(Activation::None, 1.0), (Activation::None, -1.0), (Activation::SwiGlu, 1.0)] {
+            let mut case = Case::new();
+            let input = layer.rows(&mut case, kernel, &[100.0 * sign; 8]);
+            let device_layer = layer.input(&mut case, kernel, activation);
+            let epilogue = Epilogue { activation, output: Element::F16, ..Epilogue::default() };
+            let out = device_layer.apply(&mut case.rec, "out", input, 1, epilogue);
+            case.rec.output(out);
+            let values = case.result_of(Element::F16, out);
+            assert!(values.iter().all(|x| *x == 65504.0 * sign), "{kernel:?} {activation:?}: {values:?}");
+        }
+    }
 }
 
 #[test]
@@ -153,4 +218,14 @@ fn rows_that_are_bound_in_parts() {
 #[test]
 fn rows_beyond_the_most_workgroups() {
     check_plain(LINEAR_ROWS as usize * 65_536 + 1, 4, 4);
+}
+
+#[test]
+fn tiles_of_gpus() {
+    // On a CPU kernels take smaller tiles, which compile faster.
+    let limits = Limits { cpu: false, ..device().limits().clone() };
+    for (rows, columns) in [(1, 8), (65, 72), (1030, 260)] {
+        let layer = Layer::random(72, columns);
+        check(&limits, rows, &layer, Activation::Gelu, true, true);
+    }
 }

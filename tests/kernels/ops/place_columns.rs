@@ -1,7 +1,7 @@
 //! Arrays side by side, exactly.
 
-use crate::case::{Case, random, rounded};
-use zipsplat::{kernels::ops::PlaceColumns, ops};
+use crate::case::{Case, elements, random, rounded, stored};
+use zipsplat::{gpu::Element, kernels::ops::PlaceColumns, ops};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{ops::place_columns::join_columns, widen};
 
@@ -10,12 +10,15 @@ fn equals_joined_rows() {
     // The last takes more than 65,535 workgroups for the left part.
     for (rows, left_width, right_width) in [(0, 3, 2), (1, 1, 1), (63, 1, 4), (13, 5, 7), (64, 1, 1), (65_537, 65, 1)] {
         let (left, right) = (random(1, rows * left_width), random(2, rows * right_width));
-        let mut case = Case::new();
-        let parts = [(case.input(&left), left_width), (case.input(&right), right_width)];
-        let out = ops::join_columns(&mut case.rec, rows, parts);
-        case.rec.output(out);
         let truth = rounded(&join_columns(&widen(&left), left_width, &widen(&right), right_width));
-        assert_same(&format!("{rows} rows of {left_width} + {right_width}"), &case.result::<f32>(out), &truth);
+        for output in elements() {
+            let mut case = Case::new();
+            let parts = [(case.input(&left), left_width), (case.input(&right), right_width)];
+            let out = ops::join_columns(&mut case.rec, rows, parts, output);
+            case.rec.output(out);
+            let name = format!("{rows} rows of {left_width} + {right_width} {output:?}");
+            assert_same(&name, &case.result_of(output, out), &stored(output, truth.clone()));
+        }
     }
 }
 
@@ -24,7 +27,8 @@ fn leaves_other_columns_alone() {
     let source = random(3, 6);
     let mut case = Case::new();
     let out = case.output::<f32>(3 * 5);
-    let kernel = PlaceColumns { source: case.input(&source), out, count: 6, width: 2, out_width: 5, out_column: 1 };
+    let (source_tensor, output) = (case.input(&source), Element::F32);
+    let kernel = PlaceColumns { source: source_tensor, out, count: 6, width: 2, out_width: 5, out_column: 1, output };
     case.rec.dispatch(kernel, 6u32);
     let got: Vec<f32> = case.result(out);
     for (row, source) in got.chunks(5).zip(source.chunks(2)) {

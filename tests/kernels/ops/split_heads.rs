@@ -1,7 +1,7 @@
 //! Heads out of a projection: where every value goes exactly, and what norm and rotation make of it.
 
-use crate::case::{Case, random};
-use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
+use crate::case::{Case, elements, random, stored};
+use zipsplat::{gpu::Element, kernels::ops::SplitHeads, stages::backbone::rotary_tables};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{
     backbone::rope::{global_positions, local_positions},
@@ -23,6 +23,8 @@ struct Call {
     grid: Option<(usize, usize)>,
     global: bool,
     transpose: bool,
+    /// Channels of a head behind the last, which are zeros.
+    padding: usize,
 }
 
 const PLAIN: Call = Call {
@@ -36,6 +38,7 @@ const PLAIN: Call = Call {
     grid: None,
     global: false,
     transpose: false,
+    padding: 0,
 };
 
 const COLUMN: usize = 5;
@@ -43,11 +46,16 @@ const SCALE: f32 = 0.25;
 const EPS: f32 = 1e-5;
 
 impl Call {
-    /// Runs the kernel and holds what it wrote, and nothing else, to the reference.
+    /// In every type.
     fn check(self) {
+        elements().into_iter().for_each(|element| self.check_element(element));
+    }
+
+    /// Runs the kernel and holds what it wrote, and nothing else, to the reference.
+    fn check_element(self, element: Element) {
         let Call { heads, dim, rows, sequence, .. } = self;
         let stride = heads * dim + 2 * COLUMN;
-        let projection = random(1, rows * stride);
+        let projection = stored(element, random(1, rows * stride));
         let (weight, bias) = (random(2, dim), random(3, dim));
         let (grid_rows, grid_columns) = self.grid.unwrap_or((1, 1));
         let table = &rotary_tables(grid_rows, grid_columns, dim)[usize::from(self.global)];
@@ -55,9 +63,10 @@ impl Call {
         let mut case = Case::new();
         let padded = sequence.next_multiple_of(4);
         let out_len = if self.transpose { self.out_rows / sequence * padded } else { self.out_rows };
-        let out = case.output::<f32>(heads * dim * out_len);
+        let channels = dim + self.padding;
+        let out = case.output_of(element, heads * channels * out_len);
         let kernel = SplitHeads {
-            projection: case.input(&projection),
+            projection: case.input_of(element, &projection),
             weight: case.input(&weight),
             bias: case.input(&bias),
             rotary: case.input(table),
@@ -65,6 +74,7 @@ impl Call {
             rows: rows as u32,
             heads: heads as u32,
             dim: dim as u32,
+            out_dim: channels as u32,
             stride: stride as u32,
             column: COLUMN as u32,
             first_row: self.first_row as u32,
@@ -76,17 +86,23 @@ impl Call {
             norm: self.norm,
             rotate: self.grid.is_some(),
             transpose: self.transpose,
+            element,
         };
         case.rec.dispatch_groups(kernel, rows * heads);
-        let mut got: Vec<f32> = case.result(out);
+        let mut got: Vec<f32> = case.result_of(element, out);
 
         let truth = self.truth(&projection, stride, &weight, &bias);
         let written: Vec<f32> = (0..rows * heads * dim)
             .map(|i| std::mem::replace(&mut got[self.place(i / dim / heads, i / dim % heads, i % dim)], f32::NAN))
             .collect();
+        for row in 0..rows * heads * self.padding {
+            let (channel, row) = (dim + row % self.padding, row / self.padding);
+            let zero = std::mem::replace(&mut got[self.place(row / heads, row % heads, channel)], f32::NAN);
+            assert_eq!(zero, 0.0, "{self:?}: padding");
+        }
         assert!(got.iter().all(|x| x.is_nan()), "{self:?}: something else was written");
         let tolerance = if self.norm { Tolerance::sum_of(dim) } else { Tolerance::sum_of(0) };
-        assert_close(&format!("{self:?}"), &written, &truth, tolerance.and(Tolerance::ELEMENTWISE));
+        assert_close(&format!("{self:?}"), &written, &truth, tolerance.and(Tolerance::ELEMENTWISE).stored_in(element));
     }
 
     /// Where channel `channel` of a head of this call's row `row` goes.
@@ -96,7 +112,7 @@ impl Call {
         if self.transpose {
             ((head * sequences + row / self.sequence) * self.dim + channel) * padded + row % self.sequence
         } else {
-            (head * self.out_rows + row) * self.dim + channel
+            (head * self.out_rows + row) * (self.dim + self.padding) + channel
         }
     }
 
@@ -134,6 +150,13 @@ fn every_switch() {
 fn every_head_size() {
     for dim in [4, 8, 12, 16, 24, 32, 48, 64, 96, 128] {
         Call { dim, norm: true, grid: Some((3, 2)), ..PLAIN }.check();
+    }
+}
+
+#[test]
+fn heads_padded_to_whole_matrices() {
+    for (dim, padding) in [(4, 4), (24, 8), (16, 0)] {
+        Call { dim, padding, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
     }
 }
 

@@ -54,7 +54,7 @@ pub struct Reconstruct {
 
 impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let Quality { ratio, select, .. } = &self.quality;
+        let Quality { ratio, select, arithmetic, .. } = &self.quality;
         // Whatever can be refused is refused before anything that takes time.
         outputs::check_file(&self.output)?;
         if SceneFormat::of_extension(&self.output).is_none() {
@@ -71,6 +71,7 @@ impl Reconstruct {
         let photo_cameras = poses.as_ref().map(|poses| poses.for_photos(&photos)).transpose()?;
         poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
+        let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
         let mut cameras =
@@ -81,8 +82,8 @@ impl Reconstruct {
         };
         cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let (model, load_weights) =
-            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let (model, load_weights) = session
+            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
         let (mut result, _) = session.stage("reconstruct", |stage| {
@@ -107,17 +108,18 @@ impl Reconstruct {
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
             "unit": unit, "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
-            "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate,
+            "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,
         });
         let mut text = format!(
-            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} Gaussians each; at most {} of {}\n",
+            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} Gaussians each, {} precision; at most {} of {}\n",
             self.output.display(),
             HumanCount(result.scene.len() as u64),
             images.len(),
             HumanCount(result.tokens as u64),
             HumanCount(tokens as u64),
             result.scene.len() / result.tokens,
+            precision.name(),
             bytes(result.peak_bytes),
             device.limits().name,
         );

@@ -1,7 +1,7 @@
 //! The camera encoder: known poses and intrinsics become one token a view.
 
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Heads, Linear, Norm, ParameterLayout, Sequences},
     weights::{Architecture, Ffn},
 };
@@ -27,8 +27,9 @@ impl CameraEncoder {
             Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.camera_hidden), EPS)
         };
         Self {
-            fc1: p.linear(&format!("{root}.pose_branch.fc1"), 9, a.camera_pose_hidden),
-            fc2: p.linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
+            // Poses are geometry, which stays in f32.
+            fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), 9, a.camera_pose_hidden),
+            fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
             token_norm: p.norm(&format!("{root}.token_norm"), a.width, EPS),
             trunk: (0..a.camera_depth).map(|i| block(p, i)).collect(),
             trunk_norm: p.norm(&format!("{root}.trunk_norm"), a.width, EPS),
@@ -41,11 +42,11 @@ impl CameraEncoder {
             let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
             let hidden = self.fc1.apply(rec, "pose", poses, views, gelu);
             let embedded = self.fc2.apply(rec, "embedded", hidden, views, Epilogue::default());
-            let x = self.token_norm.apply(rec, embedded, views);
+            let x = self.token_norm.apply(rec, embedded, views, Element::F32);
             for block in &self.trunk {
                 block.record(rec, x, Sequences { count: 1, tokens: views, rotary: None });
             }
-            let tokens = self.trunk_norm.apply(rec, x, views);
+            let tokens = self.trunk_norm.apply(rec, x, views, Element::F32);
             rec.observe("bb/cam_token", tokens);
             tokens
         })

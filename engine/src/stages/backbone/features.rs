@@ -40,21 +40,24 @@ impl Features {
         let Layer { local_norm, global_norm, downscale } = &self.layers[j];
         let (width, patches) = (self.width, grid.patches());
         let out = rec.tensor::<f32>("prepared", grid.tokens() * width);
-        for part in row_chunks(rec, grid.views, &[(1 + patches) * width, patches * 2 * width, patches * width]) {
+        let output = downscale.element();
+        let widths = [4 * (1 + patches) * width, output.bytes() * patches * 2 * width, 4 * patches * width];
+        for part in row_chunks(rec, grid.views, &widths) {
             let stream = (1 + patches) * width;
             let views_of = |t: Tensor| t.slice::<f32>(part.start * stream, part.len() * stream);
             let rows = part.len() * patches;
-            let halves = rec.tensor::<f32>("halves", rows * 2 * width);
-            let left = NormRows { rows, out_stride: 2 * width, out_column: 0, patches };
+            let halves = rec.tensor_of(output, "halves", rows * 2 * width);
+            let left = NormRows { rows, out_stride: 2 * width, out_column: 0, output, patches };
             local_norm.record(rec, views_of(local), None, halves, left);
             let finished = rec.tensor::<f32>("finished", rows * width);
             let packed = NormRows { patches, ..NormRows::packed(rows, width) };
             self.final_norm.record(rec, views_of(global), None, finished, packed);
-            let right = NormRows { rows, out_stride: 2 * width, out_column: width, patches: 0 };
+            let right = NormRows { rows, out_stride: 2 * width, out_column: width, output, patches: 0 };
             global_norm.record(rec, finished, None, halves, right);
 
             let out = out.slice::<f32>(part.start * patches * width, rows * width);
-            let kernel = kernels::AverageHalves { halves, out, rows: rows as u32, width: width as u32 };
+            let (rows32, width32) = (rows as u32, width as u32);
+            let kernel = kernels::AverageHalves { halves, out, rows: rows32, width: width32, input: output };
             rec.dispatch(kernel, rows * width);
             let epilogue = Epilogue { residual: Some(out), ..Epilogue::default() };
             downscale.record(rec, halves, rows, out, epilogue);

@@ -3,7 +3,7 @@
 use super::{Group, Repeats, Spread, group, pytorch, stage_of, timed_device};
 use crate::{
     noise::Noise,
-    options::{Size, Weights, parse_ratio},
+    options::{ArithmeticOption, Size, Weights, parse_ratio},
     session::{Session, Stage},
     table::{Table, bytes},
 };
@@ -36,6 +36,8 @@ pub struct Forward {
     #[arg(long, value_name = "WxH", default_value = "252x252")]
     size: Size,
     #[command(flatten)]
+    arithmetic: ArithmeticOption,
+    #[command(flatten)]
     repeats: Repeats,
     /// Also time the same network in PyTorch, by this Python, on its GPU or else on the CPU, and print the ratio
     #[arg(long, value_name = "PYTHON")]
@@ -51,6 +53,7 @@ struct Compared {
 /// Times of one shape, or of a part of it.
 #[derive(Clone, Serialize)]
 struct Row {
+    precision: &'static str,
     views: usize,
     tokens: usize,
     /// Share of all tokens that these are.
@@ -78,8 +81,9 @@ impl Forward {
             Shape::new(checkpoint.architecture(), *views, [width, height], (*ratio, selection), false)?;
         }
         let device = timed_device(session)?;
-        let (model, _) =
-            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
+        let (model, _) = session
+            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
         let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
         let mut noise = Noise(0);
         let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
@@ -89,8 +93,8 @@ impl Forward {
             let name = format!("{views} views");
             let (measured, _) =
                 session.stage(&name, |stage| self.measure(&model, &images[..*views], request, stage))?;
-            text += &describe(&measured, &device.limits().name);
-            rows.extend(measured);
+            text += &describe(&measured, precision.name(), &device.limits().name);
+            rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         if let Some(python) = &self.pytorch {
             let totals: Vec<Row> = rows.iter().filter(|row| row.stage.is_empty()).cloned().collect();
@@ -156,6 +160,7 @@ impl Forward {
             }
         }
         let row = |stage: &str, kernel: &str, group: Group| Row {
+            precision: "",
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
@@ -188,7 +193,7 @@ fn only(profile: &Profile, stage: &str) -> Profile {
     Profile { rows: profile.rows.iter().filter(|row| stage_of(row) == stage).cloned().collect() }
 }
 
-fn describe(rows: &[Row], device: &str) -> String {
+fn describe(rows: &[Row], precision: &str, device: &str) -> String {
     let Some(total) = rows.first() else { return String::new() };
     let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s"];
     let mut table = Table::new(2, &headings);
@@ -208,7 +213,7 @@ fn describe(rows: &[Row], device: &str) -> String {
         ]);
     }
     format!(
-        "{} views, {} tokens on {device}: {} at most, {} of it the arena\n{table}\n",
+        "{} views, {} tokens, {precision} precision on {device}: {} at most, {} of it the arena\n{table}\n",
         total.views,
         total.tokens,
         bytes(total.peak_bytes),

@@ -8,18 +8,19 @@ use crate::{
 };
 use clap::Args;
 use gemm::Parallelism;
+use half::f16;
 use serde::Serialize;
 use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
-    gpu::{Device, Recorder, Run},
-    ops::{Epilogue, Linear, pack_matrix},
+    gpu::{Device, Element, Recorder, Run},
+    ops::{Epilogue, Linear, LinearKernel, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
-/// Time of ops/linear beside that of the `gemm` crate on the host, both f32
+/// Time of linear layers, exact and fast, beside that of the `gemm` crate on the host in f32
 #[derive(Args)]
 pub struct Gemm {
     /// Threads of the host
@@ -31,6 +32,8 @@ pub struct Gemm {
 
 #[derive(Serialize)]
 struct Row {
+    /// `exact`, or what computes it in `fast`.
+    kernel: &'static str,
     rows: usize,
     inner: usize,
     columns: usize,
@@ -50,15 +53,18 @@ impl Gemm {
         let mut rows = Vec::new();
         for shape in SHAPES {
             let name = shape.map(|side| side.to_string()).join("x");
-            rows.push(session.stage(&name, |stage| self.measure(&device, shape, stage))?.0);
+            rows.extend(session.stage(&name, |stage| self.measure(&device, shape, stage))?.0);
         }
         let device_column = format!("{}: ms", device.limits().name);
         let host_column = format!("gemm, {} threads: ms", self.threads);
-        let mut table =
-            Table::new(1, &["shape", &device_column, "GFLOP/s", &host_column, "GFLOP/s", "ratio", "difference"]);
+        let mut table = Table::new(
+            2,
+            &["shape", "kernel", &device_column, "GFLOP/s", &host_column, "GFLOP/s", "ratio", "difference"],
+        );
         for row in &rows {
             table.row([
                 format!("{}x{}x{}", row.rows, row.inner, row.columns),
+                row.kernel.to_owned(),
                 row.device_ms.to_string(),
                 format!("{:.1}", row.device_gflop_per_s),
                 row.host_ms.to_string(),
@@ -70,54 +76,82 @@ impl Gemm {
         session.report(&rows, table)
     }
 
-    fn measure(&self, device: &Device, shape: [usize; 3], stage: &Stage<'_>) -> Result<Row> {
+    /// Every kernel that the device has.
+    fn measure(&self, device: &Device, shape: [usize; 3], stage: &Stage<'_>) -> Result<Vec<Row>> {
         let [rows, inner, columns] = shape;
         let mut noise = Noise(0);
         let (a, b) = (noise.values(rows * inner), noise.values(inner * columns));
         let Repeats { warmup, repeats } = self.repeats;
-        let (device_times, on_device) = on_device(device, shape, (&a, &b), warmup, repeats, stage)?;
-
         let mut on_host = vec![0.0; rows * columns];
         let mut host_times = Vec::new();
         for i in 0..warmup + repeats {
-            stage.reach(0.5 + 0.5 * f64::from(i) / f64::from(warmup + repeats))?;
+            stage.reach(0.5 * f64::from(i) / f64::from(warmup + repeats))?;
             let start = Instant::now();
             multiply(shape, &a, &b, &mut on_host, self.threads.into());
             host_times.push(start.elapsed());
         }
+        let host_ms = Spread::of(host_times.split_off(warmup as usize));
         let largest = on_host.iter().fold(0f32, |most, value| most.max(value.abs()));
-        let apart = on_host.iter().zip(&on_device).fold(0f32, |most, (x, y)| most.max((x - y).abs()));
         let flops = 2 * (rows * inner * columns) as u64;
-        let (device_ms, host_ms) = (Spread::of(device_times), Spread::of(host_times.split_off(warmup as usize)));
-        let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
-        let (ratio, difference) = (device_gflop_per_s / host_gflop_per_s, apart / largest);
-        Ok(Row { rows, inner, columns, device_ms, device_gflop_per_s, host_ms, host_gflop_per_s, ratio, difference })
+        let measure = |(name, kernel): (&'static str, LinearKernel)| {
+            let (times, on_device) = on_device(device, shape, kernel, (&a, &b), self.repeats, stage)?;
+            let apart = on_host.iter().zip(&on_device).fold(0f32, |most, (x, y)| most.max((x - y).abs()));
+            let device_ms = Spread::of(times);
+            let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
+            Ok(Row {
+                kernel: name,
+                rows,
+                inner,
+                columns,
+                device_ms,
+                device_gflop_per_s,
+                host_ms,
+                host_gflop_per_s,
+                ratio: device_gflop_per_s / host_gflop_per_s,
+                difference: apart / largest,
+            })
+        };
+        kernels(device).into_iter().map(measure).collect()
     }
+}
+
+/// The kernels of linear layers that a device has.
+fn kernels(device: &Device) -> Vec<(&'static str, LinearKernel)> {
+    let limits = device.limits();
+    let mut kernels = vec![("exact", LinearKernel::Panels(Element::F32))];
+    kernels.extend(limits.half_storage.then_some(("f16", LinearKernel::Panels(Element::F16))));
+    kernels.extend(limits.matrices.map(|shape| ("f16 matrices", LinearKernel::Matrix(shape))));
+    kernels
 }
 
 /// Device times and the product `[rows, columns]`.
 fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],
+    kernel: LinearKernel,
     (a, b): (&[f32], &[f32]),
-    warmup: u32,
-    repeats: u32,
+    Repeats { warmup, repeats }: Repeats,
     stage: &Stage<'_>,
 ) -> Result<(Vec<Duration>, Vec<f32>)> {
     let mut rec = Recorder::new(device.limits());
-    let input = rec.constant::<f32>("input", a.len());
-    let packed = pack_matrix(b, inner, columns);
-    let weight = rec.constant::<f32>("weight", packed.len());
+    let rows_of = |values: &[f32]| match kernel.element() {
+        Element::F32 => values.iter().flat_map(|x| x.to_ne_bytes()).collect(),
+        Element::F16 => values.iter().flat_map(|x| f16::from_f32(*x).to_ne_bytes()).collect::<Vec<u8>>(),
+    };
+    let (packed_input, packed) = (rows_of(a), pack_matrix(kernel, b, inner, columns));
+    let input = rec.constant::<u8>("input", packed_input.len());
+    let weight = rec.constant::<u8>("weight", packed.len());
     let bias = rec.constant::<f32>("bias", columns);
-    let out = Linear { weight, bias, inner, columns }.apply(&mut rec, "out", input, rows, Epilogue::default());
+    let layer = Linear { weight, bias, inner, columns, kernel };
+    let out = layer.apply(&mut rec, "out", input, rows, Epilogue::default());
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
-    run.write(input, a)?;
+    run.write(input, &packed_input)?;
     run.write(weight, &packed)?;
     run.write(bias, &vec![0f32; columns])?;
     let mut times = Vec::new();
     for i in 0..warmup + repeats {
-        stage.reach(0.5 * f64::from(i) / f64::from(warmup + repeats))?;
+        stage.reach(0.5 + 0.5 * f64::from(i) / f64::from(warmup + repeats))?;
         let (time, _) = run.profile()?.total("");
         if i >= warmup {
             times.push(time);

@@ -45,7 +45,7 @@ enum What {
 const MOST: i64 = 1_000_000;
 
 /// How often.
-#[derive(Args)]
+#[derive(Args, Clone, Copy)]
 struct Repeats {
     /// Runs before those that count
     #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u32).range(..=MOST))]

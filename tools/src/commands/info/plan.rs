@@ -10,7 +10,7 @@ use indicatif::HumanCount;
 use serde_json::json;
 use zipsplat::{
     Error, Result,
-    gpu::{Limits, Recorder},
+    gpu::{Device, Limits, Recorder},
     reconstruct::{Network, Shape},
 };
 
@@ -18,13 +18,18 @@ use zipsplat::{
 const LARGEST: usize = 20;
 
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
-    let Quality { ratio, select, .. } = &info.quality;
+    let Quality { ratio, select, arithmetic, .. } = &info.quality;
     let checkpoint = info.weights.open()?;
     let size = info.quality.size_for(&checkpoint);
     let Size(width, height) = size;
     let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
-    let limits = limits(session)?;
-    let network = Network::new(checkpoint.architecture(), &limits);
+    let device = device(session)?;
+    let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
+    let (precision, arithmetic) = match &device {
+        Some(device) => arithmetic.choose(session, device)?,
+        None => arithmetic.planned(&limits),
+    };
+    let network = Network::new(checkpoint.architecture(), &limits, arithmetic);
     let mut rec = Recorder::new(&limits);
     network.record(&mut rec, shape);
     let plan = rec.finish()?;
@@ -33,7 +38,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let mut rows = plan.arena_map();
     let json = json!({
         "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
-        "peak_bytes": weights + arena, "weight_bytes": weights, "arena_bytes": arena, "rows": rows,
+        "precision": precision.name(), "peak_bytes": weights + arena, "weight_bytes": weights, "arena_bytes": arena, "rows": rows,
     });
     let count = rows.len();
     if !info.all {
@@ -47,9 +52,10 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         table.row([row.name.clone(), bytes, block, offset, first, last]);
     }
     let mut text = format!(
-        "{views} views of {size}, {} of {} tokens, on {}: {} at most\n",
+        "{views} views of {size}, {} of {} tokens, {} precision, on {}: {} at most\n",
         HumanCount(shape.tokens as u64),
         HumanCount(shape.grid.tokens() as u64),
+        precision.name(),
         if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name },
         bytes(weights + arena)
     );
@@ -66,13 +72,16 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     session.report(&json, text)
 }
 
-/// The device's, or where there is none and none was asked for, an ordinary one's.
-fn limits(session: &mut Session<'_>) -> Result<Limits> {
+/// The device; none where there is none and none was asked for, or where the plan is to be an ordinary device's.
+fn device(session: &mut Session<'_>) -> Result<Option<Device>> {
+    if session.plans_for_none() {
+        return Ok(None);
+    }
     match session.device() {
-        Ok(device) => Ok(device.limits().clone()),
+        Ok(device) => Ok(Some(device)),
         Err(Error::NoDevice(why)) if !session.names_device() => {
             session.note(format!("planned for an ordinary device: {why}"));
-            Ok(Limits::default())
+            Ok(None)
         }
         Err(error) => Err(error),
     }

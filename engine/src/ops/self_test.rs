@@ -1,0 +1,282 @@
+//! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
+
+use super::{
+    Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, pack_matrix,
+    tile::{AttentionTile, LinearTile},
+};
+use crate::{
+    Error, Result,
+    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
+    kernels::MODULES,
+};
+use half::f16;
+use std::{
+    fs,
+    hash::{DefaultHasher, Hash, Hasher},
+    path::{Path, PathBuf},
+};
+
+/// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same f16 factors, so a linear
+/// layer differs by the order of its sums, attention by the rounding of queries, weights and results.
+const LINEAR_LIMIT: f64 = 1e-3;
+const ATTENTION_LIMIT: f64 = 2e-2;
+
+/// What the kernels of one device were found to do.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct SelfTest {
+    /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
+    /// None where it gave no number.
+    pub deviations: Vec<(String, Option<f64>)>,
+}
+
+impl Precision {
+    /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
+    /// which convert f16 slowly.
+    pub fn best(limits: &Limits) -> Self {
+        if !limits.cpu && limits.matrices.is_some() { Precision::Fast } else { Precision::Exact }
+    }
+}
+
+/// A precision and its arithmetic on a device.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// The precision.
+    pub precision: Precision,
+    /// Its arithmetic.
+    pub arithmetic: Arithmetic,
+    /// Kernels that failed their self-test.
+    pub notes: Vec<String>,
+}
+
+impl Chosen {
+    /// The arithmetic of a precision on a device; of its best, where none is asked for.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the device cannot compute in the precision asked for; a failure of the device.
+    pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
+        let exact = |notes| Self { precision: Precision::Exact, arithmetic: Arithmetic::EXACT, notes };
+        let limits = device.limits();
+        if precision.unwrap_or(Precision::best(limits)) == Precision::Exact {
+            return Ok(exact(Vec::new()));
+        }
+        let (fast, test) = match Arithmetic::fast(limits) {
+            Some(fast) => (fast, SelfTest::of(device)?),
+            None => return Err(refused("fast, without 16-bit floats in buffers", limits)),
+        };
+        let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
+        let note = |(kernel, deviation): &(String, Option<f64>)| match deviation {
+            Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
+            None => format!("{kernel} gave no result on {}: not used", limits.name),
+        };
+        let notes = failed.map(note).collect();
+        if !(test.passed("ops/linear_f16_f32") && test.passed("ops/attention_f16")) {
+            let asked = precision.is_some();
+            return if asked { Err(refused("fast, which failed its self-test", limits)) } else { Ok(exact(notes)) };
+        }
+        let arithmetic = Arithmetic {
+            linear: fast.linear.filter(|_| test.passed("ops/linear_matrix")),
+            attention: fast.attention.filter(|_| test.passed("ops/attention_matrix")),
+            ..fast
+        };
+        Ok(Self { precision: Precision::Fast, arithmetic, notes })
+    }
+}
+
+fn refused(found: &str, limits: &Limits) -> Error {
+    Error::argument("precision", found, format!("exact on {}", limits.name))
+}
+
+impl SelfTest {
+    /// The result for a device, out of the user's cache where it was found before.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`]; other failures are those of its kernels.
+    pub fn of(device: &Device) -> Result<Self> {
+        let file = cache_file(device);
+        let known = file.as_ref().and_then(|file| fs::read(file).ok());
+        if let Some(test) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+            return Ok(test);
+        }
+        // A driver that ends this process, or hangs, is not asked again.
+        let no_result = Self { deviations: vec![("the self-test".into(), None)] };
+        no_result.keep(file.as_deref());
+        let test = match Self::run(device) {
+            Err(Error::DeviceLost) => return Err(Error::DeviceLost),
+            result => result.unwrap_or(no_result),
+        };
+        test.keep(file.as_deref());
+        Ok(test)
+    }
+
+    fn keep(&self, file: Option<&Path>) {
+        if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
+            // A test that cannot be remembered is run again.
+            let _ = file.parent().map(fs::create_dir_all).and_then(|_| fs::write(file, bytes).ok());
+        }
+    }
+
+    /// Runs every fast kernel that the device can run.
+    ///
+    /// # Errors
+    /// A failure of the device.
+    pub fn run(device: &Device) -> Result<Self> {
+        let limits = device.limits();
+        let mut test = Self::default();
+        if limits.half_storage {
+            test.linear(device, "ops/linear_f16_f32", LinearKernel::Panels(Element::F16), [35, 40])?;
+            test.attention(device, "ops/attention_f16", AttentionKernel::Lanes(Element::F16), 35)?;
+        }
+        if let Some(shape) = limits.matrices {
+            // As many tiles as make each candidate the one that is chosen.
+            let tiles = LinearTile::candidates(limits, shape);
+            test.none_fits("ops/linear_matrix", tiles.is_empty());
+            for tile in tiles {
+                let [rows, columns] = tile.sides(shape);
+                let size = [16 * rows + 3, 16 * columns + 8];
+                test.linear(device, "ops/linear_matrix", LinearKernel::Matrix(shape), size)?;
+            }
+            let tiles = AttentionTile::candidates(limits, shape, WIDEST_HEAD);
+            test.none_fits("ops/attention_matrix", tiles.is_empty());
+            for tile in tiles {
+                let queries = 16 * tile.rows(shape) + 3;
+                test.attention(device, "ops/attention_matrix", AttentionKernel::Matrix(shape), queries)?;
+            }
+        }
+        Ok(test)
+    }
+
+    fn passed(&self, kernel: &str) -> bool {
+        let mut found = self.deviations.iter().filter(|(name, _)| name == kernel).peekable();
+        found.peek().is_some() && found.all(|(_, deviation)| passes(*deviation))
+    }
+
+    /// A kernel none of whose tiles is within the device's limits fails.
+    fn none_fits(&mut self, kernel: &str, none: bool) {
+        if none {
+            self.deviations.push((kernel.into(), None));
+        }
+    }
+
+    fn compare(&mut self, kernel: &str, limit: f64, exact: &[f32], fast: &[f32]) {
+        let rms = (exact.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / exact.len() as f64).sqrt();
+        let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs());
+        // Unlike f64::max, which loses NaN.
+        let larger = |a: f64, b: f64| if a.is_nan() || b <= a { a } else { b };
+        let worst = exact.iter().zip(fast).map(apart).fold(0.0, larger);
+        let deviation = worst / rms / limit;
+        self.deviations.push((kernel.into(), deviation.is_finite().then_some(deviation)));
+    }
+
+    fn linear(&mut self, device: &Device, name: &str, kernel: LinearKernel, [rows, columns]: [usize; 2]) -> Result<()> {
+        const INNER: usize = 72;
+        let (a, b, bias) = (noise(1, rows * INNER), noise(2, columns * INNER), noise(3, columns));
+        let run = |kernel: LinearKernel| -> Result<Vec<f32>> {
+            let mut rec = Recorder::new(device.limits());
+            let packed = pack_matrix(kernel, &b, INNER, columns);
+            let (weight, bias_tensor) = (rec.constant::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));
+            let input = rec.input::<u8>("input", a.len() * kernel.element().bytes());
+            let layer = Linear { weight, bias: bias_tensor, inner: INNER, columns, kernel };
+            let out = layer.apply(&mut rec, "out", input, rows, Epilogue::default());
+            rec.output(out);
+            let mut run = Run::new(device, rec.finish()?)?;
+            run.write(weight, &packed)?;
+            run.write(bias_tensor, &bias)?;
+            write(&mut run, kernel.element(), input, &a)?;
+            run.execute()?;
+            run.read(out)
+        };
+        let (exact, fast) = (run(LinearKernel::Panels(Element::F32))?, run(kernel)?);
+        self.compare(name, LINEAR_LIMIT, &exact, &fast);
+        Ok(())
+    }
+
+    fn attention(&mut self, device: &Device, name: &str, kernel: AttentionKernel, queries: usize) -> Result<()> {
+        let (heads, keys) = (Heads { count: 16, dim: 64 }, 100);
+        let width = heads.width();
+        let parts = [(1, queries), (2, keys), (3, keys)].map(|(seed, tokens)| noise(seed, tokens * width));
+        let run = |kernel: AttentionKernel| -> Result<Vec<f32>> {
+            let attention = Attention { heads, sequences: 1, queries, keys, kernel };
+            let element = kernel.element();
+            let mut rec = Recorder::new(device.limits());
+            let inputs = [0, 1, 2].map(|i| rec.input::<u8>("part", parts[i].len() * element.bytes()));
+            let tensors = attention.tensors(&mut rec);
+            let of_queries = Part { scale: attention.scale(), ..Part::default() };
+            let of_keys = Part { keys: true, ..Part::default() };
+            let split = [(of_queries, queries), (of_keys, keys), (Part::default(), keys)];
+            for ((part, rows), (input, out)) in split.into_iter().zip(inputs.into_iter().zip(tensors)) {
+                attention.split(&mut rec, (input, width), 0, rows, part, out);
+            }
+            let out = attention.record(&mut rec, tensors);
+            rec.output(out);
+            let mut run = Run::new(device, rec.finish()?)?;
+            for (input, values) in inputs.into_iter().zip(&parts) {
+                write(&mut run, element, input, values)?;
+            }
+            run.execute()?;
+            match element {
+                Element::F32 => run.read(out),
+                Element::F16 => Ok(run.read::<f16>(out)?.into_iter().map(f16::to_f32).collect()),
+            }
+        };
+        let (exact, fast) = (run(AttentionKernel::Lanes(Element::F32))?, run(kernel)?);
+        self.compare(name, ATTENTION_LIMIT, &exact, &fast);
+        Ok(())
+    }
+}
+
+/// Channels of the largest heads, which take most shared memory.
+const WIDEST_HEAD: usize = 128;
+
+fn passes(deviation: Option<f64>) -> bool {
+    deviation.is_some_and(|times| times <= 1.0)
+}
+
+fn write(run: &mut Run, element: Element, tensor: Tensor, values: &[f32]) -> Result<()> {
+    match element {
+        Element::F32 => run.write(tensor, values),
+        Element::F16 => run.write(tensor, &values.iter().map(|x| f16::from_f32(*x)).collect::<Vec<_>>()),
+    }
+}
+
+/// f16 numbers in (-1, 1).
+fn noise(seed: u64, len: usize) -> Vec<f32> {
+    let mut state = seed << 40;
+    let mut next = || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        f16::from_f32((state >> 40) as f32 / (1 << 23) as f32 - 1.0).to_f32()
+    };
+    (0..len).map(|_| next()).collect()
+}
+
+/// Where the result for a device, its driver and these kernels is kept.
+fn cache_file(device: &Device) -> Option<PathBuf> {
+    let folder = |name: &str, below: &str| std::env::var_os(name).map(|value| PathBuf::from(value).join(below));
+    let cache = folder("ZIPSPLAT_CACHE", "")
+        .or_else(|| folder("XDG_CACHE_HOME", "zipsplat"))
+        .or_else(|| folder("LOCALAPPDATA", "zipsplat"))
+        .or_else(|| folder("HOME", ".cache/zipsplat"))?;
+    let mut kernels = DefaultHasher::new();
+    MODULES.iter().filter(|module| module.needs.half_storage).for_each(|module| module.spirv.hash(&mut kernels));
+    let subgroup = device.limits().subgroup_size;
+    Some(cache.join(format!("self-test/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_agrees_passes() {
+        let exact = [1.0, -1.0, 1.0];
+        let passed = |fast: [f32; 3]| {
+            let mut test = SelfTest::default();
+            test.compare("kernel", 1e-3, &exact, &fast);
+            test.passed("kernel")
+        };
+        assert!(passed(exact) && passed([1.0009, -1.0, 1.0]));
+        assert!(
+            !passed([1.0011, -1.0, 1.0]) && !passed([f32::NAN, -1.0, 1.0]) && !passed([1.0, f32::INFINITY, f32::NAN])
+        );
+        assert!(!SelfTest::default().passed("kernel"), "what was not tested");
+    }
+}

@@ -1,0 +1,174 @@
+// Linear layer with its epilogue on matrix units: out = residual + gamma * activation(a * weight + bias).
+//
+// A         [rows, inner] f16, inner a multiple of 8
+// Weight    [columns, inner] f16, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate)
+// Bias      [columns] f32
+// Gamma     [columns] f32, LayerScale; read where SCALE
+// Residual  [rows, columns] f32; read where ADD; may be Out itself
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; f16 saturates
+//
+// One workgroup owns TILE_M rows of TILE_N columns, each of its subgroups REPEAT_M x REPEAT_N matrices of them. Tiles of A
+// and Weight pass through shared memory twice TILE_K deep: while one is multiplied, the next is on its way. Sums are f32.
+#version 460
+#pragma element OUTPUT
+#extension GL_GOOGLE_include_directive : require
+#include "shared/matrices.glsl"
+#include "shared/gelu.glsl"
+
+layout(local_size_x_id = 0) in;
+
+layout(constant_id = 5) const uint SUBGROUPS_N = 2; // along the columns
+layout(constant_id = 6) const uint REPEAT_M = 4;    // matrices of a subgroup
+layout(constant_id = 7) const uint REPEAT_N = 4;
+layout(constant_id = 8) const uint TILE_K = 32;
+layout(constant_id = 9) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
+layout(constant_id = 10) const bool SCALE = false;
+layout(constant_id = 11) const bool ADD = false;
+
+const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
+const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
+const uint TILE_M = SUBGROUPS / SUBGROUPS_N * SUBGROUP_M;
+const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
+// Shared memory in 16 bytes; rows are one longer than they need, so that a matrix's rows lie in different banks.
+const uint PIECES = TILE_K / 8;
+const uint STRIDE = PIECES + 1;
+const uint STAGE = (TILE_M + TILE_N) * STRIDE;
+const uint STRIP_STRIDE = SUBGROUP_N / 4 + 1;
+const uint STRIP = MATRIX_M * STRIP_STRIDE; // a row of a subgroup's matrices, as the epilogue reads it
+const uint SHARED = 2 * STAGE > SUBGROUPS * STRIP ? 2 * STAGE : SUBGROUPS * STRIP;
+const uint THREADS = gl_WorkGroupSize.x;
+const uint A_LOADS = (TILE_M * PIECES + THREADS - 1) / THREADS;
+const uint W_LOADS = (TILE_N * PIECES + THREADS - 1) / THREADS;
+// Quads of sums that become one quad of results.
+const uint MERGED = ACTIVATION == 2 ? 2 : 1;
+
+layout(set = 0, binding = 0) readonly buffer A { uvec4 a[]; };
+layout(set = 0, binding = 1) readonly buffer Weight { uvec4 weight[]; };
+layout(set = 0, binding = 2) readonly buffer Bias { vec4 bias[]; };
+layout(set = 0, binding = 3) readonly buffer Gamma { vec4 gamma[]; };
+layout(set = 0, binding = 4) readonly buffer Residual { vec4 residual[]; };
+layout(set = 0, binding = 5) buffer Out { OUTPUT4 result[]; };
+
+layout(push_constant) uniform Push {
+    uint rows;
+    uint inner;
+    uint columns;
+};
+
+shared uvec4 staged[SHARED];
+
+uvec4 next_a[A_LOADS];
+uvec4 next_weight[W_LOADS];
+
+// Rows and columns past the last repeat it, since their results go nowhere; sums past `inner` are of zeros.
+void load(uint first_row, uint first_column, uint tile) {
+    uint pieces = inner / 8;
+    [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
+        uint at = i * THREADS + gl_LocalInvocationID.x;
+        uint k = tile * PIECES + at % PIECES;
+        uint row = min(first_row + at / PIECES, rows - 1);
+        next_a[i] = k < pieces ? a[row * pieces + k] : uvec4(0);
+    }
+    [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
+        uint at = i * THREADS + gl_LocalInvocationID.x;
+        uint k = tile * PIECES + at % PIECES;
+        uint column = min(first_column + at / PIECES, columns - 1);
+        next_weight[i] = k < pieces ? weight[column * pieces + k] : uvec4(0);
+    }
+}
+
+void stage(uint base) {
+    [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
+        uint at = i * THREADS + gl_LocalInvocationID.x;
+        if (at < TILE_M * PIECES) {
+            staged[base + at / PIECES * STRIDE + at % PIECES] = next_a[i];
+        }
+    }
+    [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
+        uint at = i * THREADS + gl_LocalInvocationID.x;
+        if (at < TILE_N * PIECES) {
+            staged[base + (TILE_M + at / PIECES) * STRIDE + at % PIECES] = next_weight[i];
+        }
+    }
+}
+
+// The quad of results whose first sums are `quad` of the strip's row at `strip`; `column` counts quads of all columns.
+void finish(uint strip, uint quad, uint row, uint column) {
+    vec4 v = uintBitsToFloat(staged[strip + quad]) + bias[column];
+    if (ACTIVATION == 1) {
+        v = vec4(gelu(v.x), gelu(v.y), gelu(v.z), gelu(v.w));
+    }
+    if (ACTIVATION == 2) {
+        vec4 w = uintBitsToFloat(staged[strip + quad + 1]) + bias[column + 1];
+        v = vec4(silu(v.x) * v.y, silu(v.z) * v.w, silu(w.x) * w.y, silu(w.z) * w.w);
+    }
+    if (SCALE) {
+        v *= gamma[column];
+    }
+    uint at = row * (columns / 4 / MERGED) + column / MERGED;
+    if (ADD) {
+        v += residual[at];
+    }
+    result[at] = to_OUTPUT4(v);
+}
+
+void main() {
+    uint first_row = gl_WorkGroupID.y * TILE_M;
+    uint first_column = gl_WorkGroupID.x * TILE_N;
+    uint own_row = gl_SubgroupID / SUBGROUPS_N * SUBGROUP_M;
+    uint own_column = gl_SubgroupID % SUBGROUPS_N * SUBGROUP_N;
+
+    Sums sums[REPEAT_M * REPEAT_N];
+    [[unroll]] for (uint i = 0; i < REPEAT_M * REPEAT_N; i++) {
+        sums[i] = Sums(0.0);
+    }
+
+    uint tiles = (inner + TILE_K - 1) / TILE_K;
+    load(first_row, first_column, 0);
+    stage(0);
+    barrier();
+    for (uint tile = 0; tile < tiles; tile++) {
+        if (tile + 1 < tiles) {
+            load(first_row, first_column, tile + 1);
+        }
+        uint base = tile % 2 * STAGE;
+        [[unroll]] for (uint k = 0; k < TILE_K / MATRIX_K; k++) {
+            Left left[REPEAT_M];
+            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+                uint at = base + (own_row + m * MATRIX_M) * STRIDE + k * MATRIX_K / 8;
+                coopMatLoad(left[m], staged, at, STRIDE, ROW_MAJOR);
+            }
+            [[unroll]] for (uint n = 0; n < REPEAT_N; n++) {
+                Right right;
+                uint at = base + (TILE_M + own_column + n * MATRIX_N) * STRIDE + k * MATRIX_K / 8;
+                coopMatLoad(right, staged, at, STRIDE, COLUMN_MAJOR);
+                [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+                    sums[m * REPEAT_N + n] = coopMatMulAdd(left[m], right, sums[m * REPEAT_N + n]);
+                }
+            }
+        }
+        if (tile + 1 < tiles) {
+            stage(STAGE - base);
+        }
+        barrier();
+    }
+
+    uint strip = gl_SubgroupID * STRIP;
+    const uint quads = SUBGROUP_N / 4 / MERGED;
+    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+        [[unroll]] for (uint n = 0; n < REPEAT_N; n++) {
+            uint at = strip + n * MATRIX_N / 4;
+            coopMatStore(sums[m * REPEAT_N + n], staged, at, STRIP_STRIDE, ROW_MAJOR);
+        }
+        subgroupBarrier();
+        for (uint i = gl_SubgroupInvocationID; i < MATRIX_M * quads; i += gl_SubgroupSize) {
+            uint row = first_row + own_row + m * MATRIX_M + i / quads;
+            uint quad = i % quads * MERGED;
+            uint column = (first_column + own_column) / 4 + quad;
+            if (row < rows && 4 * column < columns) {
+                finish(strip + i / quads * STRIP_STRIDE, quad, row, column);
+            }
+        }
+        subgroupBarrier();
+    }
+}

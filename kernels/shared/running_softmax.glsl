@@ -1,0 +1,80 @@
+// Softmax of rows of scores that come TILE at a time, with a running maximum, by the lanes of one subgroup.
+//
+// A row lies in shared memory `staged`, SCORE_STRIDE times 16 bytes: TILE scores as f32, which become weights as f16 in
+// its first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take.
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+// Either several lanes share a row, or a lane has several.
+const uint ROW_LANES = LANES > ROWS ? LANES / ROWS : 1;
+const uint LANE_ROWS = ROWS > LANES ? ROWS / LANES : 1;
+const uint LANE_QUADS = TILE / 4 / ROW_LANES;
+const uint FACTOR = TILE / 8;
+const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
+
+float highest[LANE_ROWS];
+float total[LANE_ROWS];
+
+void softmax_begin() {
+    [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
+        highest[i] = LOWEST;
+        total[i] = 0.0;
+    }
+}
+
+// Row of the subgroup's scores that is the lane's i-th.
+uint lane_row(uint i) { return i * LANES + gl_SubgroupInvocationID / ROW_LANES; }
+
+void put_factor(uint row, float factor) {
+    [[unroll]] for (uint c = 0; c < MATRIX_N / 4; c++) {
+        staged[row + FACTOR + c] = floatBitsToUint(vec4(factor));
+    }
+}
+
+// Turns the scores of the lane's rows into weights; gives whether an earlier sum has to be scaled for it.
+bool softmax(uint scores, uint first_key, uint keys) {
+    uint part = gl_SubgroupInvocationID % ROW_LANES * LANE_QUADS;
+    bool changed = false;
+    [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
+        uint row = scores + lane_row(i) * SCORE_STRIDE;
+        vec4 s[LANE_QUADS];
+        float now = highest[i];
+        [[unroll]] for (uint c = 0; c < LANE_QUADS; c++) {
+            s[c] = uintBitsToFloat(staged[row + part + c]);
+            if (first_key + TILE > keys) {
+                uint key = first_key + 4 * (part + c);
+                s[c] = mix(vec4(LOWEST), s[c], lessThan(key + uvec4(0, 1, 2, 3), uvec4(keys)));
+            }
+            now = max(now, max(max(s[c].x, s[c].y), max(s[c].z, s[c].w)));
+        }
+        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) {
+            now = max(now, subgroupShuffleXor(now, apart));
+        }
+        float keep = exp(highest[i] - now);
+        changed = changed || now > highest[i];
+        highest[i] = now;
+        total[i] *= keep;
+        if (ROW_LANES > 1) {
+            subgroupBarrier(); // weights take the place of scores that other lanes read
+        }
+        [[unroll]] for (uint c = 0; c < LANE_QUADS; c += 2) {
+            vec4 w0 = exp(s[c] - now);
+            vec4 w1 = exp(s[c + 1] - now);
+            total[i] += dot(w0 + w1, vec4(1.0));
+            staged[row + (part + c) / 2] = uvec4(
+                packHalf2x16(w0.xy), packHalf2x16(w0.zw), packHalf2x16(w1.xy), packHalf2x16(w1.zw)
+            );
+        }
+        put_factor(row, keep);
+    }
+    return changed;
+}
+
+// Leaves 1 / total as every row's factor.
+void softmax_end(uint scores) {
+    [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
+        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) {
+            total[i] += subgroupShuffleXor(total[i], apart);
+        }
+        put_factor(scores + lane_row(i) * SCORE_STRIDE, 1.0 / total[i]);
+    }
+}

@@ -1,0 +1,51 @@
+//! Pictures of what a network gives in f16 against those of what it gives in f32.
+
+use std::ops::ControlFlow;
+use zipsplat::{
+    ops::Arithmetic,
+    reconstruct::{Ratio, Request, Selection},
+    stages::render::{RenderRequest, Renderer},
+    types::Scene,
+};
+use zipsplat_tests::{
+    compare::{ImageTolerance, Picture, assert_images_close},
+    device::device,
+    golden::Golden,
+    networks::{half_arithmetics, images, model},
+    scenes::camera,
+};
+
+/// Of a golden's inputs and its own choice of tokens at the first ratio.
+fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
+    let (ratio, prefix) = golden.compressions()[0].clone();
+    let selection = Selection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
+    let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: None };
+    let model = model(config, arithmetic);
+    model.reconstruct(&images(golden), &request, |_| ControlFlow::Continue(())).unwrap().scene
+}
+
+#[test]
+fn f16_gives_the_same_pictures() {
+    let mut renderer = Renderer::new(device());
+    // From where the networks of random weights put their Gaussians, and from behind it.
+    let mut cameras = [camera(96, 96), camera(96, 96)];
+    cameras[1].pose.translation.z = -4.0;
+    for config in ["micro.v2", "tiny.v3", "tiny_swiglu.v3", "small.v2"] {
+        let Some(golden) = Golden::open(&format!("{config}.safetensors")) else { continue };
+        let network = config.split('.').next().expect("network.case");
+        let exact = reconstruct(&golden, network, Arithmetic::EXACT);
+        let truth = renderer.render(&exact, &cameras, &RenderRequest::default()).unwrap();
+        for arithmetic in half_arithmetics() {
+            let scene = reconstruct(&golden, network, arithmetic);
+            let frames = renderer.render(&scene, &cameras, &RenderRequest::default()).unwrap();
+            for (view, (frame, truth)) in frames.iter().zip(&truth).enumerate() {
+                let (rgb, truth) = (frame.rgb.as_ref().unwrap(), truth.rgb.as_ref().unwrap());
+                assert!(truth.iter().any(|x| *x > 0.1), "{config} {view}: nothing to see");
+                let picture = Picture { values: rgb, width: 96, channels: 3 };
+                let name = format!("{config} {view} {:?}", arithmetic.linear);
+                let psnr = assert_images_close(&name, picture, truth, &[], ImageTolerance::F16);
+                println!("{name}: {psnr:.1} dB");
+            }
+        }
+    }
+}

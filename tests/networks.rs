@@ -1,0 +1,33 @@
+//! The networks of the goldens on the device, and their inputs.
+
+use crate::{architectures, device::device, golden::Golden};
+use std::ops::ControlFlow;
+use zipsplat::{ops::Arithmetic, reconstruct::Model, types::Image, weights::Checkpoint};
+
+/// Arithmetics with f16 that the device has: on matrix units and without.
+pub fn half_arithmetics() -> Vec<Arithmetic> {
+    let mut found: Vec<_> = Arithmetic::fast(device().limits()).into_iter().collect();
+    found.extend(found.first().map(|fast| Arithmetic { linear: None, attention: None, ..*fast }));
+    found.dedup();
+    found
+}
+
+/// A model of generated weights, as the goldens use.
+pub fn model(config: &str, arithmetic: Arithmetic) -> Model {
+    let key = if config == "tiny_rect" { "tiny" } else { config };
+    let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
+    let progress = |_| ControlFlow::Continue(());
+    Model::load_with(device(), &checkpoint, arithmetic, progress).expect("small models fit")
+}
+
+/// `in/images_u8` `[views, 3, height, width]` as pictures.
+pub fn images(golden: &Golden) -> Vec<Image> {
+    let (shape, values) = (golden.shape("in/images_u8"), golden.u8("in/images_u8"));
+    let (height, width) = (shape[2], shape[3]);
+    let area = height * width;
+    let picture = |view: &[u8]| {
+        let rgb = (0..area).flat_map(|i| [view[i], view[area + i], view[2 * area + i]]).collect();
+        Image::new(width as u32, height as u32, rgb).expect("golden images are whole")
+    };
+    values.chunks(3 * area).map(picture).collect()
+}
