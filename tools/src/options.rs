@@ -4,7 +4,7 @@ use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
 use std::{fmt, str::FromStr};
 use zipsplat::{
-    Error, Result,
+    Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
