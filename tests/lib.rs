@@ -11,5 +11,6 @@ pub mod architectures;
 pub mod compare;
 pub mod device;
 pub mod golden;
-pub mod reference;
 pub mod scenes;
+
+pub use zipsplat_reference as reference;

@@ -68,6 +68,9 @@ TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
     return tiles;
 }
 
+// Of any length but 0: divided by its largest component first, so that squares neither overflow nor vanish.
+vec4 unit(vec4 q) { return normalize(q / max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)))); }
+
 mat3 rotation(vec4 wxyz) {
     float w = wxyz.x, x = wxyz.y, y = wxyz.z, z = wxyz.w;
     return mat3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
@@ -96,7 +99,7 @@ TileSet project(uint n, uint camera, uint pair) {
     // Rows of J W R S, J taken where the view frustum is left by at most 30 % of half its width.
     vec2 margin = 0.15 * vec2(width, height) / focal;
     vec2 slope = clamp(p.xy / p.z, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
-    mat3 axes = mat3(view) * rotation(normalize(quats[n]));
+    mat3 axes = mat3(view) * rotation(unit(quats[n]));
     mat3 rows = transpose(axes);
     vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scales[n];
     vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scales[n];

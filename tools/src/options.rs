@@ -19,10 +19,11 @@ use zipsplat::{
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat info
+  zipsplat doctor
 
 Exit codes:
   0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
-  4 no device or too little memory   130 cancelled"
+  4 no device or too little memory   5 a device that computes wrongly   130 cancelled"
 )]
 pub struct Cli {
     #[command(flatten)]
