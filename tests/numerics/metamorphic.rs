@@ -67,12 +67,9 @@ fn every_token_is_what_no_clustering_gives() {
     let images = views(2);
     let all = reconstruct(model(), &images, &Request::default());
     let tokens = 2 * 4 * 3;
-    for selection in [
-        Selection::Given((0..tokens).collect()),
-        Selection::Kmeans,
-        Selection::Stride,
-        Selection::Random(5),
-    ] {
+    for selection in
+        [Selection::Given((0..tokens).collect()), Selection::Kmeans, Selection::Stride, Selection::Random(5)]
+    {
         let request = Request { ratio: Ratio::Fixed(1.0), selection: selection.clone(), cameras: None };
         let given = reconstruct(model(), &images, &request);
         for ((field, truth), (_, got)) in fields(&all, 1, &[0]).iter().zip(fields(&given, 1, &[0])) {
@@ -136,10 +133,8 @@ fn a_mirrored_scene_is_the_mirrored_picture() {
     // A reflection in x turns rotations about y and z the other way.
     mirrored.quats.iter_mut().for_each(|quat| (quat[2], quat[3]) = (-quat[2], -quat[3]));
     let (plain, mirrored) = (draw(&scene, 64).rgb.unwrap(), draw(&mirrored, 64).rgb.unwrap());
-    let flipped: Vec<f32> = mirrored
-        .chunks(3 * 64)
-        .flat_map(|row| row.chunks(3).rev().flatten().copied().collect::<Vec<_>>())
-        .collect();
+    let flipped: Vec<f32> =
+        mirrored.chunks(3 * 64).flat_map(|row| row.chunks(3).rev().flatten().copied().collect::<Vec<_>>()).collect();
     let alike = psnr(&plain, &flipped);
     assert!(alike > 90.0, "{alike} dB");
     assert!(psnr(&plain, &mirrored) < 40.0, "the scene is its own mirror image");

@@ -78,7 +78,9 @@ fn a_full_disk_leaves_what_was_there() {
 #[ignore = "child of a_full_disk_leaves_what_was_there"]
 fn writes_to_a_full_disk() {
     let Some(folder) = target() else { return };
-    for (i, result) in write_all(&folder, &random_scene(3_000, 3, 0.1), &noise(200, 200, 2), &micro()).iter().enumerate() {
+    for (i, result) in
+        write_all(&folder, &random_scene(3_000, 3, 0.1), &noise(200, 200, 2), &micro()).iter().enumerate()
+    {
         assert!(matches!(result, Err(Error::Io { .. })), "file {i}: {result:?}");
     }
 }
@@ -96,8 +98,14 @@ fn a_killed_writer_leaves_a_whole_file() {
     for name in SCENES {
         write_scene(folder.path().join(name), &random_scene(sizes[0], 0, 0.1), &WriteOptions::default()).unwrap();
     }
-    for delay in [40, 55, 71, 103] {
+    let last_written = || folder.path().join(SCENES[4]).metadata().and_then(|found| found.modified()).unwrap();
+    for delay in [1, 7, 19, 31] {
+        let before = last_written();
         let mut writer = child("writes_forever", folder.path(), "").spawn().unwrap();
+        while last_written() == before {
+            assert_eq!(writer.try_wait().unwrap(), None, "the writer ended by itself");
+            std::thread::sleep(Duration::from_millis(1));
+        }
         std::thread::sleep(Duration::from_millis(delay));
         writer.kill().unwrap();
         writer.wait().unwrap();
