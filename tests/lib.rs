@@ -13,5 +13,6 @@ pub mod compare;
 pub mod device;
 pub mod golden;
 pub mod networks;
-pub mod reference;
 pub mod scenes;
+
+pub use zipsplat_reference as reference;

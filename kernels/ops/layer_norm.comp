@@ -6,7 +6,9 @@
 // Bias      [width] f32
 // Out       [rows, out_stride] OUTPUT, columns from out_column on
 //
-// One workgroup (a subgroup) owns a row. Mean and variance take two passes, as a difference of sums would cancel.
+// One workgroup (a subgroup) owns a row. The variance takes a second pass, as a difference of sums would cancel; that pass
+// also finds what rounding left in the mean (corrected two-pass algorithm: Chan, Golub and LeVeque 1983), which is more than
+// the spread where the mean is far above it.
 // With `patches` > 0 the source has one more row (a camera token) before every `patches` rows, which is left out.
 #version 460
 #pragma element OUTPUT
@@ -51,14 +53,15 @@ void main() {
         sum += load(from, row, c);
     }
     float mean = subgroupAdd(sum) / float(width);
-    float squares = 0.0;
+    vec2 sums = vec2(0.0); // of differences and of their squares
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
         float d = load(from, row, c) - mean;
-        squares += d * d;
+        sums += vec2(d, d * d);
     }
-    float scale = 1.0 / sqrt(subgroupAdd(squares) / float(width) + eps);
+    sums = subgroupAdd(sums) / float(width);
+    float scale = 1.0 / sqrt(max(sums.y - sums.x * sums.x, 0.0) + eps);
     uint to = row * out_stride + out_column;
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
-        result[to + c] = to_OUTPUT((load(from, row, c) - mean) * scale * weight[c] + bias[c]);
+        result[to + c] = to_OUTPUT((load(from, row, c) - mean - sums.x) * scale * weight[c] + bias[c]);
     }
 }

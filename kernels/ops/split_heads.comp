@@ -70,7 +70,9 @@ void main() {
     uint from = row * stride + column + head * dim;
     uint apart = dim / 4;
 
+    // As ops/layer_norm: the mean, what rounding left in it, and one over the standard deviation.
     float mean = 0.0;
+    float rest = 0.0;
     float normal = 1.0;
     if (NORM) {
         float sum = 0.0;
@@ -78,18 +80,20 @@ void main() {
             sum += float(projection[from + c]);
         }
         mean = subgroupAdd(sum) / float(dim);
-        float squares = 0.0;
+        vec2 sums = vec2(0.0);
         for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
             float d = float(projection[from + c]) - mean;
-            squares += d * d;
+            sums += vec2(d, d * d);
         }
-        normal = 1.0 / sqrt(subgroupAdd(squares) / float(dim) + eps);
+        sums = subgroupAdd(sums) / float(dim);
+        rest = sums.x;
+        normal = 1.0 / sqrt(max(sums.y - rest * rest, 0.0) + eps);
     }
     for (uint p = gl_LocalInvocationID.x; p < dim / 2; p += gl_WorkGroupSize.x) {
         uint c = pair_channel(p);
         vec2 x = vec2(float(projection[from + c]), float(projection[from + c + apart]));
         if (NORM) {
-            x = (x - mean) * normal * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
+            x = (x - mean - rest) * normal * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
         }
         if (ROTATE) {
             vec2 turn = rotary[((first_row + row) % tokens) * (dim / 2) + p];

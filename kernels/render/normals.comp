@@ -20,7 +20,7 @@ void main() {
     uint pair = global_index();
     if (pair >= pairs) return;
     uint n = pair / camera_count, camera = pair % camera_count;
-    mat3 axes = rotation(normalize(quats[n]));
+    mat3 axes = rotation(unit(quats[n]));
     vec3 scale = scales[n];
     vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
     normals[pair] = dot(axis, cameras[5 * camera + 4].xyz - means[n]) < 0 ? -axis : axis;

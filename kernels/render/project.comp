@@ -95,7 +95,7 @@ TileSet project(uint n, uint camera, uint pair) {
     // Rows of J W R S, J taken where the view frustum is left by at most 30 % of half its width.
     vec2 margin = 0.15 * vec2(width, height) / focal;
     vec2 slope = clamp(p.xy / p.z, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
-    mat3 axes = mat3(view) * rotation(normalize(quats[n]));
+    mat3 axes = mat3(view) * rotation(unit(quats[n]));
     mat3 rows = transpose(axes);
     vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scales[n];
     vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scales[n];

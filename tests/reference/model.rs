@@ -6,7 +6,6 @@ use serde_json::Value;
 
 use super::ops::layer_norm::layer_norm;
 use super::ops::linear::linear;
-use crate::golden;
 
 /// The switches of a model that its parameters' shapes do not tell.
 #[derive(Clone, Debug)]
@@ -74,18 +73,17 @@ pub struct Model {
 }
 
 impl Model {
-    /// The model of `<config>.manifest.json` with generated weights, or `None` with a printed line when it is absent.
+    /// The model of `<config>.manifest.json` with generated weights.
     ///
     /// `config` seeds the weights: `tiny` and `tiny_eps` have the same architecture.
-    pub fn generated(config: &str) -> Option<Model> {
-        let manifest = golden::json(&format!("{config}.manifest.json"))?;
+    pub fn generated(config: &str, manifest: &Value) -> Model {
         let params = manifest["params"].as_object().expect("parameters");
         let weights = params.iter().map(|(name, shape)| {
             let shape: Vec<usize> = serde_json::from_value(shape.clone()).expect("a shape");
             let values = generate(config, name, &shape);
             (name.clone(), (shape, values))
         });
-        Some(Model { architecture: Architecture::from_manifest(&manifest), weights: weights.collect() })
+        Model { architecture: Architecture::from_manifest(manifest), weights: weights.collect() }
     }
 
     /// The parameters below `prefix`.

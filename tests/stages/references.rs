@@ -272,7 +272,8 @@ fn forward_small() {
 
 /// Runs the model `config` on the inputs of those cases that are at hand and compares every tap.
 fn forward_passes(config: &str, cases: &[&str]) {
-    let Some(model) = Model::generated(config) else { return };
+    let Some(manifest) = zipsplat_tests::golden::json(&format!("{config}.manifest.json")) else { return };
+    let model = Model::generated(config, &manifest);
     for golden in cases.iter().filter_map(|case| Golden::open(&format!("{case}.safetensors"))) {
         forward_pass(&model, &golden);
     }

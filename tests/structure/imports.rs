@@ -126,6 +126,18 @@ fn the_engine_and_its_tools_know_no_tests() {
 }
 
 #[test]
+fn engine_and_reference_know_nothing_of_each_other() {
+    let names = |folder: &str, word: &str| {
+        let own = files(folder, "rs").into_iter().chain(files(folder, "toml"));
+        let naming = own.filter(|source| tokens(&source.text.replace('-', "_")).iter().any(|token| token == word));
+        naming.map(|source| source.path).collect::<Vec<_>>()
+    };
+    assert_eq!(names("engine", "zipsplat_reference"), [""; 0]);
+    assert_eq!(names("tests/reference", "zipsplat"), [""; 0]);
+    assert!(names("tools", "zipsplat_reference").len() > 1, "the doctor is found");
+}
+
+#[test]
 fn kernels_include_only_what_is_shared() {
     let kernels: Vec<Source> = files("kernels", "comp").into_iter().chain(files("kernels", "glsl")).collect();
     let includes = |source: &Source| -> Vec<String> {

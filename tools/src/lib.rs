@@ -6,6 +6,7 @@ mod animation;
 mod cameras;
 mod capture;
 mod commands;
+pub mod doctor;
 mod explain;
 pub mod metrics;
 mod noise;
@@ -40,7 +41,7 @@ pub struct Terminal<'a> {
 }
 
 /// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or
-/// argument that cannot be used, 4 no device or too little memory, 130 cancelled.
+/// argument that cannot be used, 4 no device or too little memory, 5 a device that computes wrongly, 130 cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let options::Cli { global, command } = match options::Cli::try_parse_from(args) {
         Ok(cli) => cli,
@@ -53,7 +54,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
     };
     let mut session = Session::new(global, terminal);
     match command.run(&mut session) {
-        Ok(()) => 0,
+        Ok(()) => session.code(),
         Err(error) => {
             let code = exit_code(&error);
             if code != 0 {

@@ -22,10 +22,11 @@ use zipsplat::{
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat info
+  zipsplat doctor
 
 Exit codes:
   0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
-  4 no device or too little memory   130 cancelled"
+  4 no device or too little memory   5 a device that computes wrongly   130 cancelled"
 )]
 pub struct Cli {
     #[command(flatten)]
@@ -123,11 +124,21 @@ impl Quality {
 
 /// Arithmetic of a reconstruction.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum PrecisionName {
+pub enum PrecisionName {
     /// f32 throughout
     Exact,
     /// f16 factors of matrix products, all else f32
     Fast,
+}
+
+impl PrecisionName {
+    /// What it names.
+    pub fn precision(self) -> Precision {
+        match self {
+            PrecisionName::Exact => Precision::Exact,
+            PrecisionName::Fast => Precision::Fast,
+        }
+    }
 }
 
 impl ArithmeticOption {
@@ -147,10 +158,7 @@ impl ArithmeticOption {
     }
 
     fn asked(&self) -> Option<Precision> {
-        self.precision.map(|name| match name {
-            PrecisionName::Exact => Precision::Exact,
-            PrecisionName::Fast => Precision::Fast,
-        })
+        self.precision.map(PrecisionName::precision)
     }
 }
 

@@ -31,6 +31,8 @@ pub struct Session<'a> {
     terminal: Terminal<'a>,
     /// Standard output carries a command's data: its result then goes to standard error.
     piped: bool,
+    /// Exit code of a command that did what it should.
+    code: u8,
 }
 
 /// A part of a command that may take long.
@@ -41,7 +43,7 @@ pub struct Stage<'a> {
 
 impl<'a> Session<'a> {
     pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
-        Self { global, terminal, piped: false }
+        Self { global, terminal, piped: false, code: 0 }
     }
 
     /// Opens the device that `--device` names, or the best one.
@@ -122,6 +124,16 @@ impl<'a> Session<'a> {
     /// Set when the command should stop.
     pub fn cancelled(&self) -> &'a AtomicBool {
         self.terminal.cancelled
+    }
+
+    /// Lets the command end with another exit code than 0, though nothing went wrong on the way.
+    pub fn end_with(&mut self, code: u8) {
+        self.code = code;
+    }
+
+    /// Exit code of a command that returned no error.
+    pub fn code(&self) -> u8 {
+        self.code
     }
 
     /// Says something worth knowing that is no result.

@@ -1,11 +1,11 @@
 //! The pre-norm transformer block of backbone, camera encoder and fusion.
 
-use crate::reference::model::Scope;
-use crate::reference::ops::activation::{gelu, swiglu};
-use crate::reference::ops::add::add;
-use crate::reference::ops::attention::attention;
-use crate::reference::ops::linear::layer_scale;
-use crate::reference::ops::split_heads::{Part, split_heads};
+use crate::model::Scope;
+use crate::ops::activation::{gelu, swiglu};
+use crate::ops::add::add;
+use crate::ops::attention::attention;
+use crate::ops::linear::layer_scale;
+use crate::ops::split_heads::{Part, split_heads};
 
 /// The epsilon of every LayerNorm but the backbone's `norm1`, `norm2` and final `norm`.
 pub const EPS: f64 = 1e-5;

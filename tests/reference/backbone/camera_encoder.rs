@@ -1,7 +1,7 @@
 //! Known cameras to camera tokens.
 
 use super::block::{EPS, Options, block, mlp};
-use crate::reference::model::Scope;
+use crate::model::Scope;
 
 /// What is known of a view.
 #[derive(Clone, Copy, Debug)]

@@ -2,10 +2,9 @@
 
 use super::average_halves::average_halves;
 use super::block::EPS;
-use crate::compare::columns;
-use crate::reference::model::Model;
-use crate::reference::ops::add::add;
-use crate::reference::ops::place_columns::join_columns;
+use crate::model::Model;
+use crate::ops::add::add;
+use crate::ops::place_columns::{columns, join_columns};
 
 /// The feature of one output layer: `[local | final norm(x)]` per token, the camera token of each view dropped.
 ///

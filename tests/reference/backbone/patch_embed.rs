@@ -1,7 +1,7 @@
 //! Pictures to patch tokens: a convolution whose stride is its size.
 
 use super::patchify::patchify;
-use crate::reference::ops::linear::linear;
+use crate::ops::linear::linear;
 
 /// Views of one size, `values [views, 3, height, width]` in `[0, 1]`.
 pub struct Images {

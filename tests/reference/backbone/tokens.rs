@@ -1,6 +1,6 @@
 //! The first tokens of every view.
 
-use crate::reference::ops::add::add;
+use crate::ops::add::add;
 
 /// Class token, then patches, of every view, with `positions [1 + patches, width]` added.
 ///

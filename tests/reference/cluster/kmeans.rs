@@ -2,7 +2,7 @@
 
 use super::mean::mean;
 use super::nearest::two_nearest;
-use crate::reference::ops::gather_rows::gather_rows;
+use crate::ops::gather_rows::gather_rows;
 
 const ITERATIONS: usize = 5;
 

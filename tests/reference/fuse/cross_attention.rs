@@ -1,11 +1,11 @@
 //! Cross-attention with its MLP.
 
-use crate::reference::backbone::block::{EPS, head_norm, mlp};
-use crate::reference::model::Scope;
-use crate::reference::ops::add::add;
-use crate::reference::ops::attention::attention;
-use crate::reference::ops::linear::layer_scale;
-use crate::reference::ops::split_heads::{Part, split_heads};
+use crate::backbone::block::{EPS, head_norm, mlp};
+use crate::model::Scope;
+use crate::ops::add::add;
+use crate::ops::attention::attention;
+use crate::ops::linear::layer_scale;
+use crate::ops::split_heads::{Part, split_heads};
 
 /// What a cross-attention block adds to `queries [n, width]` that attend to `keys [m, width]`:
 /// `d1 = gamma1 * attention(norm_q(queries), norm_kv(keys))`, `d2 = gamma2 * mlp(norm2(queries + d1))`; gives `d1 + d2`.

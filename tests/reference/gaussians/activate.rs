@@ -1,6 +1,6 @@
 //! Raw Gaussians to Gaussians.
 
-use crate::reference::ops::activation::{sigmoid, softplus};
+use crate::ops::activation::{sigmoid, softplus};
 
 /// One raw Gaussian to world units: means 3, scales 3 (sigma), quat 4 (wxyz, unit), opacity 1, SH as it is.
 pub fn activate(raw: &[f64]) -> Vec<f64> {

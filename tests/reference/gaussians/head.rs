@@ -1,8 +1,8 @@
 //! The Gaussian head, up to the raw Gaussians.
 
-use crate::reference::backbone::block::mlp;
-use crate::reference::model::Scope;
-use crate::reference::ops::place_columns::join_columns;
+use crate::backbone::block::mlp;
+use crate::model::Scope;
+use crate::ops::place_columns::join_columns;
 
 /// Scene tokens `[n, width]` and colour tokens `[n, colour_width]` to raw Gaussians `[n, G * (11 + 3K)]`.
 pub fn head(weights: &Scope, scene: &[f64], width: usize, colour: &[f64], colour_width: usize) -> Vec<f64> {

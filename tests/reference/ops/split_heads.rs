@@ -1,8 +1,8 @@
 //! Queries, keys or values of all heads out of a projection.
 
 use super::layer_norm::layer_norm;
-use crate::compare::columns;
-use crate::reference::backbone::rope::rope;
+use super::place_columns::columns;
+use crate::backbone::rope::rope;
 
 /// Where a part is in a projection, and what happens to it before attention.
 #[derive(Clone, Copy)]

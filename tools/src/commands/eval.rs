@@ -65,10 +65,11 @@ impl Eval {
         let chosen = (self.quality.ratio, &self.quality.select);
         let shape = Shape::new(checkpoint.architecture(), self.views as usize, [size.0, size.1], chosen, true)?;
         let device = session.device()?;
+        let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
 
-        let (model, _) =
-            session.stage("load weights", |stage| Model::load(&device, &checkpoint, |done| stage.at(done)))?;
+        let (model, _) = session
+            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
         let images = capture.images();
         let request = Request {
             ratio: self.quality.ratio,
@@ -115,7 +116,7 @@ impl Eval {
             capture.unit
         );
         let json = serde_json::json!({
-            "folder": self.folder, "weights": checkpoint.provenance(), "width": size.0, "height": size.1,
+            "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
             "mean": mean, "views": scores,

@@ -2,6 +2,7 @@
 
 mod bench;
 mod convert;
+mod doctor;
 pub mod eval;
 mod info;
 mod reconstruct;
@@ -21,6 +22,7 @@ pub enum Command {
     Convert(convert::Convert),
     Eval(eval::Eval),
     Bench(bench::Bench),
+    Doctor(doctor::Doctor),
     Scene(scene::Scene),
 }
 
@@ -33,6 +35,7 @@ impl Command {
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),
             Command::Bench(command) => command.run(session),
+            Command::Doctor(command) => command.run(session),
             Command::Scene(command) => command.run(session),
         }
     }

@@ -8,7 +8,7 @@ mod sweep;
 use super::timed_device;
 use crate::{
     capture::{Capture, Choice},
-    options::{Size, Weights, parse_length, parse_ratio, parse_selection},
+    options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs,
     session::Session,
 };
@@ -16,6 +16,8 @@ use clap::Args;
 use std::path::PathBuf;
 use zipsplat::{
     Result,
+    gpu::Device,
+    ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
     types::write_atomic,
 };
@@ -47,6 +49,9 @@ pub struct Tradeoff {
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub keep: Option<Vec<usize>>,
+    /// Arithmetics: exact, fast [default: all that the device has]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
+    pub precision: Option<Vec<PrecisionName>>,
     /// Photos to compare with, at most
     #[arg(long, value_name = "N", default_value = "6", value_parser = clap::value_parser!(u32).range(1..))]
     pub targets: u32,
@@ -83,7 +88,8 @@ impl Tradeoff {
         let captures: Vec<Capture> = (choices.iter())
             .map(|choice| Ok(session.stage("load photos", |stage| choice.load(size, self.unit, stage))?.0))
             .collect::<Result<_>>()?;
-        let sweep = sweep::run(self, session, &device, &checkpoint, &captures)?;
+        let arithmetics = self.arithmetics(session, &device)?;
+        let sweep = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
 
         outputs::make_folder(&self.output)?;
         let (html, csv) = (self.output.join("tradeoff.html"), self.output.join("tradeoff.csv"));
@@ -98,5 +104,23 @@ impl Tradeoff {
             csv.display()
         );
         session.report(&sweep.points, text)
+    }
+
+    /// Those asked for, or all that the device has; `exact` first, which the others are compared with.
+    fn arithmetics(&self, session: &mut Session<'_>, device: &Device) -> Result<Vec<(Precision, Arithmetic)>> {
+        let asked = self.precision.as_ref().map(|names| names.iter().map(|name| name.precision()).collect());
+        let has_fast = Arithmetic::fast(device.limits()).is_some();
+        let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| match has_fast {
+            true => vec![Precision::Exact, Precision::Fast],
+            false => vec![Precision::Exact],
+        });
+        precisions.sort_by_key(|precision| *precision != Precision::Exact);
+        precisions.dedup();
+        let choose = |precision| {
+            let Chosen { precision, arithmetic, notes } = Chosen::of(device, Some(precision))?;
+            notes.iter().for_each(|note| session.note(note));
+            Ok((precision, arithmetic))
+        };
+        precisions.into_iter().map(choose).collect()
     }
 }

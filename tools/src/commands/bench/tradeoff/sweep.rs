@@ -7,13 +7,18 @@ use super::{
 use crate::{
     capture::{Capture, Score},
     commands::{bench::Spread, eval::draw},
+    metrics::psnr,
     options::Size,
-    session::Session,
+    session::{Session, Stage},
 };
-use std::time::{Duration, Instant};
+use std::{
+    collections::HashMap,
+    time::{Duration, Instant},
+};
 use zipsplat::{
     Result,
     gpu::{Device, StageTimes},
+    ops::{Arithmetic, Precision},
     reconstruct::{Kept, Model, Ratio, Request, Selection, Shape},
     stages::render::Renderer,
     types::{Image, Scene, write_ply},
@@ -62,20 +67,26 @@ pub fn run(
     session: &Session<'_>,
     device: &Device,
     checkpoint: &Checkpoint,
+    arithmetics: &[(Precision, Arithmetic)],
     captures: &[Capture],
 ) -> Result<Sweep> {
     let mut sweep = Sweep { points: Vec::new(), stages: Vec::new(), pictures: Vec::new() };
     let mut renderer = Renderer::new(device);
-    let (model, _) = session.stage("load weights", |stage| Model::load(device, checkpoint, |done| stage.at(done)))?;
-    let cases = cases(args, &model, "exact", captures)?;
-    let all = model.architecture().gaussians_per_token;
+    let all = checkpoint.architecture().gaussians_per_token;
     let keep = args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]);
-    for case in &cases {
-        let label = format!("{} views, {}", case.capture.inputs.len(), case.settings);
-        session.stage(&label, |stage| {
-            stage.reach(sweep.points.len() as f64 / (cases.len() * keep.len()) as f64)?;
-            measure(args, &model, &mut renderer, case, &keep, &mut sweep)
-        })?;
+    let mut drawn_exactly = HashMap::new();
+    for (precision, arithmetic) in arithmetics {
+        let load = |stage: &Stage<'_>| Model::load_with(device, checkpoint, *arithmetic, |done| stage.at(done));
+        let (model, _) = session.stage("load weights", load)?;
+        let cases = cases(args, &model, precision.name(), captures)?;
+        for case in &cases {
+            let label = format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings);
+            session.stage(&label, |stage| {
+                let points = cases.len() * keep.len() * arithmetics.len();
+                stage.reach(sweep.points.len() as f64 / points as f64)?;
+                measure(args, &model, &mut renderer, case, &keep, &mut sweep, &mut drawn_exactly)
+            })?;
+        }
     }
     Ok(sweep)
 }
@@ -117,6 +128,7 @@ fn measure(
     case: &Case<'_>,
     keep: &[usize],
     sweep: &mut Sweep,
+    drawn_exactly: &mut HashMap<(usize, String, usize), Vec<f32>>,
 ) -> Result<()> {
     let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
     let (plan, tensors) = model.record(shape, true)?;
@@ -144,6 +156,12 @@ fn measure(
         let mut scene = whole.clone();
         scene.keep_most_visible(model.architecture().gaussians_per_token, keep);
         let drawn = compare(renderer, &scene, capture)?;
+        let key = (capture.inputs.len(), case.settings.clone(), keep);
+        let pixels = drawn.pictures.concat();
+        let psnr_to_exact = drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
+        if case.precision == Precision::Exact.name() {
+            drawn_exactly.insert(key, pixels);
+        }
         if keep == model.architecture().gaussians_per_token
             && capture.inputs.len() == args.views.iter().copied().max().unwrap_or(0)
             && matches!(case.request.selection, Selection::KMEANS)
@@ -166,7 +184,7 @@ fn measure(
             file_bytes: file_bytes(&scene)?,
             psnr: drawn.score.psnr,
             ssim: drawn.score.ssim,
-            psnr_to_exact: None,
+            psnr_to_exact,
             views_per_cluster,
             command: command(args, case, keep),
         });

@@ -1,6 +1,6 @@
 //! ZipSplat again in plain f64: dense, sequential in its definitions, and as short as the formulas allow.
 //!
-//! Modules mirror the kernels. Nothing here is tiled, fused or streamed, so that a kernel and its reference cannot share
+//! The tests and `zipsplat doctor` hold the engine to it; the engine never sees it. Modules mirror the kernels. Nothing here is tiled, fused or streamed, so that a kernel and its reference cannot share
 //! a mistake. Activations are `[f64]`, row-major; weights stay the f32 they are stored as. `stages/references.rs` holds
 //! every reference to the dumps of the PyTorch implementation.
 

@@ -1,0 +1,100 @@
+//! What the targets do with the fuzzer's bytes. An error is fine; a panic, a hang, memory by a count that was told, or
+//! something unsound that is read is not.
+
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use tempfile::TempDir;
+use zip::{ZipWriter, write::SimpleFileOptions};
+use zipsplat::{
+    types::{
+        Image, Intrinsics,
+        poses::{Poses, read_cameras, read_poses},
+        read_scene,
+    },
+    weights::Checkpoint,
+};
+
+/// The bytes as a file of this process.
+fn stored(name: &str, bytes: &[u8]) -> PathBuf {
+    static FOLDER: OnceLock<TempDir> = OnceLock::new();
+    let folder = FOLDER.get_or_init(|| {
+        let memory = Path::new("/dev/shm");
+        if memory.is_dir() { TempDir::new_in(memory) } else { TempDir::new() }.expect("a temporary folder")
+    });
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).expect("space for a file");
+    path
+}
+
+/// A scene of the format of `extension`.
+pub fn scene(extension: &str, bytes: &[u8]) {
+    if let Ok(scene) = read_scene(stored(&format!("scene.{extension}"), bytes)) {
+        scene.validate().expect("what is read is valid");
+    }
+}
+
+/// A gzip stream around what is inside an SPZ.
+pub fn deflated(bytes: &[u8]) -> Vec<u8> {
+    let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    out.write_all(bytes).and_then(|()| out.finish()).expect("memory")
+}
+
+fn sound(poses: zipsplat::Result<Poses>) {
+    for frame in poses.map(|poses| poses.frames).unwrap_or_default() {
+        frame.camera.validate(&frame.name).expect("what is read is valid");
+    }
+}
+
+/// A `transforms.json`.
+pub fn transforms(bytes: &[u8]) {
+    sound(read_poses(stored("transforms.json", bytes)));
+}
+
+/// A camera path or a list of matrices.
+pub fn camera_path(bytes: &[u8]) {
+    let lens = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
+    sound(read_cameras(stored("cameras.json", bytes), &lens));
+}
+
+/// A COLMAP model with files of `extension`, whose sizes the first two bytes tell apart.
+pub fn colmap(extension: &str, bytes: &[u8]) {
+    let Some(([low, high], rest)) = bytes.split_first_chunk::<2>().map(|(length, rest)| (*length, rest)) else {
+        return;
+    };
+    let (cameras, images) = rest.split_at(usize::from(u16::from_le_bytes([low, high])).min(rest.len()));
+    stored(&format!("images.{extension}"), images);
+    let path = stored(&format!("cameras.{extension}"), cameras);
+    sound(read_poses(path));
+}
+
+/// A checkpoint of any kind.
+pub fn checkpoint(bytes: &[u8]) {
+    for variant in [None, Some("vits")] {
+        let Ok(weights) = Checkpoint::from_bytes("fuzzed", bytes.to_vec(), variant) else { continue };
+        let mut values = Vec::new();
+        for (name, shape) in weights.parameters() {
+            values.resize(shape.iter().product(), 0.0);
+            let _ = weights.read_f32(name, &mut values);
+        }
+    }
+}
+
+/// A pickle in the archive of `torch.save`.
+pub fn archive(pickle: &[u8]) -> Vec<u8> {
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in [("data.pkl", pickle), ("data/0", &[0; 4096])] {
+        let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        zip.start_file(format!("fuzzed/{name}"), options).and_then(|()| Ok(zip.write_all(bytes)?)).expect("memory");
+    }
+    zip.finish().expect("memory").into_inner()
+}
+
+/// A photo.
+pub fn photo(bytes: &[u8]) {
+    let path = stored("photo", bytes);
+    let size = Image::size(&path);
+    if let Ok(image) = Image::open(&path) {
+        assert_eq!(size.expect("what opens has a size"), (image.width, image.height));
+    }
+}

@@ -1,0 +1,4 @@
+#![no_main]
+//! PLY scenes.
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::scene("ply", bytes));

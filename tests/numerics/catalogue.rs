@@ -1,0 +1,69 @@
+//! The catalogue of `zipsplat doctor`, and the command.
+
+use std::{ffi::OsString, sync::atomic::AtomicBool};
+use zipsplat_cli::{Terminal, doctor::catalogue, run};
+use zipsplat_tests::device::device;
+
+#[test]
+pub fn every_kernel_stays_within_its_bounds() {
+    let mut outside = Vec::new();
+    let mut count = 0;
+    for area in catalogue() {
+        for (&mode, case) in area.modes.iter().flat_map(|mode| area.cases.iter().map(move |case| (mode, case))) {
+            let found = area.examine(case, device(), mode).unwrap();
+            count += 1;
+            if !found.holds {
+                outside.push(format!("{} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
+            }
+        }
+    }
+    assert!(count > 150, "{count} cases");
+    assert!(outside.is_empty(), "outside their bounds:\n{}", outside.join("\n"));
+}
+
+#[test]
+fn areas_are_told_apart_and_explained() {
+    let areas = catalogue();
+    for area in &areas {
+        assert!(area.reason.len() > 40 && !area.size.is_empty() && !area.modes.is_empty(), "{}", area.kernel);
+        assert!(!area.cases.is_empty() && areas.iter().filter(|other| other.kernel == area.kernel).count() == 1);
+        let mut names: Vec<_> = area.cases.iter().map(|case| (&case.name, case.size)).collect();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), area.cases.len(), "{}: two cases of one name and size", area.kernel);
+    }
+}
+
+fn zipsplat(line: &str) -> (u8, String, String) {
+    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
+    let (mut out, mut err) = (Vec::new(), Vec::new());
+    let cancelled = AtomicBool::new(false);
+    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled: &cancelled });
+    let text = |bytes| String::from_utf8(bytes).expect("text");
+    (code, text(out), text(err))
+}
+
+#[test]
+fn the_command_tells_and_reports() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("page.html");
+    let (code, out, err) = zipsplat(&format!("doctor --only ops/layer --json --report {}", page.display()));
+    assert_eq!(code, 0, "{err}");
+    let json: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let findings = json["findings"].as_array().unwrap();
+    assert!(findings.len() > 5 && findings.iter().all(|f| f["kernel"] == "ops/layer_norm" && f["holds"] == true));
+    assert!(findings.iter().any(|f| f["share"].as_f64().unwrap() > 0.0), "something was rounded");
+    assert_eq!(json["outside"], 0);
+    let html = std::fs::read_to_string(&page).unwrap();
+    for part in ["<svg", "ops/layer_norm, exact", "corrected two-pass", "class=truth", "class=bound"] {
+        assert!(html.contains(part), "{part}");
+    }
+    assert!(!html.contains("http"), "self-contained");
+
+    let (code, out, _) = zipsplat("doctor --only sort");
+    assert!(code == 0 && out.contains("every result is within its bound"), "{out}");
+    let (code, _, err) = zipsplat("doctor --only nothing");
+    assert!(code == 3 && err.contains("ops/attention"), "{code} {err}");
+    let (code, _, err) = zipsplat("doctor --only sort --report /no/such/folder/x.html");
+    assert!(code == 3 && err.contains("folder"), "{code} {err}");
+}

@@ -1,0 +1,200 @@
+//! Files that are not what they say: every parser gives an error that names the file, or something sound; it never panics,
+//! hangs or takes memory by a count that it was told.
+
+mod mutate;
+mod seeds;
+
+use crate::Random;
+use mutate::mutated;
+use seeds::{LENS, pico};
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::Path,
+    time::{Duration, Instant},
+};
+use zipsplat::{
+    Error,
+    types::{
+        Image, Scene,
+        poses::{Poses, read_cameras, read_poses},
+        read_points, read_scene,
+    },
+    weights::Checkpoint,
+};
+
+/// A format: sound files, and what reads one from a folder.
+struct Parser {
+    name: &'static str,
+    seeds: Vec<Vec<u8>>,
+    /// What is done to a damaged file before it is read: a checksum, the archive around it.
+    wrap: fn(&[u8]) -> Vec<u8>,
+    read: fn(&Path, &[u8]) -> Result<(), Error>,
+}
+
+fn plain(bytes: &[u8]) -> Vec<u8> {
+    bytes.to_vec()
+}
+
+fn stored(folder: &Path, name: &str, bytes: &[u8]) -> std::path::PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn sound_scene(scene: &Scene) {
+    scene.validate().expect("what is read is valid");
+}
+
+fn sound_cameras(poses: &Poses) {
+    for frame in &poses.frames {
+        frame.camera.validate(&frame.name).expect("what is read is valid");
+    }
+}
+
+fn scene(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), Error> {
+    read_scene(stored(folder, name, bytes)).map(|scene| sound_scene(&scene))
+}
+
+fn cameras(folder: &Path, bytes: &[u8]) -> Result<(), Error> {
+    read_cameras(stored(folder, "cameras.json", bytes), &LENS).map(|poses| sound_cameras(&poses))
+}
+
+fn colmap(folder: &Path, files: [(&str, &[u8]); 2]) -> Result<(), Error> {
+    let model = tempfile::tempdir_in(folder).unwrap();
+    for (name, bytes) in files {
+        stored(model.path(), name, bytes);
+    }
+    read_poses(model.path()).map(|poses| sound_cameras(&poses))
+}
+
+fn checkpoint(folder: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let path = stored(folder, "weights", bytes);
+    let mut values = Vec::new();
+    for opened in [Checkpoint::open_architecture(&path, pico()), Checkpoint::open(&path, None)] {
+        let weights = opened?;
+        for (name, shape) in weights.parameters() {
+            values.resize(shape.iter().product(), 0.0);
+            weights.read_f32(name, &mut values)?;
+        }
+    }
+    Ok(())
+}
+
+fn parsers() -> Vec<Parser> {
+    let parser = |name, seeds, read| Parser { name, seeds, wrap: plain, read };
+    let spz = seeds::scene("spz", 1);
+    vec![
+        parser("PLY", vec![seeds::scene("ply", 0), seeds::scene("ply", 3), seeds::ascii_ply()], |folder, bytes| {
+            let points = read_points(stored(folder, "points.ply", bytes));
+            let read = scene(folder, "scene.ply", bytes);
+            points.and(read)
+        }),
+        parser("SPZ", vec![spz.clone()], |folder, bytes| scene(folder, "scene.spz", bytes)),
+        Parser {
+            wrap: seeds::deflated,
+            ..parser("SPZ inside", vec![seeds::inflated(&spz)], |folder, bytes| scene(folder, "scene.spz", bytes))
+        },
+        parser(".splat", vec![seeds::scene("splat", 0)], |folder, bytes| scene(folder, "scene.splat", bytes)),
+        parser("glb", vec![seeds::scene("glb", 1)], |folder, bytes| scene(folder, "scene.glb", bytes)),
+        parser("glTF", vec![seeds::scene("gltf", 0)], |folder, bytes| scene(folder, "scene.gltf", bytes)),
+        parser("transforms.json", vec![seeds::transforms()], |folder, bytes| {
+            read_poses(stored(folder, "transforms.json", bytes)).map(|poses| sound_cameras(&poses))
+        }),
+        parser("camera path", vec![seeds::camera_path(), seeds::matrices()], cameras),
+        parser("COLMAP text images", vec![seeds::COLMAP_IMAGES.into()], |folder, bytes| {
+            colmap(folder, [("cameras.txt", seeds::COLMAP_CAMERAS.as_bytes()), ("images.txt", bytes)])
+        }),
+        parser("COLMAP text cameras", vec![seeds::COLMAP_CAMERAS.into()], |folder, bytes| {
+            colmap(folder, [("cameras.txt", bytes), ("images.txt", seeds::COLMAP_IMAGES.as_bytes())])
+        }),
+        parser("COLMAP binary images", vec![seeds::colmap_images()], |folder, bytes| {
+            colmap(folder, [("cameras.bin", &seeds::colmap_cameras()), ("images.bin", bytes)])
+        }),
+        parser("COLMAP binary cameras", vec![seeds::colmap_cameras()], |folder, bytes| {
+            colmap(folder, [("cameras.bin", bytes), ("images.bin", &seeds::colmap_images())])
+        }),
+        parser("safetensors", vec![seeds::safetensors()], checkpoint),
+        parser("checkpoint archive", vec![seeds::archive(&seeds::pickle())], checkpoint),
+        Parser { wrap: seeds::archive, ..parser("pickle", vec![seeds::pickle()], checkpoint) },
+        parser(
+            "photos",
+            vec![
+                seeds::photo(image::ImageFormat::Png),
+                seeds::photo(image::ImageFormat::Jpeg),
+                seeds::photo(image::ImageFormat::WebP),
+            ],
+            |folder, bytes| {
+                let path = stored(folder, "photo", bytes);
+                let size = Image::size(&path);
+                let image = Image::open(&path)?;
+                assert_eq!(size.expect("what opens has a size"), (image.width, image.height));
+                Ok(())
+            },
+        ),
+    ]
+}
+
+/// No small file may take longer, also on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Reads `rounds` damaged files a parser; `seed` chooses which.
+fn fuzz(rounds: u64, seed: u64) {
+    let mut problems = Vec::new();
+    for parser in parsers() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut refused, mut read) = (0, 0);
+        for round in 0..rounds {
+            let mut random = Random(seed.wrapping_add(round) << 8);
+            let original = &parser.seeds[random.below(parser.seeds.len())];
+            let other = &parser.seeds[random.below(parser.seeds.len())];
+            let bytes = (parser.wrap)(&mutated(original, other, &mut random));
+            let start = Instant::now();
+            let result = catch_unwind(AssertUnwindSafe(|| (parser.read)(folder.path(), &bytes)));
+            let place = format!("{}, seed {seed}, round {round}, {} bytes", parser.name, bytes.len());
+            match result {
+                Ok(Ok(())) => read += 1,
+                Ok(Err(Error::Format { .. } | Error::Io { .. } | Error::Weights { .. } | Error::Argument { .. })) => {
+                    refused += 1;
+                }
+                Ok(Err(error)) => problems.push(format!("{place}: an error of another kind: {error}")),
+                Err(panic) => {
+                    let text = panic.downcast_ref::<String>().map(String::as_str);
+                    let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("?");
+                    problems.push(format!("{place}: panicked: {text}"));
+                }
+            }
+            if start.elapsed() > PATIENCE {
+                problems.push(format!("{place}: took {:?}", start.elapsed()));
+            }
+        }
+        assert!(refused > 0, "{}: nothing was refused, so nothing was damaged ({read} read)", parser.name);
+    }
+    assert!(problems.is_empty(), "{} problems:\n{}", problems.len(), problems.join("\n"));
+}
+
+#[test]
+fn sound_files_are_read() {
+    for parser in parsers() {
+        let folder = tempfile::tempdir().unwrap();
+        for seed in &parser.seeds {
+            // Points alone are no scene, and a pickle does not say whose weights it has.
+            let read = (parser.read)(folder.path(), &(parser.wrap)(seed));
+            let unnamed = matches!(&read, Err(Error::Argument { .. } | Error::Format { .. }) if parser.name.contains("archive") || parser.name == "pickle");
+            assert!(read.is_ok() || unnamed, "{}: {:?}", parser.name, read.err().map(|error| error.to_string()));
+        }
+    }
+}
+
+#[test]
+fn damaged_files_are_refused_or_read_soundly() {
+    fuzz(300, 1);
+}
+
+/// `ZIPSPLAT_FUZZ_SEED=2 tools/test.sh -p zipsplat-tests --test numerics -- --ignored many_damaged_files`, with a new seed
+/// each time; below `ulimit -v 4000000` no count can take memory unseen.
+#[test]
+#[ignore = "minutes"]
+fn many_damaged_files() {
+    let number = |name: &str, default| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
+    fuzz(number("ZIPSPLAT_FUZZ_ROUNDS", 20_000), number("ZIPSPLAT_FUZZ_SEED", 1) << 32);
+}

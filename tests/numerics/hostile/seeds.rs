@@ -1,0 +1,165 @@
+//! Sound files of every format that is read, small enough to damage thousands of copies.
+
+use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use serde_json::json;
+use std::io::{Cursor, Read, Write};
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
+use zipsplat::{
+    types::{Camera, Intrinsics, Orbit, Scene, WriteOptions, poses::write_transforms, write_scene},
+    weights::{Architecture, Checkpoint, Dtype},
+};
+use zipsplat_tests::scenes::random_scene;
+
+pub const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
+
+fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    write(&path);
+    std::fs::read(path).unwrap()
+}
+
+/// A scene in the format of an extension.
+pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
+    let scene: Scene = random_scene(7, sh_degree, 0.1);
+    in_folder(&format!("scene.{extension}"), |path| write_scene(path, &scene, &WriteOptions::default()).unwrap())
+}
+
+/// The inside of an SPZ, which damage behind the checksum would not reach.
+pub fn inflated(bytes: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
+    out
+}
+
+pub fn deflated(bytes: &[u8]) -> Vec<u8> {
+    let mut out = GzEncoder::new(Vec::new(), Compression::fast());
+    out.write_all(bytes).unwrap();
+    out.finish().unwrap()
+}
+
+/// A PLY as text.
+pub fn ascii_ply() -> Vec<u8> {
+    let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+    let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
+    let rows = "0.1 0.2 3 0.5 0.25 -0.5 1.5 -3 -3.5 -4 1 0 0.1 0\n".repeat(3);
+    format!("ply\nformat ascii 1.0\ncomment made here\nelement vertex 3\n{properties}end_header\n{rows}").into_bytes()
+}
+
+fn cameras() -> Vec<Camera> {
+    let orbit = Orbit { center: glam::DVec3::new(0.5, -1.0, 7.0), radius: 3.0 };
+    orbit.sweep(3, 13.0, 300.0, -25.0).into_iter().map(|pose| Camera { intrinsics: LENS, pose }).collect()
+}
+
+pub fn transforms() -> Vec<u8> {
+    in_folder("transforms.json", |path| write_transforms(path, &cameras(), &["a.png", "b.png", "c.png"]).unwrap())
+}
+
+pub fn camera_path() -> Vec<u8> {
+    let frame = |camera: &Camera| {
+        let matrix = camera.pose.matrix().transpose().to_cols_array();
+        json!({ "camera_to_world": matrix.to_vec(), "fov": 50.0, "aspect": 1.3 })
+    };
+    let frames: Vec<_> = cameras().iter().map(frame).collect();
+    let path = json!({ "camera_type": "perspective", "render_height": 48, "render_width": 64, "camera_path": frames, "fps": 24 });
+    path.to_string().into_bytes()
+}
+
+pub fn matrices() -> Vec<u8> {
+    let rows = |camera: &Camera| camera.pose.matrix().transpose().to_cols_array().to_vec();
+    let list: Vec<_> =
+        cameras().iter().map(|c| json!({ "matrix": rows(c), "fx": 70.0, "width": 64, "height": 48 })).collect();
+    json!(list).to_string().into_bytes()
+}
+
+pub const COLMAP_CAMERAS: &str =
+    "# cameras\n1 PINHOLE 64 48 70 71.5 31.25 24.5\n2 OPENCV 64 48 70 71 31 24 0.1 0 0 0\n";
+pub const COLMAP_IMAGES: &str =
+    "# images\n1 1 0 0 0 0.5 -1 2 1 a.png\n10 20 -1 30 40 7\n2 0.5 0.5 -0.5 0.5 0 0 1 2 b.png\n\n";
+
+pub fn colmap_cameras() -> Vec<u8> {
+    let mut out = 1u64.to_le_bytes().to_vec();
+    out.extend([1i32, 1].into_iter().flat_map(i32::to_le_bytes));
+    out.extend([64u64, 48].into_iter().flat_map(u64::to_le_bytes));
+    out.extend([70.0f64, 71.5, 31.25, 24.5].into_iter().flat_map(f64::to_le_bytes));
+    out
+}
+
+pub fn colmap_images() -> Vec<u8> {
+    let mut out = 2u64.to_le_bytes().to_vec();
+    for (id, name) in [(1i32, "a.png"), (2, "b.png")] {
+        out.extend(id.to_le_bytes());
+        out.extend([1.0f64, 0.0, 0.0, 0.0, 0.5, -1.0, 2.0].into_iter().flat_map(f64::to_le_bytes));
+        out.extend(1i32.to_le_bytes());
+        out.extend([name.as_bytes(), &[0]].concat());
+        out.extend(1u64.to_le_bytes());
+        out.extend([0; 24]);
+    }
+    out
+}
+
+/// The smallest network that is one.
+pub fn pico() -> Architecture {
+    Architecture {
+        patch: 2,
+        position_grid: 3,
+        camera_depth: 1,
+        camera_heads: 2,
+        color_width: 8,
+        color_heads: 1,
+        color_hidden: 8,
+        head_hidden: 16,
+        gaussians_per_token: 2,
+        ..Architecture::new("pico", 16, 2, 1, &[0, 1])
+    }
+}
+
+fn weights() -> Checkpoint {
+    Checkpoint::seeded_architecture(pico(), "pico").unwrap()
+}
+
+pub fn safetensors() -> Vec<u8> {
+    in_folder("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
+}
+
+/// What `torch.save` pickles of [`pico`]: `{"model": {name: tensor}}`, every tensor a part of the one storage "0".
+pub fn pickle() -> Vec<u8> {
+    let text = |text: &str| [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
+    let int = |value: usize| [b"J".as_slice(), &(value as i32).to_le_bytes()].concat();
+    let sizes =
+        |sizes: &[usize]| [b"(", sizes.iter().flat_map(|&s| int(s)).collect::<Vec<_>>().as_slice(), b"t"].concat();
+    let parameters = weights().parameters().to_vec();
+    let all: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let mut out = [b"\x80\x02}(".as_slice(), &text("model"), b"}("].concat();
+    let mut offset = 0;
+    for (name, shape) in &parameters {
+        let strides: Vec<usize> = (0..shape.len()).map(|axis| shape[axis + 1..].iter().product()).collect();
+        out.extend([text(name), b"ctorch._utils\n_rebuild_tensor_v2\n((".to_vec(), text("storage")].concat());
+        out.extend([b"ctorch\nFloatStorage\n".to_vec(), text("0"), text("cpu"), int(all), b"tQ".to_vec()].concat());
+        out.extend([int(offset), sizes(shape), sizes(&strides)].concat());
+        out.extend(b"\x89ccollections\nOrderedDict\n)RtR");
+        offset += shape.iter().product::<usize>();
+    }
+    out.extend(b"uu.");
+    out
+}
+
+/// A pickle in the archive of `torch.save`, with a storage of as many zeros as [`pico`] has.
+pub fn archive(pickle: &[u8]) -> Vec<u8> {
+    let all: usize = weights().parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(64);
+    for (name, bytes) in [("data.pkl", pickle), ("data/0", &vec![0; 4 * all])] {
+        zip.start_file(format!("pico/{name}"), options).unwrap();
+        zip.write_all(bytes).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+/// A photo of noise in a format.
+pub fn photo(format: image::ImageFormat) -> Vec<u8> {
+    let noise = crate::noise(24, 17, 3);
+    let mut bytes = Cursor::new(Vec::new());
+    image::RgbImage::from_raw(24, 17, noise.rgb).unwrap().write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}

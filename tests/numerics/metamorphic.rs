@@ -1,0 +1,170 @@
+//! What a change of the input has to do to the output, with no truth at hand.
+
+use crate::{model, noise, reconstruct};
+use zipsplat::{
+    reconstruct::{Ratio, Request, Selection},
+    stages::render::{Depth, Frame, RenderRequest, Renderer},
+    types::{Image, Scene},
+};
+use zipsplat_cli::metrics::psnr;
+use zipsplat_tests::{
+    compare::{Tolerance, assert_close, assert_same},
+    device::device,
+    scenes::{camera, random_scene},
+};
+
+/// Smooth pictures, different for different seeds.
+fn views(count: u32) -> Vec<Image> {
+    (0..count).map(|i| noise(56, 42, u64::from(i) + 1)).collect()
+}
+
+fn bits(values: &[f32]) -> Vec<u32> {
+    values.iter().map(|v| v.to_bits()).collect()
+}
+
+/// Fields of the Gaussians, of `views` equal blocks of them the block `from[i]` in place i.
+fn fields(scene: &Scene, views: usize, from: &[usize]) -> [(&'static str, Vec<f32>); 5] {
+    let order = |values: &[f32]| -> Vec<f32> {
+        let block = values.len() / views;
+        from.iter().flat_map(|&view| &values[view * block..][..block]).copied().collect()
+    };
+    [
+        ("means", order(scene.means.as_flattened())),
+        ("scales", order(scene.scales.as_flattened())),
+        ("quats", order(scene.quats.as_flattened())),
+        ("opacities", order(&scene.opacities)),
+        ("sh_coeffs", order(scene.sh_coeffs.as_flattened())),
+    ]
+}
+
+#[test]
+fn permuting_views_beyond_the_first_permutes_tokens() {
+    let images = views(4);
+    let order = [0, 3, 1, 2];
+    let permuted = order.map(|i| images[i].clone());
+    let [plain, moved] = [&images[..], &permuted].map(|images| reconstruct(model(), images, &Request::default()));
+    // Sums over tokens run in another order: both scenes are within the tolerance of their common truth.
+    let expected = fields(&plain, 4, &order);
+    for ((field, expected), (_, got)) in expected.iter().zip(fields(&moved, 4, &[0, 1, 2, 3])) {
+        assert_close(field, &got, expected, Tolerance::of_field(field).times(2.0));
+    }
+    let draw = |scene: &Scene| {
+        let frames = Renderer::new(device()).render(scene, &[camera(64, 48)], &RenderRequest::default()).unwrap();
+        frames[0].rgb.clone().unwrap()
+    };
+    // Alike but for rounding: 1e-4 of the parameters is 80 dB, and single contributions at 1/255 may come and go.
+    let alike = psnr(&draw(&plain), &draw(&moved));
+    assert!(alike > 60.0, "{alike} dB");
+    // The first view is the reference: it may not be moved.
+    let swapped = [1, 0, 2, 3].map(|i| images[i].clone());
+    let other = reconstruct(model(), &swapped, &Request::default());
+    let (means, others) = (fields(&plain, 4, &[1, 0, 2, 3]), fields(&other, 4, &[0, 1, 2, 3]));
+    assert!(means[0].1.iter().zip(&others[0].1).any(|(a, b)| (a - b).abs() > 1e-2), "the first view is like others");
+}
+
+#[test]
+fn every_token_is_what_no_clustering_gives() {
+    let images = views(2);
+    let all = reconstruct(model(), &images, &Request::default());
+    let tokens = 2 * 4 * 3;
+    for selection in
+        [Selection::Given((0..tokens).collect()), Selection::KMEANS, Selection::Stride, Selection::Random(5)]
+    {
+        let request = Request { ratio: Ratio::Fixed(1.0), selection: selection.clone(), cameras: None };
+        let given = reconstruct(model(), &images, &request);
+        for ((field, truth), (_, got)) in fields(&all, 1, &[0]).iter().zip(fields(&given, 1, &[0])) {
+            assert_same(&format!("{selection:?} {field}"), &bits(&got), &bits(truth));
+        }
+    }
+}
+
+#[test]
+fn chosen_tokens_come_in_the_order_asked_for() {
+    let images = views(2);
+    let request = |indices: &[u32]| Request { selection: Selection::Given(indices.to_vec()), ..Request::default() };
+    let [rising, falling] =
+        [&[2, 7, 11, 20][..], &[20, 11, 7, 2]].map(|indices| reconstruct(model(), &images, &request(indices)));
+    let expected = fields(&rising, 4, &[3, 2, 1, 0]);
+    for ((field, expected), (_, got)) in expected.iter().zip(fields(&falling, 4, &[0, 1, 2, 3])) {
+        assert_close(field, &got, expected, Tolerance::of_field(field).times(2.0));
+    }
+}
+
+#[test]
+fn duplicated_views_give_the_same_gaussians() {
+    let images = views(3);
+    let doubled = [0, 1, 2, 1].map(|i| images[i].clone());
+    let scene = reconstruct(model(), &doubled, &Request::default());
+    // Views 1 and 3 are the same to the network: every sum has the same terms in the same order.
+    let (first, second) = (fields(&scene, 4, &[1]), fields(&scene, 4, &[3]));
+    for ((field, first), (_, second)) in first.iter().zip(second) {
+        assert_same(field, &bits(&second), &bits(first));
+    }
+}
+
+const ALL: RenderRequest = RenderRequest {
+    rgb: true,
+    alpha: true,
+    depth: Some(Depth::Accumulated),
+    background: [0.0; 3],
+    antialiased: false,
+    normals: false,
+    token_group: None,
+    layout: None,
+};
+
+fn draw(scene: &Scene, width: u32) -> Frame {
+    Renderer::new(device()).render(scene, &[camera(width, 48)], &ALL).unwrap().remove(0)
+}
+
+#[test]
+fn a_scaled_scene_is_the_same_picture() {
+    let scene = random_scene(1_000, 2, 0.1);
+    let plain = draw(&scene, 64);
+    // Powers of two keep every bit, and no Gaussian comes near the near plane.
+    for factor in [0.125f32, 4.0, 1024.0] {
+        let mut scaled = scene.clone();
+        scaled.scale(factor);
+        let frame = draw(&scaled, 64);
+        assert_same("rgb", &bits(&frame.rgb.unwrap()), &bits(plain.rgb.as_ref().unwrap()));
+        assert_same("alpha", &bits(&frame.alpha.unwrap()), &bits(plain.alpha.as_ref().unwrap()));
+        let depth: Vec<f32> = plain.depth.as_ref().unwrap().iter().map(|z| z * factor).collect();
+        assert_same("depth", &bits(&frame.depth.unwrap()), &bits(&depth));
+    }
+}
+
+#[test]
+fn a_mirrored_scene_is_the_mirrored_picture() {
+    let scene = random_scene(1_000, 0, 0.1);
+    let mut mirrored = scene.clone();
+    mirrored.means.iter_mut().for_each(|mean| mean[0] = -mean[0]);
+    // A reflection in x turns rotations about y and z the other way.
+    mirrored.quats.iter_mut().for_each(|quat| (quat[2], quat[3]) = (-quat[2], -quat[3]));
+    let (plain, mirrored) = (draw(&scene, 64).rgb.unwrap(), draw(&mirrored, 64).rgb.unwrap());
+    let flipped: Vec<f32> =
+        mirrored.chunks(3 * 64).flat_map(|row| row.chunks(3).rev().flatten().copied().collect::<Vec<_>>()).collect();
+    let alike = psnr(&plain, &flipped);
+    assert!(alike > 90.0, "{alike} dB");
+    assert!(psnr(&plain, &mirrored) < 40.0, "the scene is its own mirror image");
+}
+
+#[test]
+fn opaque_layers_hide_what_is_behind() {
+    let front = random_scene(500, 0, 0.2);
+    let mut wall = front.clone();
+    // Ten layers that each let a thousandth through.
+    for i in 0..10 {
+        wall.means.push([0.0, 0.0, 0.5 + 0.01 * i as f32]);
+        wall.scales.push([20.0, 20.0, 1e-4]);
+        wall.quats.push([1.0, 0.0, 0.0, 0.0]);
+        wall.opacities.push(1.0);
+        wall.sh_coeffs.push([0.3, 0.2, 0.1]);
+    }
+    let mut alone = wall.clone();
+    for field in [&mut alone.means, &mut alone.scales, &mut alone.sh_coeffs] {
+        field.drain(..500);
+    }
+    alone.quats.drain(..500);
+    alone.opacities.drain(..500);
+    assert_same("rgb", &bits(&draw(&wall, 64).rgb.unwrap()), &bits(&draw(&alone, 64).rgb.unwrap()));
+}

@@ -1,0 +1,218 @@
+//! Disks that fill up, processes that are killed or that share a device, and memory that must not grow.
+
+use crate::{micro, noise, reconstruct};
+use std::{
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    time::Duration,
+};
+use zipsplat::{
+    Error,
+    gpu::{Device, DeviceOptions},
+    reconstruct::{Model, Ratio, Request},
+    types::{Image, Scene, WriteOptions, read_scene, write_scene},
+    weights::{Checkpoint, Dtype},
+};
+use zipsplat_tests::{architectures, scenes::random_scene};
+
+/// Tells a child process what to work on; without it the tests that are children have nothing to do.
+const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
+
+fn target() -> Option<PathBuf> {
+    std::env::var_os(TARGET).map(PathBuf::from)
+}
+
+/// This program again with only the test `name`, behind the same loader and below `shell`.
+fn child(name: &str, target: &Path, shell: &str) -> Command {
+    let line = std::fs::read("/proc/self/cmdline").expect("Linux");
+    let words: Vec<String> =
+        line.split(|byte| *byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect();
+    let program = std::env::args().next().expect("a program");
+    let place = words.iter().position(|word| *word == program).expect("the program is on its own command line");
+    let mut command = Command::new("bash");
+    command.args(["-c", &format!("{shell}\nexec \"$@\""), "bash"]).args(&words[..=place]);
+    command.args(["--exact", &format!("resources::{name}"), "--ignored", "--test-threads=1"]);
+    command.env(TARGET, target).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+#[track_caller]
+fn assert_succeeds(mut command: Command) {
+    let out = command.output().expect("bash");
+    let text = String::from_utf8_lossy(&out.stdout);
+    assert!(out.status.success() && text.contains("1 passed"), "{text}{}", String::from_utf8_lossy(&out.stderr));
+}
+
+const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
+
+fn write_all(folder: &Path, scene: &Scene, picture: &Image, weights: &Checkpoint) -> Vec<Result<(), Error>> {
+    let mut results: Vec<_> =
+        SCENES.iter().map(|name| write_scene(folder.join(name), scene, &WriteOptions::default())).collect();
+    results.push(picture.save_png(folder.join("picture.png")));
+    results.push(weights.save(folder.join("weights.safetensors"), Dtype::F32));
+    results
+}
+
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut paths: Vec<PathBuf> = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths.into_iter().map(|path| (path.clone(), std::fs::read(path).unwrap())).collect()
+}
+
+#[test]
+fn a_full_disk_leaves_what_was_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = Checkpoint::seeded_architecture(architectures::golden("micro"), "other").unwrap();
+    for result in write_all(folder.path(), &random_scene(5, 0, 0.1), &noise(4, 4, 1), &small) {
+        result.unwrap();
+    }
+    let before = contents(folder.path());
+    assert_eq!(before.len(), 7);
+    // No file may grow beyond 16 KiB, and writing on is an error rather than a signal.
+    assert_succeeds(child("writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
+    assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
+}
+
+#[test]
+#[ignore = "child of a_full_disk_leaves_what_was_there"]
+fn writes_to_a_full_disk() {
+    let Some(folder) = target() else { return };
+    for (i, result) in
+        write_all(&folder, &random_scene(3_000, 3, 0.1), &noise(200, 200, 2), &micro()).iter().enumerate()
+    {
+        assert!(matches!(result, Err(Error::Io { .. })), "file {i}: {result:?}");
+    }
+}
+
+#[test]
+fn a_device_without_space_is_an_error() {
+    let error = zipsplat::types::write_ply(&random_scene(3_000, 3, 0.1), "/dev/full").unwrap_err();
+    assert!(matches!(&error, Error::Io { path, .. } if path == Path::new("/dev/full")), "{error}");
+}
+
+#[test]
+fn a_killed_writer_leaves_a_whole_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let sizes = [1_000, 2_000];
+    for name in SCENES {
+        write_scene(folder.path().join(name), &random_scene(sizes[0], 0, 0.1), &WriteOptions::default()).unwrap();
+    }
+    let last_written = || folder.path().join(SCENES[4]).metadata().and_then(|found| found.modified()).unwrap();
+    for delay in [1, 7, 19, 31] {
+        let before = last_written();
+        let mut writer = child("writes_forever", folder.path(), "").spawn().unwrap();
+        while last_written() == before {
+            assert_eq!(writer.try_wait().unwrap(), None, "the writer ended by itself");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        std::thread::sleep(Duration::from_millis(delay));
+        writer.kill().unwrap();
+        writer.wait().unwrap();
+        for name in SCENES {
+            let scene = read_scene(folder.path().join(name)).unwrap_or_else(|error| panic!("{error}"));
+            assert!(sizes.contains(&scene.len()), "{name}: {} Gaussians", scene.len());
+        }
+    }
+}
+
+#[test]
+#[ignore = "child of a_killed_writer_leaves_a_whole_file"]
+fn writes_forever() {
+    let Some(folder) = target() else { return };
+    let scenes = [1_000, 2_000].map(|count| random_scene(count, 0, 0.1));
+    for i in 0.. {
+        for name in SCENES {
+            write_scene(folder.join(name), &scenes[i % 2], &WriteOptions::default()).unwrap();
+        }
+    }
+}
+
+/// A scene as bits, from a device of this process alone.
+fn reconstructed() -> Vec<u8> {
+    let device = Device::open(&DeviceOptions::default()).unwrap();
+    let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request);
+    let fields = [scene.means.as_flattened(), scene.quats.as_flattened(), scene.sh_coeffs.as_flattened()];
+    fields.into_iter().flatten().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+#[test]
+fn two_processes_on_one_device_get_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = ["first", "second"].map(|name| folder.path().join(name));
+    let children = files.clone().map(|file| child("reconstructs", &file, "").spawn().unwrap());
+    let own = reconstructed();
+    for child in children {
+        let out = child.wait_with_output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    }
+    for file in files {
+        assert!(std::fs::read(&file).unwrap() == own, "{} differs", file.display());
+    }
+}
+
+#[test]
+#[ignore = "child of two_processes_on_one_device_get_the_same"]
+fn reconstructs() {
+    let Some(file) = target() else { return };
+    std::fs::write(file, reconstructed()).unwrap();
+}
+
+/// Pages of this process that are in memory.
+fn resident_bytes() -> u64 {
+    let pages = std::fs::read_to_string("/proc/self/statm").expect("Linux");
+    4096 * pages.split(' ').nth(1).and_then(|count| count.parse::<u64>().ok()).expect("a number of pages")
+}
+
+#[test]
+fn reconstructions_in_a_row_do_not_grow() {
+    assert_succeeds(child("reconstructs_and_renders_again_and_again", Path::new("25"), ""));
+}
+
+#[test]
+#[ignore = "a minute on a CPU"]
+fn a_thousand_reconstructions_do_not_grow() {
+    assert_succeeds(child("reconstructs_and_renders_again_and_again", Path::new("1000"), ""));
+}
+
+#[test]
+#[ignore = "child of reconstructions_in_a_row_do_not_grow"]
+fn reconstructs_and_renders_again_and_again() {
+    use zipsplat::stages::render::{RenderRequest, Renderer};
+    let Some(rounds) = target().and_then(|text| text.to_str()?.parse::<u64>().ok()) else { return };
+    let device = Device::open(&DeviceOptions::default()).unwrap();
+    let images = [noise(28, 28, 1), noise(28, 28, 2)];
+    let mut early = 0;
+    for round in 0..rounds {
+        let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+        let scene = reconstruct(&model, &images, &Request { ratio: Ratio::Fixed(0.5), ..Request::default() });
+        let camera = zipsplat_tests::scenes::camera(40 + round as u32 % 3, 30);
+        Renderer::new(&device).render(&scene, &[camera], &RenderRequest::default()).unwrap();
+        if round == rounds / 2 {
+            early = resident_bytes();
+        }
+    }
+    // Weights and arena of a round are a few MiB: what was kept of each would show.
+    let grown = resident_bytes().saturating_sub(early);
+    assert!(grown < 8 << 20, "{grown} bytes more after the second half of {rounds} rounds");
+}
+
+/// Other subgroup sizes are other orders of every sum.
+#[test]
+#[ignore = "half a minute a size on a CPU"]
+fn every_subgroup_size_of_lavapipe_stays_within_the_bounds() {
+    for bits in [128, 256, 512] {
+        let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
+        assert_succeeds(child("examines_the_catalogue", Path::new("all"), &shell));
+    }
+}
+
+#[test]
+#[ignore = "child of every_subgroup_size_of_lavapipe_stays_within_the_bounds"]
+fn examines_the_catalogue() {
+    if target().is_some() {
+        crate::catalogue::every_kernel_stays_within_its_bounds();
+    }
+}

@@ -1,0 +1,140 @@
+//! Splatting at its extremes, beyond what `zipsplat doctor` has time for.
+
+use zipsplat::{
+    Error,
+    stages::render::{Depth, Frame, RenderRequest, Renderer},
+    types::{Camera, Scene, read_ply, write_ply},
+};
+use zipsplat_tests::{
+    device::device,
+    scenes::{camera, random_scene},
+};
+
+const ALPHA: RenderRequest = RenderRequest {
+    rgb: true,
+    alpha: true,
+    depth: None,
+    background: [0.0; 3],
+    antialiased: false,
+    normals: false,
+    token_group: None,
+    layout: None,
+};
+
+fn draw(scene: &Scene, camera: Camera, request: &RenderRequest) -> Frame {
+    let frame = Renderer::new(device()).render(scene, &[camera], request).unwrap().remove(0);
+    let planes = [&frame.rgb, &frame.alpha, &frame.depth].into_iter().flatten();
+    assert!(planes.flatten().all(|value| value.is_finite()), "a pixel that is no number");
+    frame
+}
+
+/// `count` round Gaussians of one grey at the same place.
+fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
+    Scene {
+        means: vec![[0.0, 0.0, 2.0]; count],
+        scales: vec![[sigma; 3]; count],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        opacities: vec![opacity; count],
+        sh_coeffs: vec![[0.5; 3]; count],
+        sh_degree: 0,
+    }
+}
+
+/// Alpha of `count` equal layers, blended until the next would leave 1e-4 or less.
+fn stacked(count: usize, alpha: f64) -> f64 {
+    let mut left = 1.0;
+    for _ in 0..count {
+        if left * (1.0 - alpha) <= 1e-4 {
+            break;
+        }
+        left *= 1.0 - alpha;
+    }
+    1.0 - left
+}
+
+#[test]
+fn a_million_gaussians_on_one_pixel() {
+    let count = 1_000_000;
+    for opacity in [0.0041f32, 0.5, 1.0] {
+        let frame = draw(&pile(count, opacity, 1e-4), camera(1, 1), &ALPHA);
+        let truth = stacked(count, f64::from(opacity.min(0.999)));
+        let got = f64::from(frame.alpha.unwrap()[0]);
+        // Each of up to 2,300 layers is rounded a few times, relative to what it leaves.
+        assert!((got - truth).abs() < 1e-4 * 2e-2 + 1e-6, "opacity {opacity}: {got}, truth {truth}");
+    }
+}
+
+#[test]
+fn one_gaussian_over_every_tile_of_a_large_picture() {
+    let frame = draw(&pile(1, 1.0, 1e3), camera(2048, 1024), &ALPHA);
+    let alpha = frame.alpha.unwrap();
+    assert!(alpha.iter().all(|a| (a - 0.999).abs() < 1e-4), "{:?}", alpha.iter().fold(1.0f32, |l, a| l.min(*a)));
+}
+
+#[test]
+fn scenes_that_no_camera_sees() {
+    let behind = |z: f32| Scene { means: vec![[0.0, 0.0, z]; 1000], ..pile(1000, 1.0, 0.5) };
+    // Behind, at the camera, before the near plane, and beyond the far one.
+    for z in [-2.0, 0.0, 0.0099, 1.1e10, f32::MAX] {
+        let frame = draw(&behind(z), camera(33, 17), &ALPHA);
+        assert!(frame.alpha.unwrap().iter().all(|a| *a == 0.0), "at {z}");
+    }
+    let faint = draw(&pile(10_000, 0.0039, 0.5), camera(33, 17), &ALPHA);
+    assert!(faint.alpha.unwrap().iter().all(|a| *a == 0.0), "below 1/255");
+}
+
+#[test]
+fn pictures_one_pixel_wide() {
+    let scene = random_scene(2_000, 1, 0.2);
+    for (width, height) in [(1, 8192), (8192, 1), (1, 32_768)] {
+        let request = RenderRequest { depth: Some(Depth::Expected), ..ALPHA };
+        let frame = draw(&scene, camera(width, height), &request);
+        assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.5), "{width} x {height}");
+    }
+}
+
+/// Finite values that a file may hold, however absurd, are drawn or left out, never spread as NaN.
+#[test]
+fn absurd_but_finite_values_spread_no_nan() {
+    let extremes = [0.0f32, -0.0, 1e-45, 1e-38, 1e-20, 1e20, 1e38, f32::MAX];
+    let mut random = crate::Random(1);
+    for round in 0..20 {
+        let mut scene = random_scene(400, round % 4, 0.1);
+        let coeffs = scene.sh_coeffs_per_gaussian();
+        let mut pick = |sign: bool| {
+            let value = extremes[random.below(extremes.len())];
+            if sign && random.below(2) == 1 { -value } else { value }
+        };
+        for i in (0..400).step_by(3) {
+            match i % 4 {
+                0 => scene.means[i] = [pick(true), pick(true), pick(true)],
+                1 => scene.scales[i] = [pick(false), pick(false), pick(false)],
+                2 => scene.quats[i] = [pick(true), pick(true), pick(true), 1e-30],
+                _ => scene.sh_coeffs[i * coeffs] = [0.9, pick(true).clamp(-1e20, 1e20), 0.1],
+            }
+        }
+        let request = RenderRequest { depth: Some(Depth::Accumulated), antialiased: round % 2 == 1, ..ALPHA };
+        let frame = draw(&scene, camera(64, 48), &request);
+        assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.1), "round {round}: the others are still drawn");
+    }
+}
+
+#[test]
+fn what_is_no_number_in_a_file_is_counted_and_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.ply");
+    write_ply(&random_scene(50, 1, 0.1), &path).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let body = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+    let row = (bytes.len() - body) / 50;
+    for (bad, name) in [(f32::NAN, "NaN"), (f32::INFINITY, "infinity"), (f32::NEG_INFINITY, "-infinity")] {
+        let mut spoilt = bytes.clone();
+        for i in [3, 4, 40] {
+            spoilt[body + i * row..][..4].copy_from_slice(&bad.to_le_bytes());
+        }
+        std::fs::write(&path, spoilt).unwrap();
+        let error = read_ply(&path).expect_err(name);
+        assert!(matches!(error, Error::Format { .. }), "{error}");
+        assert!(error.to_string().contains("3 of 50 Gaussians otherwise, the first is 3"), "{error}");
+    }
+}

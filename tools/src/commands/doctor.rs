@@ -1,0 +1,112 @@
+//! `zipsplat doctor`: whether a device computes what it should.
+
+use crate::{
+    doctor::{Finding, Worst, catalogue, report},
+    outputs::check_file,
+    session::Session,
+    table::Table,
+};
+use clap::Args;
+use serde::Serialize;
+use std::path::PathBuf;
+use zipsplat::{Error, Result, gpu::Limits, types::write_atomic};
+
+/// Exit code where a result is outside its bound.
+const OUTSIDE: u8 = 5;
+
+/// Whether this device and driver can be trusted: hard cases of every kernel beside the truth in f64
+#[derive(Args)]
+#[command(
+    after_help = "A bound follows from the number format and from what Vulkan promises, so nothing may lie outside: exit \
+code 5 where something does.
+
+Examples:
+  zipsplat doctor
+  zipsplat doctor --device 1 --report doctor.html
+  zipsplat doctor --only ops/attention --json"
+)]
+pub struct Doctor {
+    /// Only kernels whose name contains this
+    #[arg(long, value_name = "KERNEL")]
+    only: Option<String>,
+    /// Write a page with error and bound against problem size
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    device: &'a Limits,
+    seconds: f64,
+    outside: usize,
+    findings: &'a [Finding],
+}
+
+impl Doctor {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        if let Some(path) = &self.report {
+            check_file(path)?;
+        }
+        let device = session.device()?;
+        let wanted = |kernel: &str| self.only.as_ref().is_none_or(|only| kernel.contains(only.as_str()));
+        let areas: Vec<_> = catalogue().into_iter().filter(|area| wanted(area.kernel)).collect();
+        if areas.is_empty() {
+            let known = catalogue().iter().map(|area| area.kernel).collect::<Vec<_>>().join(", ");
+            return Err(Error::argument(
+                "--only",
+                self.only.as_deref().unwrap_or_default(),
+                format!("a part of {known}"),
+            ));
+        }
+        let all: usize = areas.iter().map(|area| area.cases.len() * area.modes.len()).sum();
+        let (findings, time) = session.stage("doctor", |stage| {
+            let mut findings = Vec::with_capacity(all);
+            for area in &areas {
+                stage.name(area.kernel);
+                for (&mode, case) in area.modes.iter().flat_map(|mode| area.cases.iter().map(move |case| (mode, case)))
+                {
+                    stage.reach(findings.len() as f64 / all as f64)?;
+                    findings.push(area.examine(case, &device, mode)?);
+                }
+            }
+            Ok(findings)
+        })?;
+        if let Some(path) = &self.report {
+            let page = report::page(device.limits(), &areas, &findings);
+            write_atomic(path, |out| out.write_all(page.as_bytes()))?;
+        }
+        let outside = findings.iter().filter(|finding| !finding.holds).count();
+        let seconds = time.as_secs_f64();
+        session.report(
+            &Report { device: device.limits(), seconds, outside, findings: &findings },
+            text(device.limits(), &findings, outside, seconds),
+        )?;
+        if outside > 0 {
+            session.end_with(OUTSIDE);
+        }
+        Ok(())
+    }
+}
+
+fn text(limits: &Limits, findings: &[Finding], outside: usize, seconds: f64) -> String {
+    let mut table = Table::new(3, &["kernel", "case", "mode", "size", "worst error", "bound", "share", ""]);
+    for finding in findings {
+        let Worst { error, bound, share } = finding.worst;
+        let number = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };
+        table.row([
+            finding.kernel.to_owned(),
+            finding.case.clone(),
+            finding.mode.name().to_owned(),
+            finding.size.to_string(),
+            number(error),
+            number(bound),
+            format!("{:.1} %", 100.0 * share),
+            if finding.holds { String::new() } else { "OUTSIDE".into() },
+        ]);
+    }
+    let verdict = match outside {
+        0 => "every result is within its bound".to_owned(),
+        n => format!("{n} OUTSIDE: what this device computes cannot be trusted"),
+    };
+    format!("{table}{}, {}: {} cases in {seconds:.1} s, {verdict}", limits.name, limits.driver, findings.len())
+}

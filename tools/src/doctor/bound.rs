@@ -1,0 +1,207 @@
+//! How far f32 may be from the truth: from the format's unit roundoff and what Vulkan allows its functions, nothing fitted.
+//!
+//! Additions and multiplications are rounded correctly (Vulkan specification, "Precision and Operation of SPIR-V
+//! Instructions"); a device may flush subnormal numbers, and fuse a multiplication with an addition, which only helps.
+
+use serde::Serialize;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// Unit roundoff: the most that one rounding to f32 moves a value, relatively.
+pub const U: f64 = f32::EPSILON as f64 / 2.0;
+/// One unit in the last place, relatively, at most.
+pub const ULP: f64 = f32::EPSILON as f64;
+/// The most that is lost where a subnormal number is flushed to zero.
+pub const TINY: f64 = f32::MIN_POSITIVE as f64;
+/// Vulkan's relative limit for a division.
+pub const DIVISION: f64 = 2.5 * ULP;
+/// Vulkan's relative limit for sqrt, which is that of the inverse of inversesqrt.
+pub const ROOT: f64 = 4.5 * ULP;
+
+/// The most that `n` roundings move a value, relatively: `n u / (1 - n u)`, and so the most by which a sum of n terms
+/// deviates, in any order, relative to the sum of their magnitudes (Higham, Accuracy and Stability of Numerical
+/// Algorithms, lemma 3.1 and section 4.2).
+pub fn gamma(n: usize) -> f64 {
+    let nu = n as f64 * U;
+    if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
+}
+
+/// Vulkan's relative limit for exp(x) and exp2(x).
+pub fn exponential(x: f64) -> f64 {
+    (3.0 + 2.0 * x.abs()) * ULP
+}
+
+/// Vulkan's absolute limit for log(x).
+pub fn logarithm(x: f64) -> f64 {
+    if (0.5..=2.0).contains(&x) { (-21f64).exp2() } else { 3.0 * ULP * x.ln().abs() }
+}
+
+/// The element of a result that used up the largest share of its bound.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Worst {
+    /// Distance from the truth; how many differ, where results must be equal. Infinite for NaN.
+    pub error: f64,
+    /// The most that it may be.
+    pub bound: f64,
+    /// Error over bound: above 1 the result is wrong.
+    pub share: f64,
+}
+
+impl Worst {
+    /// Nothing was compared.
+    pub const NONE: Self = Self { error: 0.0, bound: 0.0, share: 0.0 };
+
+    /// One comparison. What is not finite is wrong.
+    pub fn one(got: f64, truth: f64, bound: f64) -> Self {
+        let error = if got.is_finite() { (got - truth).abs() } else { f64::INFINITY };
+        let share = match error {
+            0.0 => 0.0,
+            // Also where the bound is 0 or NaN.
+            _ if !(error.is_finite() && bound > 0.0) => f64::INFINITY,
+            _ => error / bound,
+        };
+        Self { error, bound, share }
+    }
+
+    /// The worst element of a result.
+    pub fn of(got: &[f32], truth: &[f64], bound: impl Fn(usize) -> f64) -> Self {
+        assert_eq!(got.len(), truth.len(), "as many results as truths");
+        let one = |i: usize| Self::one(got[i].into(), truth[i], bound(i));
+        (0..got.len()).map(one).fold(Self::NONE, Self::or)
+    }
+
+    /// How many of two lists differ, which none may.
+    pub fn differing<T: PartialEq>(got: &[T], truth: &[T]) -> Self {
+        assert_eq!(got.len(), truth.len(), "as many results as truths");
+        Self::one(got.iter().zip(truth).filter(|(a, b)| a != b).count() as f64, 0.0, 0.0)
+    }
+
+    /// The worse of two.
+    pub fn or(self, other: Self) -> Self {
+        let [mine, theirs] = [self, other].map(|w| (w.share, w.bound));
+        if theirs > mine { other } else { self }
+    }
+}
+
+/// A value and the most by which an f32 computation of it may be off: running error analysis (Wilkinson, Error analysis
+/// revisited, 1986). A formula written in it is its own bound.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounded {
+    /// Without rounding.
+    pub value: f64,
+    /// Bound of the distance.
+    pub error: f64,
+}
+
+impl Bounded {
+    /// A number that f32 holds.
+    pub fn exact(value: impl Into<f64>) -> Self {
+        Self { value: value.into(), error: 0.0 }
+    }
+
+    /// A number that was rounded to f32 once.
+    pub fn rounded(value: f64) -> Self {
+        Self::new(value, 0.0, U)
+    }
+
+    /// A result whose operands are off by what moves it by `carried`, in an operation of relative limit `own`.
+    fn new(value: f64, carried: f64, own: f64) -> Self {
+        Self { value, error: carried + own * (value.abs() + carried) + TINY }
+    }
+
+    /// Square root of what is not negative.
+    pub fn sqrt(self) -> Self {
+        let value = self.value.max(0.0).sqrt();
+        let lowest = (self.value - self.error).max(0.0).sqrt();
+        let carried = self.error / (value + lowest).max(f64::MIN_POSITIVE);
+        Self::new(value, carried.min((self.value.max(0.0) + self.error).sqrt()), ROOT)
+    }
+
+    /// 2 to its power.
+    pub fn exp2(self) -> Self {
+        let value = self.value.exp2();
+        let carried = value * (std::f64::consts::LN_2 * self.error).exp_m1();
+        Self::new(value, carried, exponential(self.value.abs() + self.error))
+    }
+
+    /// The smaller one: no farther off than its operands.
+    pub fn min(self, other: Self) -> Self {
+        Self { value: self.value.min(other.value), error: self.error.max(other.error) }
+    }
+
+    /// The larger one.
+    pub fn max(self, other: Self) -> Self {
+        Self { value: self.value.max(other.value), error: self.error.max(other.error) }
+    }
+
+    /// Sum of products.
+    pub fn dot<const N: usize>(a: [Self; N], b: [Self; N]) -> Self {
+        let products = a.into_iter().zip(b).map(|(a, b)| a * b);
+        products.reduce(|sum, product| sum + product).unwrap_or(Self::exact(0.0))
+    }
+}
+
+impl Add for Bounded {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self::new(self.value + other.value, self.error + other.error, U)
+    }
+}
+
+impl Neg for Bounded {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self { value: -self.value, ..self }
+    }
+}
+
+impl Sub for Bounded {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self + -other
+    }
+}
+
+impl Mul for Bounded {
+    type Output = Self;
+    fn mul(self, other: Self) -> Self {
+        let carried = self.value.abs() * other.error + other.value.abs() * self.error + self.error * other.error;
+        Self::new(self.value * other.value, carried, U)
+    }
+}
+
+impl Div for Bounded {
+    type Output = Self;
+    fn div(self, other: Self) -> Self {
+        let (value, nearest) = (self.value / other.value, other.value.abs() - other.error);
+        let carried = if nearest > 0.0 { (self.error + value.abs() * other.error) / nearest } else { f64::INFINITY };
+        Self::new(value, carried, DIVISION)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_finite_or_not_equal_is_wrong() {
+        assert_eq!(Worst::of(&[f32::NAN], &[0.0], |_| f64::INFINITY).share, f64::INFINITY);
+        assert_eq!(Worst::of(&[1.0], &[1.0], |_| 0.0).share, 0.0);
+        assert_eq!(Worst::of(&[1.0], &[1.1], |_| 0.0).share, f64::INFINITY);
+        assert_eq!(Worst::of(&[1.0, 3.0], &[1.5, 2.0], |i| [1.0, 4.0][i]).share, 0.5);
+        assert_eq!(Worst::of(&[1.0], &[1.5], |_| f64::NAN).share, f64::INFINITY);
+        assert_eq!(Worst::differing(&[1, 2], &[1, 3]).error, 1.0);
+    }
+
+    #[test]
+    fn formulas_in_f32_stay_within_their_running_bound() {
+        let mut noise = crate::noise::Noise(3);
+        for _ in 0..10_000 {
+            let [a, b, c] = [0; 3].map(|_| noise.uniform(0.01, 3.0));
+            let [x, y, z] = [a, b, c].map(Bounded::exact);
+            let bounded = (((x - y) * z + y / z).max(x * y)).sqrt() * (x - z).exp2();
+            let got = ((a - b) * c + b / c).max(a * b).sqrt() * (a - c).exp2();
+            let worst = Worst::one(got.into(), bounded.value, bounded.error);
+            assert!(worst.share <= 1.0 && bounded.error < 1e-4, "{a} {b} {c}: {worst:?}");
+        }
+    }
+}
