@@ -34,7 +34,7 @@ class Gaussians(ctypes.Structure):
 
 
 class ReconstructOptions(ctypes.Structure):
-    _fields_ = fields(struct_size=u32, precision=i32, ratio=f64, selection=i32, width=u32, height=u32, camera_count=u32,
+    _fields_ = fields(struct_size=u32, reserved=u32, ratio=f64, selection=i32, width=u32, height=u32, camera_count=u32,
                       seed=u64, cameras=pointer, progress=pointer, user_data=pointer)
 
 

@@ -148,8 +148,12 @@ enum zs_precision
   : int32_t
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
-    // f32 throughout: the same bits on the same device, every time.
-    ZS_PRECISION_EXACT = 0,
+    // ZS_PRECISION_FAST on a GPU with matrix units whose kernels passed their test, else ZS_PRECISION_EXACT.
+    ZS_PRECISION_BEST = 0,
+    // f32 throughout.
+    ZS_PRECISION_EXACT = 1,
+    // f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
+    ZS_PRECISION_FAST = 2,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -337,8 +341,8 @@ typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *sta
 typedef struct zs_model_options {
     // sizeof(zs_model_options); zs_model_options_default sets it.
     uint32_t struct_size;
-    // Must be 0.
-    uint32_t reserved;
+    // Number formats. Default ZS_PRECISION_BEST.
+    zs_precision precision;
     // The network of a checkpoint that does not say: "vits", "vitb", "vitl" or "vitg". NULL takes what the file says.
     // Default NULL.
     const char *variant;
@@ -360,8 +364,8 @@ typedef struct zs_model_info {
     uint32_t gaussians_per_token;
     // Highest band of spherical harmonics of its scenes.
     uint32_t sh_degree;
-    // 0.
-    uint32_t reserved;
+    // Number formats in use: ZS_PRECISION_EXACT or ZS_PRECISION_FAST.
+    zs_precision precision;
     // Bytes of its weights on the device.
     uint64_t weight_bytes;
 } zs_model_info;
@@ -391,8 +395,8 @@ typedef struct zs_camera {
 typedef struct zs_reconstruct_options {
     // sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
     uint32_t struct_size;
-    // Number formats. Default ZS_PRECISION_EXACT.
-    zs_precision precision;
+    // Must be 0.
+    uint32_t reserved;
     // Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
     // Default 1.
     double ratio;

@@ -148,6 +148,12 @@ fn progress_is_told_and_can_stop() {
     let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), 2, &options, &mut scene) };
     fails(status, ZS_ERROR_CANCELLED, &[]);
     assert!(scene.is_null());
+    let options = zs_model_options { precision: 9, ..model_options() };
+    let (bytes, size) = (micro().as_ptr().cast(), micro().len());
+    let mut refused = null_mut();
+    // SAFETY: live objects, bytes of that length.
+    let status = unsafe { zs_model_from_memory(context.handle, bytes, size, &options, &mut refused) };
+    fails(status, ZS_ERROR_ARGUMENT, &["precision", "9"]);
     // The model goes on working.
     reconstruct(&model, &images, &reconstruct_options());
 }
@@ -195,7 +201,7 @@ fn what_cannot_be_reconstructed_is_refused() {
     for (width, height) in [(14, 0), (15, 14), (u32::MAX, 14), (1 << 31, 1 << 31), (14 * 4096, 14 * 4096)] {
         refused(&[image], 1, &zs_reconstruct_options { width, height, ..options }, &["size of the views"]);
     }
-    refused(&[image], 1, &zs_reconstruct_options { precision: 9, ..options }, &["precision"]);
+    refused(&[image], 1, &zs_reconstruct_options { reserved: 1, ..options }, &["zs_reconstruct_options", "reserved"]);
     refused(&[image], 1, &zs_reconstruct_options { selection: -1, ..options }, &["selection"]);
     refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
     let cameras = [camera(SIDE, SIDE, f64::NAN); 2];

@@ -32,10 +32,10 @@ fn structures() -> Vec<(String, usize)> {
         zs_scene_info { struct_size, sh_degree, count }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
         zs_save_options { struct_size, spz_version }
-        zs_model_options { struct_size, reserved, variant, progress, user_data }
-        zs_model_info { struct_size, picture_side, patch, gaussians_per_token, sh_degree, reserved, weight_bytes }
+        zs_model_options { struct_size, precision, variant, progress, user_data }
+        zs_model_info { struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes }
         zs_reconstruct_options {
-            struct_size, precision, ratio, selection, width, height, camera_count, seed, cameras, progress, user_data
+            struct_size, reserved, ratio, selection, width, height, camera_count, seed, cameras, progress, user_data
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { pixels, stride, alpha, depth }
@@ -61,7 +61,7 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_device_kind { ZS_DEVICE_OTHER, ZS_DEVICE_DISCRETE, ZS_DEVICE_CPU }
         zs_pixel_format { ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32 }
-        zs_precision { ZS_PRECISION_EXACT }
+        zs_precision { ZS_PRECISION_BEST, ZS_PRECISION_EXACT, ZS_PRECISION_FAST }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
         zs_requirement_kind {

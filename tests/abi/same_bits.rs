@@ -5,6 +5,7 @@ use glam::{DMat3, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
     ffi::*,
+    ops::{Chosen, Precision},
     reconstruct::{Model, Ratio, Request, Selection},
     stages::render::{Depth, Frame, RenderRequest, Renderer},
     types::{Camera, Image, Intrinsics, Pose, Scene},
@@ -207,5 +208,53 @@ fn scenes_come_back_from_arrays_and_files() {
         // SAFETY: a string, and where to put it.
         let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), out) });
         assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::read_scene(&path).unwrap()));
+    }
+}
+
+#[test]
+fn a_model_computes_in_the_precision_that_was_asked_for() {
+    let context = context();
+    let photos = photos(2);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let fast = Chosen::of(device(), Some(Precision::Fast)).ok();
+    let best = if fast.is_some() && !device().limits().cpu { Precision::Fast } else { Precision::Exact };
+    for (asked, expected) in [
+        (zs_precision::ZS_PRECISION_BEST, Some(best)),
+        (zs_precision::ZS_PRECISION_EXACT, Some(Precision::Exact)),
+        (zs_precision::ZS_PRECISION_FAST, fast.as_ref().map(|_| Precision::Fast)),
+    ] {
+        // SAFETY: room for the options, which are filled where it succeeds; live objects; bytes of that length.
+        let (status, model) = unsafe {
+            let mut options = std::mem::MaybeUninit::<zs_model_options>::uninit();
+            ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
+            let options = zs_model_options { precision: asked as i32, ..options.assume_init() };
+            let mut model = std::ptr::null_mut();
+            let (bytes, size) = (micro().as_ptr().cast(), micro().len());
+            (zs_model_from_memory(context.handle, bytes, size, &options, &mut model), model)
+        };
+        let Some(expected) = expected else {
+            assert!(status == zs_status::ZS_ERROR_ARGUMENT && model.is_null(), "{asked:?}");
+            continue;
+        };
+        ok(status);
+        let model = Object::new(zs_model_destroy, |out: *mut *mut zs_model| {
+            // SAFETY: the caller's pointer.
+            unsafe { *out = model };
+            zs_status::ZS_OK
+        });
+        // SAFETY: a live object, a structure that says its size.
+        let info = unsafe {
+            let mut info: zs_model_info = std::mem::zeroed();
+            info.struct_size = size_of::<zs_model_info>() as u32;
+            ok(zs_model_get_info(model.handle, &mut info));
+            info
+        };
+        let said = [zs_precision::ZS_PRECISION_EXACT, zs_precision::ZS_PRECISION_FAST][expected as usize];
+        assert_eq!(info.precision, said as i32, "{asked:?}");
+        let arithmetic = Chosen::of(device(), Some(expected)).expect("the device has it").arithmetic;
+        let ours = Model::load_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
+        let ours = ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene;
+        let theirs = reconstruct(&model, &images, &reconstruct_options());
+        assert_same(&format!("{asked:?}"), &bits(&read(&theirs)), &bits(&ours));
     }
 }

@@ -3,6 +3,7 @@
 use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};
+use zipsplat::weights::Checkpoint;
 
 #[test]
 fn two_photos_become_a_scene() {
@@ -112,4 +113,17 @@ fn explaining_names_stages_and_what_was_left_out() {
     assert!(named("cluster").is_some_and(|pass| pass["commands"].as_u64() > Some(0)), "{passes:?}");
     let left_out = json["explain"]["left_out"].as_array().expect("a list");
     assert!(left_out.iter().all(|left| left["what"] != "cluster"), "{left_out:?}");
+}
+
+#[test]
+fn the_embedded_model_is_the_default() {
+    let folder = Folder::new();
+    let json = folder.run("reconstruct @/photos --json -o @/scene.ply").json();
+    assert_eq!(json["weights"], "the embedded model");
+    let side = Checkpoint::embedded().expect("it is built in").picture_side();
+    assert_eq!((json["width"].as_u64(), json["height"].as_u64()), (Some(side.into()), Some(side.into())));
+    let patches = u64::from(side / 14).pow(2);
+    assert_eq!(json["tokens"].as_u64(), Some(2 * patches));
+    assert!(!read_ply(folder.path("scene.ply")).expect("a scene").is_empty());
+    assert_eq!(folder.run("reconstruct @/photos --variant vits -o @/x.ply").code, 2);
 }

@@ -56,7 +56,7 @@ pub struct Weights {
     #[arg(long, value_name = "PATH|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
-    #[arg(long, value_name = "V")]
+    #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
 

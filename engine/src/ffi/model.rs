@@ -13,6 +13,7 @@ use super::{
 use crate::{
     Error,
     gpu::Progress,
+    ops::{Chosen, Precision},
     reconstruct::{MAX_VIEWS, Model, Ratio, Request, Selection, Shape},
     types::{
         Camera,
@@ -30,6 +31,7 @@ pub struct zs_model {
     model: Model,
     /// Side of the pictures it is best with.
     picture_side: u32,
+    precision: Precision,
 }
 
 /// Called now and then while something takes long, on the thread that made the call, with the share that is done (0 to 1) and
@@ -44,8 +46,8 @@ pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fract
 pub struct zs_model_options {
     /// sizeof(zs_model_options); zs_model_options_default sets it.
     pub struct_size: u32,
-    /// Must be 0.
-    pub reserved: u32,
+    /// Number formats. Default ZS_PRECISION_BEST.
+    pub precision: zs_precision_value,
     /// The network of a checkpoint that does not say: "vits", "vitb", "vitl" or "vitg". NULL takes what the file says.
     /// Default NULL.
     pub variant: *const c_char,
@@ -69,8 +71,8 @@ pub struct zs_model_info {
     pub gaussians_per_token: u32,
     /// Highest band of spherical harmonics of its scenes.
     pub sh_degree: u32,
-    /// 0.
-    pub reserved: u32,
+    /// Number formats in use: ZS_PRECISION_EXACT or ZS_PRECISION_FAST.
+    pub precision: zs_precision_value,
     /// Bytes of its weights on the device.
     pub weight_bytes: u64,
 }
@@ -79,8 +81,12 @@ pub struct zs_model_info {
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_precision {
-    /// f32 throughout: the same bits on the same device, every time.
-    ZS_PRECISION_EXACT = 0,
+    /// ZS_PRECISION_FAST on a GPU with matrix units whose kernels passed their test, else ZS_PRECISION_EXACT.
+    ZS_PRECISION_BEST = 0,
+    /// f32 throughout.
+    ZS_PRECISION_EXACT = 1,
+    /// f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
+    ZS_PRECISION_FAST = 2,
 }
 
 /// Which tokens are kept where the ratio is below 1.
@@ -107,8 +113,8 @@ pub const ZS_RATIO_AUTO: f64 = 0.0;
 pub struct zs_reconstruct_options {
     /// sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
     pub struct_size: u32,
-    /// Number formats. Default ZS_PRECISION_EXACT.
-    pub precision: zs_precision_value,
+    /// Must be 0.
+    pub reserved: u32,
     /// Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
     /// Default 1.
     pub ratio: f64,
@@ -138,7 +144,8 @@ unsafe impl Versioned for zs_model_options {
     const FIRST_SIZE: usize = 8 + 3 * POINTER;
     fn defaults() -> Self {
         let (struct_size, user_data) = (size_of::<Self>() as u32, std::ptr::null_mut());
-        Self { struct_size, reserved: 0, variant: std::ptr::null(), progress: None, user_data }
+        let precision = zs_precision::ZS_PRECISION_BEST as i32;
+        Self { struct_size, precision, variant: std::ptr::null(), progress: None, user_data }
     }
 }
 
@@ -153,7 +160,7 @@ unsafe impl Versioned for zs_model_info {
             patch: 0,
             gaussians_per_token: 0,
             sh_degree: 0,
-            reserved: 0,
+            precision: zs_precision::ZS_PRECISION_EXACT as i32,
             weight_bytes: 0,
         }
     }
@@ -166,7 +173,7 @@ unsafe impl Versioned for zs_reconstruct_options {
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>() as u32,
-            precision: zs_precision::ZS_PRECISION_EXACT as i32,
+            reserved: 0,
             ratio: 1.0,
             selection: zs_selection::ZS_SELECT_KMEANS as i32,
             width: 0,
@@ -246,13 +253,17 @@ fn embedded() -> Result<Checkpoint, Failure> {
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_model { model, picture_side } = unsafe { borrow(model, "model") }?;
+        let zs_model { model, picture_side, precision } = unsafe { borrow(model, "model") }?;
         let architecture = model.architecture();
         let found = zs_model_info {
             picture_side: *picture_side,
             patch: architecture.patch as u32,
             gaussians_per_token: architecture.gaussians_per_token as u32,
             sh_degree: architecture.sh_degree as u32,
+            precision: match precision {
+                Precision::Exact => zs_precision::ZS_PRECISION_EXACT as i32,
+                Precision::Fast => zs_precision::ZS_PRECISION_FAST as i32,
+            },
             weight_bytes: model.weight_bytes(),
             ..Versioned::defaults()
         };
@@ -290,7 +301,7 @@ pub unsafe extern "C" fn zs_reconstruct(
 ) -> zs_status {
     let reconstruct = || {
         // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_model { model, picture_side }, options) =
+        let (zs_model { model, picture_side, .. }, options) =
             unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         if !(1..=MAX_VIEWS).contains(&image_count) {
             return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
@@ -326,8 +337,8 @@ pub unsafe extern "C" fn zs_reconstruct(
 
 impl zs_reconstruct_options {
     fn ratio(&self) -> Result<Ratio, Failure> {
-        if self.precision != zs_precision::ZS_PRECISION_EXACT as i32 {
-            return Err(Failure::argument("precision", self.precision, "a zs_precision"));
+        if self.reserved != 0 {
+            return Err(Failure::argument("zs_reconstruct_options, reserved", self.reserved, "0"));
         }
         Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
     }
@@ -368,14 +379,18 @@ unsafe fn load(
     let load = || {
         // SAFETY: the caller's objects.
         let (context, options) = unsafe { (borrow(context, "context")?, read_versioned(options)?) };
-        if options.reserved != 0 {
-            return Err(Failure::argument("zs_model_options, reserved", options.reserved, "0"));
-        }
+        let precision = match options.precision {
+            0 => None,
+            1 => Some(Precision::Exact),
+            2 => Some(Precision::Fast),
+            other => return Err(Failure::argument("precision", other, "a zs_precision")),
+        };
+        let chosen = Chosen::of(&context.device, precision)?;
         // SAFETY: a string or NULL.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
-        let model = Model::load(&context.device, &checkpoint, progress)?;
-        Ok(zs_model { model, picture_side: checkpoint.picture_side() })
+        let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
+        Ok(zs_model { model, picture_side: checkpoint.picture_side(), precision: chosen.precision })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(out, load) }
