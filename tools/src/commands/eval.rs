@@ -100,7 +100,7 @@ impl Eval {
         }
         if let Some(folder) = &self.output {
             outputs::make_folder(folder)?;
-            write_scene(&folder.join("scene.ply"), &result.scene, &WriteOptions::default())?;
+            write_scene(folder.join("scene.ply"), &result.scene, &WriteOptions::default())?;
             comparison(&capture, &drawn)?.save_png(folder.join("comparison.png"))?;
         }
         let mean = Score::mean(&scores);
