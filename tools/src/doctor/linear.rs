@@ -190,6 +190,8 @@ pub fn area() -> Area {
     add("sums beyond the largest f16", scaled(1e4, Problem::random(5, 256, 40)));
     for (name, activation) in [("GELU", Activation::Gelu), ("SwiGLU", Activation::SwiGlu)] {
         add(name, Problem { activation, ..Problem::random(21, 384, 64) });
+        // Sums of one term hide nothing of the function itself.
+        add(&format!("{name} of every value from -10 to 10"), Problem { activation, ..alone() });
         // Sums to +-120: exp overflows and underflows on the way.
         add(&format!("{name} far from zero"), Problem { activation, ..scaled(12.0, Problem::random(40, 64, 64)) });
     }
@@ -197,6 +199,15 @@ pub fn area() -> Area {
     add("SwiGLU products beyond the largest f16", beyond);
     add("layer scale and residual in place", Problem { scaled: true, ..Problem::random(37, 384, 50) });
     Area { kernel: "ops/linear", size: "terms of a sum (K)", reason: REASON, modes: Mode::ALL, cases }
+}
+
+/// Sums that are one input each, from -10 to 10; gates and values take them from different channels.
+fn alone() -> Problem {
+    let mut problem = Problem::random(2001, 4, 8);
+    problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
+    problem.weight.iter_mut().enumerate().for_each(|(i, w)| *w = if i / 4 % 4 == (i + i / 16) % 4 { 1.0 } else { 0.0 });
+    problem.bias.fill(0.0);
+    problem
 }
 
 /// Neighbours cancel but for one part in 1e7.

@@ -77,13 +77,16 @@ pub struct Area {
     pub cases: Vec<Case>,
 }
 
+/// Computes a case on a device and compares.
+type Check = dyn Fn(&Device, Mode) -> Result<Worst>;
+
 /// One hard input.
 pub struct Case {
     /// What is hard about it.
     pub name: String,
     /// How large it is, for the report.
     pub size: usize,
-    check: Box<dyn Fn(&Device, Mode) -> Result<Worst>>,
+    check: Box<Check>,
 }
 
 impl Case {
