@@ -102,7 +102,6 @@ fn weights() {
     std::fs::write(folder.path("cut.safetensors"), &whole[..whole.len() - 100]).expect("a file");
     std::fs::write(folder.path("empty.safetensors"), "").expect("a file");
     let reconstruct = |weights: &str| format!("reconstruct @/photos {weights} --size 28x28 -o @/out.ply");
-    refused(&folder, &reconstruct(""), 3, &["--weights", "seeded:vits"]);
     refused(&folder, &reconstruct("--weights seeded:vitx"), 3, &["vitx", "vits, vitb, vitl, vitg"]);
     refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitx"), 3, &["vitx"]);
     refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitb"), 3, &["vitb", "micro"]);
