@@ -58,13 +58,12 @@ impl Doctor {
                 format!("a part of {known}"),
             ));
         }
-        let all: usize = areas.iter().map(|area| area.cases.len() * area.modes.len()).sum();
+        let all: usize = areas.iter().map(|area| area.on(device.limits()).count()).sum();
         let (findings, time) = session.stage("doctor", |stage| {
             let mut findings = Vec::with_capacity(all);
             for area in &areas {
                 stage.name(area.kernel);
-                for (&mode, case) in area.modes.iter().flat_map(|mode| area.cases.iter().map(move |case| (mode, case)))
-                {
+                for (case, mode) in area.on(device.limits()) {
                     stage.reach(findings.len() as f64 / all as f64)?;
                     findings.push(area.examine(case, &device, mode)?);
                 }

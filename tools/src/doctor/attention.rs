@@ -2,10 +2,12 @@
 
 use super::{
     Area, Case, Mode, Worst,
-    bound::{DIVISION, TINY, U, ULP, gamma},
+    bound::{DIVISION, TINY, U, ULP},
+    halves,
     trial::Trial,
 };
 use crate::noise::Noise;
+use half::f16;
 use std::rc::Rc;
 use zipsplat::{
     Result,
@@ -59,8 +61,11 @@ impl Problem {
     }
 
     fn run(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
-        let Mode::Exact = mode;
-        let kernel = AttentionKernel::Lanes(Element::F32);
+        let kernel = match (mode, device.limits().matrices) {
+            (Mode::Exact, _) => AttentionKernel::Lanes(Element::F32),
+            (Mode::Matrix, Some(shape)) => AttentionKernel::Matrix(shape),
+            _ => AttentionKernel::Lanes(Element::F16),
+        };
         let width = self.width();
         let (queries, keys) = (self.q.len() / width, self.keys());
         let shape = Attention { heads: Heads { count: HEADS, dim: self.dim }, sequences: 1, queries, keys, kernel };
@@ -72,12 +77,18 @@ impl Problem {
         for ((values, rows, part), tensor) in parts.into_iter().zip(tensors) {
             // Padding holds NaN, which must reach nothing.
             trial.blank(tensor);
-            let input = trial.input(values);
+            let input = match kernel.element() {
+                Element::F32 => trial.input(values),
+                Element::F16 => trial.input(&halves(values)),
+            };
             shape.split(&mut trial.rec, (input, width), 0, rows, part, tensor);
         }
         let out = shape.record(&mut trial.rec, tensors);
         trial.rec.output(out);
-        trial.result(out)
+        Ok(match kernel.element() {
+            Element::F32 => trial.result(out)?,
+            Element::F16 => trial.result(out)?.into_iter().map(|bits| f16::from_bits(bits).to_f32()).collect(),
+        })
     }
 
     fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
@@ -100,27 +111,29 @@ impl Problem {
         let scale = 1.0 / (self.dim as f64).sqrt();
         let of_head =
             |values: &'_ [f64], key: usize| values[key * self.width() + head * self.dim..][..self.dim].to_vec();
-        let rounded = 2.0 * factors.unit + factors.unit * factors.unit;
-        let relative = gamma(self.dim + 2) * (1.0 + rounded) + rounded;
-        let scores: Vec<[f64; 2]> = (0..self.keys())
+        // Queries are rounded again when they have been scaled.
+        let rounded = (1.0 + factors.unit).powi(3) - 1.0;
+        let relative = factors.sum(self.dim + 2) * (1.0 + rounded) + rounded;
+        let query_sum: f64 = query.iter().map(|q| scale * q.abs()).sum();
+        let scores: Vec<[f64; 3]> = (0..self.keys())
             .map(|key| {
-                let products = of_head(k, key).into_iter().zip(query).map(|(k, q)| scale * k * q);
-                products.fold([0.0, 0.0], |[sum, size], p| [sum + p, size + p.abs()])
+                let products = of_head(k, key).into_iter().zip(query).map(|(k, q)| (scale * k * q, k.abs()));
+                products.fold([0.0; 3], |[sum, size, keys], (p, k)| [sum + p, size + p.abs(), keys + k])
             })
             .collect();
         // How often a running maximum may rise.
         let (mut highest, mut rises) = (f64::NEG_INFINITY, 0);
-        for &[score, _] in &scores {
+        for &[score, ..] in &scores {
             if score > highest {
                 (highest, rises) = (score, rises + 1);
             }
         }
-        let total: f64 = scores.iter().map(|[score, _]| (score - highest).exp()).sum();
+        let total: f64 = scores.iter().map(|[score, ..]| (score - highest).exp()).sum();
         let mut sums = vec![[0.0f64; 3]; self.dim];
         let (mut kept, mut grown) = (0.0, 0.0);
-        for (key, [score, size]) in scores.iter().enumerate() {
+        for (key, [score, size, key_sum]) in scores.iter().enumerate() {
             let below = highest - score;
-            let exponent = relative * size + U * below;
+            let exponent = relative * size + factors.tiny * (query_sum + 2.0 * key_sum) + U * below;
             let allowance = (3.0 * (1 + rises) as f64 + 2.0 * below) * ULP + factors.unit;
             let (p, off) = ((-below).exp() / total, (exponent + allowance).exp_m1());
             kept += p * (-(exponent + allowance)).exp();
@@ -130,15 +143,15 @@ impl Problem {
             }
         }
         let n = self.keys();
-        let summed = gamma(n + 2 * rises) + factors.unit;
+        let summed = factors.sum(n + 2 * rises) + factors.unit;
         let bound = |(sum, out): (&[f64; 3], &f64)| {
             let [moved, range, size] = *sum;
             let carried = (moved / kept).min(range);
             // The weights, too, are those that were computed.
             let size = (size * grown / kept).min(out.abs() + range);
             carried + summed * (size + out.abs() + carried) + (DIVISION + factors.unit) * (out.abs() + carried)
-                // Weights, and products with them, that are flushed.
-                + n as f64 * (TINY + factors.tiny) * (1.0 + range + out.abs())
+                // Weights and products with them that are flushed; values that are.
+                + n as f64 * (TINY + factors.tiny / total) * (1.0 + range + out.abs()) + factors.tiny
         };
         sums.iter().zip(out).map(bound).collect()
     }

@@ -201,7 +201,7 @@ mod tests {
             let bounded = (((x - y) * z + y / z).max(x * y)).sqrt() * (x - z).exp2();
             let got = ((a - b) * c + b / c).max(a * b).sqrt() * (a - c).exp2();
             let worst = Worst::one(got.into(), bounded.value, bounded.error);
-            assert!(worst.share <= 1.0 && bounded.error < 1e-4, "{a} {b} {c}: {worst:?}");
+            assert!(worst.share <= 1.0 && bounded.error < 1e-3, "{a} {b} {c}: {worst:?}");
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use super::{
     Area, Case, Factors, Mode, Worst,
-    bound::{DIVISION, TINY, U, ULP, exponential, gamma},
+    bound::{DIVISION, TINY, U, ULP, exponential},
+    halves,
     trial::Trial,
 };
 use crate::noise::Noise;
@@ -89,8 +90,7 @@ impl Problem {
     }
 
     fn run(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
-        let Mode::Exact = mode;
-        let kernel = LinearKernel::Panels(Element::F32);
+        let kernel = self.kernel(device, mode);
         let mut trial = Trial::new(device);
         // Of a SwiGLU layer gate and value alternate on the device.
         let source = |column: usize| match self.activation {
@@ -103,12 +103,19 @@ impl Problem {
         let layer = Linear {
             weight: trial.input(&packed),
             bias: trial.input(&bias),
-            inner: self.inner,
+            inner: self.inner.next_multiple_of(kernel.vector()),
             columns: self.columns,
             kernel,
         };
         let out_columns = layer.out_columns(self.activation);
-        let input = trial.input(&self.x);
+        let input = match kernel.element() {
+            Element::F32 => trial.input(&self.x),
+            Element::F16 => {
+                let padding = vec![0; layer.inner - self.inner];
+                let rows = self.x.chunks(self.inner).flat_map(|row| [halves(row), padding.clone()].concat());
+                trial.input(&rows.collect::<Vec<_>>())
+            }
+        };
         let (out, epilogue) = if self.scaled {
             let (gamma, stream) = (trial.input(&self.gamma()), trial.input(&self.stream()));
             trial.rec.output(stream);
@@ -129,6 +136,15 @@ impl Problem {
         trial.result(out)
     }
 
+    /// As the engine chooses it: matrix units write whole vectors.
+    fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
+        match (mode, device.limits().matrices) {
+            (Mode::Exact, _) => LinearKernel::Panels(Element::F32),
+            (Mode::Matrix, Some(shape)) if self.columns.is_multiple_of(8) => LinearKernel::Matrix(shape),
+            _ => LinearKernel::Panels(Element::F16),
+        }
+    }
+
     /// Bound of every sum's error, `[rows, columns]`.
     fn sum_errors(&self, factors: Factors) -> Vec<f64> {
         let magnitudes = |values: &[f32]| values.iter().map(|v| v.abs()).collect::<Vec<_>>();
@@ -137,7 +153,7 @@ impl Problem {
         let x_sums: Vec<f64> = self.x.chunks(self.inner).map(sum).collect();
         let weight_sums: Vec<f64> = self.weight.chunks(self.inner).map(sum).collect();
         let rounded = 2.0 * factors.unit + factors.unit * factors.unit;
-        let relative = gamma(self.inner + 1) * (1.0 + rounded) + rounded;
+        let relative = factors.sum(self.inner + 1) * (1.0 + rounded) + rounded;
         // A factor or a product near zero may be flushed.
         let flushed = |i: usize| {
             let beside = x_sums[i / self.columns] + weight_sums[i % self.columns];
@@ -174,7 +190,7 @@ pub fn area() -> Area {
         cases.push(Case::new(name, size, move |device, mode| problem.check(device, mode)));
     };
     for inner in [4, 68, 384, 588, 1536, 4096, 8192] {
-        add("random", Problem::random(17, inner, 33));
+        add("random", Problem::random(17, inner, 40));
     }
     for (rows, columns) in [(0, 8), (1, 1), (33, 5), (16, 130)] {
         add(&format!("{rows} rows, {columns} columns"), Problem::random(rows, 12, columns));
@@ -190,13 +206,24 @@ pub fn area() -> Area {
     add("sums beyond the largest f16", scaled(1e4, Problem::random(5, 256, 40)));
     for (name, activation) in [("GELU", Activation::Gelu), ("SwiGLU", Activation::SwiGlu)] {
         add(name, Problem { activation, ..Problem::random(21, 384, 64) });
+        // Sums of one term hide nothing of the function itself.
+        add(&format!("{name} of every value from -10 to 10"), Problem { activation, ..alone() });
         // Sums to +-120: exp overflows and underflows on the way.
         add(&format!("{name} far from zero"), Problem { activation, ..scaled(12.0, Problem::random(40, 64, 64)) });
     }
     let beyond = Problem { activation: Activation::SwiGlu, ..scaled(1e3, Problem::random(9, 64, 64)) };
     add("SwiGLU products beyond the largest f16", beyond);
-    add("layer scale and residual in place", Problem { scaled: true, ..Problem::random(37, 384, 50) });
+    add("layer scale and residual in place", Problem { scaled: true, ..Problem::random(37, 384, 56) });
     Area { kernel: "ops/linear", size: "terms of a sum (K)", reason: REASON, modes: Mode::ALL, cases }
+}
+
+/// Sums that are one input each, from -10 to 10; gates and values take them from different channels.
+fn alone() -> Problem {
+    let mut problem = Problem::random(2001, 4, 8);
+    problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
+    problem.weight.iter_mut().enumerate().for_each(|(i, w)| *w = if i / 4 % 4 == (i + i / 16) % 4 { 1.0 } else { 0.0 });
+    problem.bias.fill(0.0);
+    problem
 }
 
 /// Neighbours cancel but for one part in 1e7.

@@ -21,8 +21,12 @@ mod trial;
 
 pub use bound::Worst;
 
+use half::f16;
 use serde::Serialize;
-use zipsplat::{Result, gpu::Device};
+use zipsplat::{
+    Result,
+    gpu::{Device, Limits},
+};
 
 /// Arithmetic of matrix products: the only thing that precision modes differ in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -30,6 +34,10 @@ use zipsplat::{Result, gpu::Device};
 pub enum Mode {
     /// f32 throughout.
     Exact,
+    /// f16 factors and f32 sums, one lane a result.
+    Fast,
+    /// f16 factors and f32 sums, on matrix units.
+    Matrix,
 }
 
 /// How a mode holds the factors of matrix products.
@@ -41,11 +49,21 @@ struct Factors {
     tiny: f64,
     /// Factors saturate here.
     largest: f64,
+    /// Units of rounding that a step of a sum may cost: matrix units may truncate (Fasi, Higham, Mikaitis and Pranesh,
+    /// Numerical behavior of NVIDIA tensor cores, 2021).
+    step: usize,
+}
+
+impl Factors {
+    /// The most by which a sum of `n` products moves relative to their magnitudes, rounding of the factors apart.
+    fn sum(&self, n: usize) -> f64 {
+        bound::gamma(self.step * n)
+    }
 }
 
 impl Mode {
     /// Every mode.
-    pub const ALL: &[Mode] = &[Mode::Exact];
+    pub const ALL: &[Mode] = &[Mode::Exact, Mode::Fast, Mode::Matrix];
     /// Of what is f32 in every mode: norms, softmax, clustering, geometry.
     const EXACT: &[Mode] = &[Mode::Exact];
 
@@ -53,12 +71,27 @@ impl Mode {
     pub fn name(self) -> &'static str {
         match self {
             Mode::Exact => "exact",
+            Mode::Fast => "fast",
+            Mode::Matrix => "matrix",
+        }
+    }
+
+    /// Whether a device has it.
+    pub fn is_on(self, limits: &Limits) -> bool {
+        match self {
+            Mode::Exact => true,
+            Mode::Fast => limits.half_storage,
+            Mode::Matrix => limits.half_storage && limits.matrices.is_some(),
         }
     }
 
     fn factors(self) -> Factors {
+        // Of 11 bits; a device may flush what is subnormal.
+        let half = Factors { unit: (-11f64).exp2(), tiny: (-14f64).exp2(), largest: 65504.0, step: 1 };
         match self {
-            Mode::Exact => Factors { unit: 0.0, tiny: 0.0, largest: f64::INFINITY },
+            Mode::Exact => Factors { unit: 0.0, tiny: 0.0, largest: f64::INFINITY, step: 1 },
+            Mode::Fast => half,
+            Mode::Matrix => Factors { step: 2, ..half },
         }
     }
 }
@@ -77,13 +110,16 @@ pub struct Area {
     pub cases: Vec<Case>,
 }
 
+/// Computes a case on a device and compares.
+type Check = dyn Fn(&Device, Mode) -> Result<Worst>;
+
 /// One hard input.
 pub struct Case {
     /// What is hard about it.
     pub name: String,
     /// How large it is, for the report.
     pub size: usize,
-    check: Box<dyn Fn(&Device, Mode) -> Result<Worst>>,
+    check: Box<Check>,
 }
 
 impl Case {
@@ -111,6 +147,12 @@ pub struct Finding {
 }
 
 impl Area {
+    /// Its cases in every mode that a device has.
+    pub fn on(&self, limits: &Limits) -> impl Iterator<Item = (&Case, Mode)> {
+        let modes = self.modes.iter().copied().filter(|mode| mode.is_on(limits));
+        modes.flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))
+    }
+
     /// Computes one of its cases on a device.
     ///
     /// # Errors
@@ -120,6 +162,11 @@ impl Area {
         let (kernel, name) = (self.kernel, case.name.clone());
         Ok(Finding { kernel, case: name, mode, size: case.size, holds: worst.share <= 1.0, worst })
     }
+}
+
+/// As a device in f16 holds it.
+fn halves(values: &[f32]) -> Vec<u16> {
+    values.iter().map(|v| f16::from_f32(v.clamp(-65504.0, 65504.0)).to_bits()).collect()
 }
 
 /// Everything, in the order of the data.

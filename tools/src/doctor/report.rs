@@ -16,7 +16,7 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;ma
 h2{margin-top:2.5rem}svg{width:100%;height:auto;font-size:11px}table{border-collapse:collapse;width:100%;font-size:13px}\
 td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #eee}td:first-child,th:first-child{text-align:left}\
 .outside{color:#c00;font-weight:bold}.grid{stroke:#e5e5e5}.truth{stroke:#222}.bound{stroke:#c60;fill:none}\
-.limit{fill:#c60}.exact{fill:#06a}.fast{fill:#083}text{fill:#555}";
+.limit{fill:#c60}.exact{fill:#06a}.fast{fill:#083}.matrix{fill:#80a}text{fill:#555}";
 
 /// The page, self-contained.
 pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
@@ -35,7 +35,7 @@ pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
         version = env!("CARGO_PKG_VERSION"),
     );
     for area in areas {
-        for &mode in area.modes {
+        for &mode in area.modes.iter().filter(|mode| mode.is_on(limits)) {
             let found: Vec<&Finding> = findings.iter().filter(|f| f.kernel == area.kernel && f.mode == mode).collect();
             // Writing to a string cannot fail.
             let _ = write!(

@@ -61,6 +61,13 @@ pub fn area() -> Area {
             depths(3, 9_001).into_iter().enumerate().map(|(i, bits)| if i % 2 == 0 { culled } else { bits }).collect();
         check_sort(device, &keys, 32)
     }));
+    for bits in [1, 5, 9, 17] {
+        let name = format!("keys of {bits} bits");
+        cases.push(Case::new(name, 3_001, move |device, _| {
+            let keys: Vec<u32> = depths(5, 3_001).into_iter().map(|key| key & ((1 << bits) - 1)).collect();
+            check_sort(device, &keys, bits)
+        }));
+    }
     for count in [1, 1023, 1025, 300_001] {
         cases.push(Case::new("prefix sum", count, move |device, _| {
             let values: Vec<u32> = Noise(4).values(count).into_iter().map(|r| (r.abs() * 1e5) as u32).collect();

@@ -115,6 +115,10 @@ pub fn area() -> Area {
     };
     add("opacities of 0, 1/255 and 1", (scene(120, 0, faint), still()), false);
     add("opacities of 0, 1/255 and 1, antialiased", (scene(120, 0, faint), still()), true);
+    let wall = |i: usize, m: &mut [f32; 3], s: &mut [f32; 3], o: &mut f32| {
+        (*m, *s, *o) = ([0.0, 0.0, 2.0 + i as f32], [40.0; 3], 1.0);
+    };
+    add("opaque layers", (scene(4, 0, wall), still()), false);
     let mut dark = scene(80, 3, keep);
     dark.sh_coeffs.iter_mut().flatten().for_each(|c| *c = 2.0 * *c - 1.0);
     add("colours below zero", (dark, still()), false);
