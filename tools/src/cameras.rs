@@ -9,23 +9,13 @@ use zipsplat::{
     types::{
         Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline,
         poses::{Poses, read_cameras, read_cloud},
-        preprocess::{View, crop_to_aspect},
+        preprocess::crop_to_aspect,
     },
 };
 
 /// The reference's figure of eight, in degrees.
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
-
-/// Cameras of whole photos as cameras of their views; the world becomes the first view's camera.
-pub fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
-    let Some(first) = cameras.first() else { return Ok(Vec::new()) };
-    let of_view = |(camera, view): (&Camera, &View)| {
-        let intrinsics = view.map.apply(&camera.intrinsics)?;
-        Ok(Camera { intrinsics, pose: camera.pose.relative_to(&first.pose) })
-    };
-    cameras.iter().zip(views).map(of_view).collect()
-}
 
 /// The network's unit of length for cameras whose first one is the world: the median distance from it of those points of
 /// their capture (a file of [`read_cloud`] in the cameras' own world, `origin` the first one's pose there) that any of them sees.

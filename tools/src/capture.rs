@@ -15,7 +15,7 @@ use zipsplat::{
     types::{
         Camera, Image,
         poses::{Frame, Poses, read_poses},
-        preprocess::View,
+        preprocess::{View, view_cameras},
     },
 };
 
@@ -176,7 +176,7 @@ fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
 /// Frames and their views, in the world of the first camera.
 fn posed(frames: &[&Frame], views: Vec<View>) -> Result<Vec<Posed>> {
     let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-    let cameras = cameras::of_views(&cameras, &views)?;
+    let cameras = view_cameras(&cameras, &views)?;
     let posed = |((frame, view), camera): ((&&Frame, View), Camera)| Posed {
         name: frame.name.clone(),
         image: view.image,

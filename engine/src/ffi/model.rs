@@ -17,7 +17,7 @@ use crate::{
     reconstruct::{MAX_VIEWS, Model, Ratio, Request, Selection, Shape},
     types::{
         Camera,
-        preprocess::{View, fit},
+        preprocess::{fit, view_cameras},
     },
     weights::Checkpoint,
 };
@@ -325,7 +325,8 @@ pub unsafe extern "C" fn zs_reconstruct(
             // SAFETY: the caller's pixels.
             views.push(fit(&unsafe { image.image(&format!("image {i}")) }?, width, height)?);
         }
-        let cameras = (!cameras.is_empty()).then(|| of_views(cameras, &views)).transpose()?;
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect();
+        let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let request = Request { ratio, selection, cameras };
         let progress = |now: Progress<'_>| report(options.progress, options.user_data, now.fraction, now.scope);
@@ -351,19 +352,6 @@ impl zs_reconstruct_options {
             other => Err(Failure::argument("selection", other, "a zs_selection")),
         }
     }
-}
-
-/// Cameras of whole photos as cameras of their views; the world becomes the first view's camera.
-fn of_views(cameras: &[zs_camera], views: &[View]) -> Result<Vec<Camera>, Failure> {
-    let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect();
-    for (i, camera) in cameras.iter().enumerate() {
-        camera.validate(&format!("camera {i}"))?;
-    }
-    let of_view = |(camera, view): (&Camera, &View)| {
-        let intrinsics = view.map.apply(&camera.intrinsics)?;
-        Ok(Camera { intrinsics, pose: camera.pose.relative_to(&cameras[0].pose) })
-    };
-    cameras.iter().zip(views).map(of_view).collect::<Result<_, Error>>().map_err(Failure::from)
 }
 
 /// Loads what `checkpoint` gives.

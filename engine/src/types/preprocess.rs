@@ -1,7 +1,7 @@
 //! Photos to the network's input size, as the reference does it: bit for bit on the inference path.
 
 use super::resample::{resize_bilinear, resize_lanczos};
-use super::{Image, Intrinsics};
+use super::{Camera, Image, Intrinsics};
 use crate::{Error, Result};
 
 /// Side of a patch in pixels: the network's input is a whole number of these.
@@ -64,6 +64,19 @@ impl PixelMap {
             cy: photo.cy * sy + y,
         })
     }
+}
+
+/// Cameras of whole photos as cameras of their views; the world becomes the first view's camera.
+///
+/// # Errors
+/// As [`Camera::validate`] and [`PixelMap::apply`].
+pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
+    let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
+        camera.validate(&format!("camera {i}"))?;
+        let intrinsics = view.map.apply(&camera.intrinsics)?;
+        Ok(Camera { intrinsics, pose: camera.pose.relative_to(&cameras[0].pose) })
+    };
+    cameras.iter().zip(views).enumerate().map(of_view).collect()
 }
 
 /// The inference path: centre crop to the aspect ratio of `width` x `height`, then Pillow's LANCZOS filter.

@@ -15,7 +15,7 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Model, Request, Shape},
-    types::{SceneFormat, WriteOptions, poses::read_poses, write_scene},
+    types::{SceneFormat, WriteOptions, poses::read_poses, preprocess::view_cameras, write_scene},
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -75,7 +75,7 @@ impl Reconstruct {
 
         let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
         let mut cameras =
-            photo_cameras.as_ref().map(|cameras| cameras::of_views(cameras, &views)).transpose()?.unwrap_or_default();
+            photo_cameras.as_ref().map(|cameras| view_cameras(cameras, &views)).transpose()?.unwrap_or_default();
         let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref()), &photo_cameras) {
             (None, Some(points), Some(photos)) => cameras::unit(points, &cameras, &photos[0].pose)?,
             (given, ..) => given.unwrap_or(1.0),
