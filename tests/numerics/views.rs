@@ -52,7 +52,6 @@ fn uniform_identical_and_noisy_views() {
 }
 
 #[test]
-#[ignore = "half a minute on a CPU"]
 fn the_most_views() {
     let images: Vec<Image> = (0..192).map(|i| noise(SIDE, SIDE, i)).collect();
     assert_sound("192 views", &reconstruct(model(), &images, &Request::default()), 192 * 16);

@@ -130,7 +130,7 @@ impl Problem {
         }
         let total: f64 = scores.iter().map(|[score, ..]| (score - highest).exp()).sum();
         let mut sums = vec![[0.0f64; 3]; self.dim];
-        let (mut kept, mut grown) = (0.0, 0.0);
+        let (mut kept, mut grown, mut lost) = (0.0, 0.0, 0.0);
         for (key, [score, size, key_sum]) in scores.iter().enumerate() {
             let below = highest - score;
             let exponent = relative * size + factors.tiny * (query_sum + 2.0 * key_sum) + U * below;
@@ -138,6 +138,8 @@ impl Problem {
             let (p, off) = ((-below).exp() / total, (exponent + allowance).exp_m1());
             kept += p * (-(exponent + allowance)).exp();
             grown += p * (1.0 + off);
+            // Of a weight that is flushed, all is lost.
+            lost += p.min((TINY + factors.tiny) / total);
             for ((sum, v), out) in sums.iter_mut().zip(of_head(v, key)).zip(out) {
                 *sum = [sum[0] + p * off * (v - out).abs(), sum[1].max((v - out).abs()), sum[2] + p * v.abs()];
             }
@@ -149,9 +151,12 @@ impl Problem {
             let carried = (moved / kept).min(range);
             // The weights, too, are those that were computed.
             let size = (size * grown / kept).min(out.abs() + range);
-            carried + summed * (size + out.abs() + carried) + (DIVISION + factors.unit) * (out.abs() + carried)
-                // Weights and products with them that are flushed; values that are.
-                + n as f64 * (TINY + factors.tiny / total) * (1.0 + range + out.abs()) + factors.tiny
+            carried
+                + summed * (size + out.abs() + carried)
+                + (DIVISION + factors.unit) * (out.abs() + carried)
+                + (2.0 * lost * range).min(range)
+                + n as f64 * TINY * (1.0 + range + out.abs())
+                + factors.tiny
         };
         sums.iter().zip(out).map(bound).collect()
     }
@@ -168,6 +173,8 @@ pub fn area() -> Area {
         let queries = if keys > 2_000 { 3 } else { 17 };
         add("random", Box::new(move || Problem::random(queries, keys, 64, 1.0)));
     }
+    // Workgroups of several subgroups, which wait for each other.
+    add("many queries", Box::new(|| Problem::random(600, 129, 64, 1.0)));
     for dim in [8, 48, 96, 128] {
         add(&format!("heads of {dim} channels"), Box::new(move || Problem::random(9, 70, dim, 1.0)));
     }

@@ -192,7 +192,7 @@ pub fn area() -> Area {
     for inner in [4, 68, 384, 588, 1536, 4096, 8192] {
         add("random", Problem::random(17, inner, 40));
     }
-    for (rows, columns) in [(0, 8), (1, 1), (33, 5), (16, 130)] {
+    for (rows, columns) in [(0, 8), (1, 1), (33, 5), (16, 130), (300, 264)] {
         add(&format!("{rows} rows, {columns} columns"), Problem::random(rows, 12, columns));
     }
     add("sums that cancel, condition 1e7", cancelling());
