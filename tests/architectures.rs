@@ -32,3 +32,19 @@ pub fn golden(name: &str) -> Architecture {
         _ => panic!("no golden is called {name}"),
     }
 }
+
+/// The smallest network that has every kind of parameter; its weights are those of the seed `pico`.
+pub fn pico() -> Architecture {
+    Architecture {
+        patch: 2,
+        position_grid: 3,
+        camera_depth: 1,
+        camera_heads: 2,
+        color_width: 8,
+        color_heads: 1,
+        color_hidden: 8,
+        head_hidden: 16,
+        gaussians_per_token: 2,
+        ..Architecture::new("pico", 16, 2, 1, &[0, 1])
+    }
+}

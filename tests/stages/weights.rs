@@ -11,7 +11,7 @@ use safetensors::tensor::{Metadata, TensorInfo};
 use serde_json::Value;
 use zipsplat::Error;
 use zipsplat::weights::{Architecture, Checkpoint, Dtype, convert};
-use zipsplat_tests::architectures::golden;
+use zipsplat_tests::architectures::{golden, pico};
 
 fn data(name: &str) -> Value {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name);
@@ -42,22 +42,6 @@ fn assert_same_bits(found: &Checkpoint, expected: &Checkpoint) {
     for name in expected.tensor_names() {
         let bits = |checkpoint| read(checkpoint, name).into_iter().map(f32::to_bits).collect::<Vec<u32>>();
         assert!(bits(found) == bits(expected), "{name}");
-    }
-}
-
-/// The smallest network that has every kind of parameter.
-fn pico() -> Architecture {
-    Architecture {
-        patch: 2,
-        position_grid: 3,
-        camera_depth: 1,
-        camera_heads: 2,
-        color_width: 8,
-        color_heads: 1,
-        color_hidden: 8,
-        head_hidden: 16,
-        gaussians_per_token: 2,
-        ..Architecture::new("pico", 16, 2, 1, &[0, 1])
     }
 }
 

@@ -6,7 +6,7 @@ mod seeds;
 
 use crate::Random;
 use mutate::mutated;
-use seeds::{LENS, pico};
+use seeds::LENS;
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     path::Path,
@@ -21,6 +21,7 @@ use zipsplat::{
     },
     weights::Checkpoint,
 };
+use zipsplat_tests::architectures::pico;
 
 /// A format: sound files, and what reads one from a folder.
 struct Parser {

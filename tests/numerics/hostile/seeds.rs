@@ -6,9 +6,9 @@ use std::io::{Cursor, Read, Write};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 use zipsplat::{
     types::{Camera, Intrinsics, Orbit, Scene, WriteOptions, poses::write_transforms, write_scene},
-    weights::{Architecture, Checkpoint, Dtype},
+    weights::{Checkpoint, Dtype},
 };
-use zipsplat_tests::scenes::random_scene;
+use zipsplat_tests::{architectures::pico, scenes::random_scene};
 
 pub const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 
@@ -96,22 +96,6 @@ pub fn colmap_images() -> Vec<u8> {
         out.extend([0; 24]);
     }
     out
-}
-
-/// The smallest network that is one.
-pub fn pico() -> Architecture {
-    Architecture {
-        patch: 2,
-        position_grid: 3,
-        camera_depth: 1,
-        camera_heads: 2,
-        color_width: 8,
-        color_heads: 1,
-        color_hidden: 8,
-        head_hidden: 16,
-        gaussians_per_token: 2,
-        ..Architecture::new("pico", 16, 2, 1, &[0, 1])
-    }
 }
 
 fn weights() -> Checkpoint {
