@@ -123,6 +123,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         if number("views") == 3.0 {
             let told = crate::zipsplat(&format!("{command} --json")).json();
             assert_eq!(told["gaussians"], point["gaussians"], "{command}");
+            assert_eq!(told["peak_bytes"], point["peak_bytes"], "{command}");
             let psnr = told["mean"]["psnr"].as_f64().expect("a number");
             assert!((psnr - number("psnr")).abs() < 1e-9, "{command}: {psnr} and {point}");
         }

@@ -12,6 +12,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
+    stages::render::{RenderRequest, Renderer},
     types::{
         Camera, Image,
         poses::{Frame, Poses, read_poses},
@@ -138,6 +139,17 @@ impl Capture {
             nearest_psnr: psnr(&near, &truth),
             mean_colour_psnr: psnr(&mean, &truth),
         }
+    }
+}
+
+impl Posed {
+    /// The scene that a renderer holds as the photo's camera sees it, `[height][width][rgb]` in 0..1.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`].
+    pub fn draw(&self, renderer: &mut Renderer) -> Result<Vec<f32>> {
+        let frame = renderer.render_loaded(&[self.camera], &RenderRequest::default())?.remove(0);
+        Ok(frame.rgb.unwrap_or_default().iter().map(|value| value.clamp(0.0, 1.0)).collect())
     }
 }
 

@@ -118,7 +118,7 @@ impl Quality {
 
     /// The size asked for, or the one that a network is best with.
     pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
-        self.size.unwrap_or(Size(checkpoint.picture_side(), checkpoint.picture_side()))
+        Size::or_best(self.size, checkpoint)
     }
 }
 
@@ -165,6 +165,13 @@ impl ArithmeticOption {
 /// Width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
+
+impl Size {
+    /// The size asked for, or the one that a network is best with.
+    pub fn or_best(asked: Option<Self>, checkpoint: &Checkpoint) -> Self {
+        asked.unwrap_or(Self(checkpoint.picture_side(), checkpoint.picture_side()))
+    }
+}
 
 impl FromStr for Size {
     type Err = String;

@@ -1,6 +1,7 @@
 //! Where results go: checked before any work, written whole or not at all.
 
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use serde::Serialize;
 use std::path::Path;
 use zipsplat::{Error, Result, types::write_atomic};
 
@@ -25,6 +26,20 @@ pub fn check_folder(path: &Path) -> Result<()> {
         return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
     }
     Ok(())
+}
+
+/// Writes rows as CSV (RFC 4180) under the names of their fields.
+pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
+    let table = csv(rows);
+    write_atomic(path, |out| out.write_all(table.as_bytes()))
+}
+
+/// Rows as CSV under the names of their fields, which are numbers, text or absent.
+pub fn csv(rows: &[impl Serialize]) -> String {
+    let mut table = csv::Writer::from_writer(Vec::new());
+    rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
+    let bytes = table.into_inner().expect("written to memory");
+    String::from_utf8(bytes).expect("fields are text")
 }
 
 /// Makes a folder for files, where there is none.

@@ -16,6 +16,10 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions},
+    ops::Arithmetic,
+    reconstruct::{Model, Reconstruction, Request},
+    types::Image,
+    weights::Checkpoint,
 };
 
 /// What takes no longer than this shows no progress.
@@ -92,6 +96,37 @@ impl<'a> Session<'a> {
         let value = result?;
         stage.check()?;
         Ok((value, start.elapsed()))
+    }
+
+    /// Loads weights, with progress.
+    ///
+    /// # Errors
+    /// As [`Model::load_with`].
+    pub fn load_model(
+        &self,
+        device: &Device,
+        checkpoint: &Checkpoint,
+        arithmetic: Arithmetic,
+    ) -> Result<(Model, Duration)> {
+        self.stage("load weights", |stage| Model::load_with(device, checkpoint, arithmetic, |done| stage.at(done)))
+    }
+
+    /// Reconstructs, with progress.
+    ///
+    /// # Errors
+    /// As [`Model::reconstruct`].
+    pub fn reconstruct(
+        &self,
+        model: &Model,
+        images: &[Image],
+        request: &Request,
+    ) -> Result<(Reconstruction, Duration)> {
+        self.stage("reconstruct", |stage| {
+            model.reconstruct(images, request, |progress| {
+                stage.name(progress.scope);
+                stage.at(progress.fraction)
+            })
+        })
     }
 
     /// Prints a command's result: `value` with `--json`, else `text` unless `--quiet`.

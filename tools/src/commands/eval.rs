@@ -9,12 +9,12 @@ use crate::{
 };
 use clap::Args;
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use zipsplat::{
     Result,
-    reconstruct::{Model, Request, Shape},
-    stages::render::{RenderRequest, Renderer},
-    types::{Image, WriteOptions, contact_sheet, write_atomic, write_scene},
+    reconstruct::{Request, Shape},
+    stages::render::Renderer,
+    types::{Image, WriteOptions, contact_sheet, write_scene},
 };
 
 /// Held-out photos in the picture.
@@ -68,27 +68,21 @@ impl Eval {
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
 
-        let (model, _) = session
-            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
+        let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let images = capture.images();
         let request = Request {
             ratio: self.quality.ratio,
             selection: self.quality.select.clone(),
             cameras: Some(capture.cameras()),
         };
-        let (mut result, took) = session.stage("reconstruct", |stage| {
-            model.reconstruct(&images, &request, |progress| {
-                stage.name(progress.scope);
-                stage.at(progress.fraction)
-            })
-        })?;
+        let (mut result, took) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         let mut renderer = Renderer::new(&device);
         renderer.load(&result.scene)?;
         let (drawn, _) = session.stage("compare", |stage| {
             let draw = |(i, view): (usize, &Posed)| {
                 stage.reach(i as f64 / capture.targets.len() as f64)?;
-                draw(&mut renderer, view)
+                view.draw(&mut renderer)
             };
             capture.targets.iter().enumerate().map(draw).collect::<Result<Vec<Vec<f32>>>>()
         })?;
@@ -96,7 +90,7 @@ impl Eval {
             capture.targets.par_iter().zip(&drawn).map(|(view, drawn)| capture.score(view, drawn)).collect();
 
         if let Some(path) = &self.csv {
-            write_csv(path, &scores)?;
+            outputs::save_csv(path, &scores)?;
         }
         if let Some(folder) = &self.output {
             outputs::make_folder(folder)?;
@@ -119,6 +113,7 @@ impl Eval {
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
+            "peak_bytes": result.peak_bytes,
             "mean": mean, "views": scores,
         });
         session.report(&json, text)
@@ -134,28 +129,6 @@ fn cells(score: &Score) -> [String; 5] {
         db(score.nearest_psnr),
         db(score.mean_colour_psnr),
     ]
-}
-
-fn write_csv(path: &Path, scores: &[Score]) -> Result<()> {
-    write_atomic(path, |out| {
-        writeln!(out, "view,psnr,ssim,nearest_psnr,mean_colour_psnr")?;
-        for Score { view, psnr, ssim, nearest_psnr, mean_colour_psnr } in scores {
-            // A name with commas or quotes is quoted, as RFC 4180 says.
-            let view = if view.contains([',', '"', '\n']) {
-                format!("\"{}\"", view.replace('"', "\"\""))
-            } else {
-                view.clone()
-            };
-            writeln!(out, "{view},{psnr:.4},{ssim:.5},{nearest_psnr:.4},{mean_colour_psnr:.4}")?;
-        }
-        Ok(())
-    })
-}
-
-/// A scene as a photo's camera sees it, `[height][width][rgb]` in 0..1.
-pub fn draw(renderer: &mut Renderer, view: &Posed) -> Result<Vec<f32>> {
-    let frame = renderer.render_loaded(&[view.camera], &RenderRequest::default())?.remove(0);
-    Ok(frame.rgb.unwrap_or_default().iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }
 
 /// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.

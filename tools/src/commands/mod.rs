@@ -3,7 +3,7 @@
 mod bench;
 mod convert;
 mod doctor;
-pub mod eval;
+mod eval;
 mod info;
 mod reconstruct;
 mod render;

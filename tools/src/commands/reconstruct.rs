@@ -14,7 +14,7 @@ use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
-    reconstruct::{MAX_VIEWS, Model, Request, Shape},
+    reconstruct::{MAX_VIEWS, Request, Shape},
     types::{SceneFormat, WriteOptions, poses::read_poses, preprocess::view_cameras, write_scene},
 };
 
@@ -82,16 +82,10 @@ impl Reconstruct {
         };
         cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let (model, load_weights) = session
-            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
+        let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
-        let (mut result, _) = session.stage("reconstruct", |stage| {
-            model.reconstruct(&images, &request, |progress| {
-                stage.name(progress.scope);
-                stage.at(progress.fraction)
-            })
-        })?;
+        let (mut result, _) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         result.scene.scale(unit as f32);
         let (_, write) =

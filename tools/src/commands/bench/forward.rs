@@ -32,9 +32,9 @@ pub struct Forward {
     /// Shares of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// Pixels of each view
-    #[arg(long, value_name = "WxH", default_value = "252x252")]
-    size: Size,
+    /// Pixels of each view [default: what the weights are best with]
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
     #[command(flatten)]
@@ -73,7 +73,8 @@ struct Row {
 impl Forward {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = self.weights.open()?;
-        let Size(width, height) = self.size;
+        let size = Size::or_best(self.size, &checkpoint);
+        let Size(width, height) = size;
         let requests: Vec<(usize, Request)> = (self.views.iter())
             .flat_map(|&views| self.ratio.iter().map(move |&ratio| (views, Request { ratio, ..Request::default() })))
             .collect();
@@ -82,8 +83,7 @@ impl Forward {
         }
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
-        let (model, _) = session
-            .stage("load weights", |stage| Model::load_with(&device, &checkpoint, arithmetic, |done| stage.at(done)))?;
+        let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
         let mut noise = Noise(0);
         let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
@@ -98,7 +98,7 @@ impl Forward {
         }
         if let Some(python) = &self.pytorch {
             let totals: Vec<Row> = rows.iter().filter(|row| row.stage.is_empty()).cloned().collect();
-            let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, &totals))?;
+            let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
             text += &compared.text;
             rows.extend(compared.rows);
         }
@@ -106,12 +106,12 @@ impl Forward {
     }
 
     /// PyTorch's times beside ours, `totals` in the order in which they were measured.
-    fn compare(&self, python: &Path, checkpoint: &Checkpoint, totals: &[Row]) -> Result<Compared> {
+    fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
         let ratios: Vec<f64> = totals.iter().map(|row| row.ratio).collect();
         let Repeats { warmup, repeats } = self.repeats;
         let times = [warmup, repeats];
         let found =
-            pytorch::forward(python, checkpoint.architecture(), &self.views, &ratios, &self.size.to_string(), times)?;
+            pytorch::forward(python, checkpoint.architecture(), &self.views, &ratios, &size.to_string(), times)?;
         let mut table =
             Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
         let mut rows = Vec::new();

@@ -4,6 +4,7 @@ use super::{Repeats, Spread, effects, group, gsplat, timed_device};
 use crate::{
     noise::{self, Noise},
     options::Size,
+    outputs,
     session::{Session, Stage},
     table::Table,
 };
@@ -104,7 +105,7 @@ impl Render {
             }
         }
         let text = match self.csv {
-            true => csv(&rows),
+            true => outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>()),
             false => format!("{}, copies {:.1} GB/s\n{}", device.limits().name, bandwidth / 1e9, table(&rows)),
         };
         session.report(&rows, text)
@@ -235,26 +236,41 @@ fn ratio(rows: &[Row], gsplat: &Row) -> f64 {
     ours.map_or(f64::NAN, |ours| ours.ms.median / gsplat.ms.median)
 }
 
-fn csv(rows: &[Row]) -> String {
-    let mut text = String::from(
-        "pass,gaussians,width,height,sh_degree,intersections,commands,ms_median,ms_min,ms_max,frames_per_s,bytes,bandwidth_share\n",
-    );
-    for row in rows {
-        let (bytes, share) = (row.bytes.map(|b| b.to_string()), row.bandwidth_share.map(|s| format!("{s:.4}")));
-        let case = [row.width, row.height, row.sh_degree].map(|number| number.to_string()).join(",");
-        text += &format!(
-            "{},{},{case},{},{},{:.4},{:.4},{:.4},{:.2},{},{}\n",
-            row.what,
-            row.gaussians,
-            row.intersections,
-            row.commands,
-            row.ms.median,
-            row.ms.min,
-            row.ms.max,
-            row.frames_per_s,
-            bytes.unwrap_or_default(),
-            share.unwrap_or_default()
-        );
+/// A row of `--csv`.
+#[derive(Serialize)]
+struct Line<'a> {
+    pass: &'a str,
+    gaussians: usize,
+    width: u32,
+    height: u32,
+    sh_degree: u32,
+    intersections: usize,
+    commands: u32,
+    ms_median: f64,
+    ms_min: f64,
+    ms_max: f64,
+    frames_per_s: f64,
+    bytes: Option<u64>,
+    bandwidth_share: Option<f64>,
+}
+
+impl<'a> From<&'a Row> for Line<'a> {
+    fn from(row: &'a Row) -> Self {
+        let Spread { median, min, max } = row.ms;
+        Self {
+            pass: &row.what,
+            gaussians: row.gaussians,
+            width: row.width,
+            height: row.height,
+            sh_degree: row.sh_degree,
+            intersections: row.intersections,
+            commands: row.commands,
+            ms_median: median,
+            ms_min: min,
+            ms_max: max,
+            frames_per_s: row.frames_per_s,
+            bytes: row.bytes,
+            bandwidth_share: row.bandwidth_share,
+        }
     }
-    text
 }

@@ -1,11 +1,12 @@
 //! The plots: those of the paper's figures 1, 8, 10, 11 and 12, with our numbers, and the front of time and PSNR.
 
 use super::{
-    point::{Point, front},
+    point::{Point, front, name},
     sweep::Sweep,
 };
 use crate::plot::{Axis, Scale, Series, plot};
 use std::collections::BTreeSet;
+use zipsplat::reconstruct::Selection;
 
 const fn linear(label: &str) -> Axis<'_> {
     Axis { label, scale: Scale::Linear }
@@ -26,7 +27,8 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let most = points.iter().map(|p| p.views).max().unwrap_or(0);
     let all = points.iter().map(|p| p.keep).max().unwrap_or(0);
     let full: Vec<&Point> = points.iter().filter(|p| p.keep == all).collect();
-    let kmeans = |p: &&Point| p.select == "all" || p.select == "kmeans:5";
+    let own = name(&Selection::KMEANS);
+    let kmeans = |p: &&Point| p.select == "all" || p.select == own;
     vec![
         ("What accuracy costs in time", pareto(points)),
         (

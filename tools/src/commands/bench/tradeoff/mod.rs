@@ -34,52 +34,51 @@ use zipsplat::{
 Writes tradeoff.html, one file that needs no other, and tradeoff.csv.")]
 pub struct Tradeoff {
     /// Folder with photos and their cameras: a transforms.json or a COLMAP model
-    pub folder: PathBuf,
+    folder: PathBuf,
     /// Numbers of photos to reconstruct from
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "2,4,8")]
-    pub views: Vec<usize>,
+    views: Vec<usize>,
     /// Shares of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,0.5,0.25,0.1,0.05",
         value_parser = parse_ratio)]
-    pub ratio: Vec<Ratio>,
+    ratio: Vec<Ratio>,
     /// How those tokens are chosen: kmeans[:ROUNDS], stride, random[:SEED]
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
-    pub select: Vec<Selection>,
+    select: Vec<Selection>,
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    pub keep: Option<Vec<usize>>,
+    keep: Option<Vec<usize>>,
     /// Arithmetics: exact, fast [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
-    pub precision: Option<Vec<PrecisionName>>,
+    precision: Option<Vec<PrecisionName>>,
     /// Photos to compare with, at most
     #[arg(long, value_name = "N", default_value = "6", value_parser = clap::value_parser!(u32).range(1..))]
-    pub targets: u32,
+    targets: u32,
     #[command(flatten)]
-    pub weights: Weights,
+    weights: Weights,
     /// Pixels that the network sees of each photo [default: what the weights are best with]
     #[arg(long, value_name = "WxH")]
-    pub size: Option<Size>,
+    size: Option<Size>,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
-    pub unit: Option<f64>,
+    unit: Option<f64>,
     /// Runs before those that are timed
     #[arg(long, value_name = "N", default_value = "1")]
-    pub warmup: u32,
+    warmup: u32,
     /// Runs that are timed
     #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u32).range(1..))]
-    pub repeats: u32,
+    repeats: u32,
     /// Folder for tradeoff.html and tradeoff.csv
     #[arg(long, short, value_name = "FOLDER")]
-    pub output: PathBuf,
+    output: PathBuf,
 }
 
 impl Tradeoff {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         outputs::check_folder(&self.output)?;
         let checkpoint = self.weights.open()?;
-        let side = checkpoint.picture_side();
-        let size = self.size.unwrap_or(Size(side, side));
+        let size = Size::or_best(self.size, &checkpoint);
         let choices: Vec<Choice> = (self.views.iter())
             .map(|views| Choice::new(&self.folder, *views, Some(self.targets as usize)))
             .collect::<Result<_>>()?;
@@ -95,7 +94,7 @@ impl Tradeoff {
         let (html, csv) = (self.output.join("tradeoff.html"), self.output.join("tradeoff.csv"));
         let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;
         write_atomic(&html, |out| out.write_all(page.as_bytes()))?;
-        write_atomic(&csv, |out| out.write_all(point::csv(&sweep.points).as_bytes()))?;
+        outputs::save_csv(&csv, &sweep.points)?;
         let front = point::front(&sweep.points).len();
         let text = format!(
             "{}: {} points, {front} of them on the front of time and PSNR\n{}: the same as a table",

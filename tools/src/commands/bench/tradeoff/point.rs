@@ -60,37 +60,6 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     order
 }
 
-/// The table with a heading.
-pub fn csv(points: &[Point]) -> String {
-    let mut text = String::from(
-        "views,precision,ratio,select,keep,tokens,gaussians,forward_ms,render_ms,peak_bytes,file_bytes,psnr,ssim,\
-         psnr_to_exact,views_per_cluster,command\n",
-    );
-    let or_empty = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.4}"));
-    for p in points {
-        text += &format!(
-            "{},{},{:.4},{},{},{},{},{:.3},{:.3},{},{},{:.4},{:.5},{},{},\"{}\"\n",
-            p.views,
-            p.precision,
-            p.ratio,
-            p.select,
-            p.keep,
-            p.tokens,
-            p.gaussians,
-            p.forward_ms,
-            p.render_ms,
-            p.peak_bytes,
-            p.file_bytes,
-            p.psnr,
-            p.ssim,
-            or_empty(p.psnr_to_exact),
-            or_empty(p.views_per_cluster),
-            p.command.replace('"', "\"\"")
-        );
-    }
-    text
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
@@ -128,7 +97,7 @@ pub(super) mod tests {
 
     #[test]
     fn the_table_has_a_row_a_point() {
-        let table = csv(&[point(1.0, 2.0), point(3.0, 4.0)]);
+        let table = crate::outputs::csv(&[point(1.0, 2.0), point(3.0, 4.0)]);
         let lines: Vec<&str> = table.lines().collect();
         assert_eq!(lines.len(), 3);
         let columns = lines[0].split(',').count();

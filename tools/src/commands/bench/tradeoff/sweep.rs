@@ -6,10 +6,10 @@ use super::{
 };
 use crate::{
     capture::{Capture, Score},
-    commands::{bench::Spread, eval::draw},
+    commands::bench::Spread,
     metrics::psnr,
     options::Size,
-    session::{Session, Stage},
+    session::Session,
 };
 use std::{
     collections::HashMap,
@@ -26,12 +26,15 @@ use zipsplat::{
 };
 
 /// What a sweep gave.
+#[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
     /// Time of each stage with every token, for each number of views.
     pub stages: Vec<(usize, StageTimes)>,
     /// For the most views and all Gaussians: what each precision and ratio drew in place of the first photo.
     pub pictures: Vec<(String, Image)>,
+    /// Pictures of `exact`, which those of others are compared with, by number of views, settings and Gaussians kept.
+    drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
 }
 
 /// A reconstruction that is to be measured.
@@ -70,21 +73,19 @@ pub fn run(
     arithmetics: &[(Precision, Arithmetic)],
     captures: &[Capture],
 ) -> Result<Sweep> {
-    let mut sweep = Sweep { points: Vec::new(), stages: Vec::new(), pictures: Vec::new() };
+    let mut sweep = Sweep::default();
     let mut renderer = Renderer::new(device);
     let all = checkpoint.architecture().gaussians_per_token;
     let keep = args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]);
-    let mut drawn_exactly = HashMap::new();
     for (precision, arithmetic) in arithmetics {
-        let load = |stage: &Stage<'_>| Model::load_with(device, checkpoint, *arithmetic, |done| stage.at(done));
-        let (model, _) = session.stage("load weights", load)?;
+        let (model, _) = session.load_model(device, checkpoint, *arithmetic)?;
         let cases = cases(args, &model, precision.name(), captures)?;
         for case in &cases {
             let label = format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings);
             session.stage(&label, |stage| {
                 let points = cases.len() * keep.len() * arithmetics.len();
                 stage.reach(sweep.points.len() as f64 / points as f64)?;
-                measure(args, &model, &mut renderer, case, &keep, &mut sweep, &mut drawn_exactly)
+                measure(args, &model, &mut renderer, case, &keep, &mut sweep)
             })?;
         }
     }
@@ -99,14 +100,11 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
             for selection in &args.select {
                 let request = Request { ratio, selection: selection.clone(), cameras: Some(capture.cameras()) };
                 let shape = model.shape(&capture.images(), &request)?;
-                let views = capture.inputs.len();
-                if cases.iter().any(|case| {
-                    case.capture.inputs.len() == views && case.shape == shape && case.request.selection == *selection
-                        || case.shape == shape && shape.kept == Kept::All
-                }) {
+                let whole = shape.kept == Kept::All;
+                let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
+                if cases.iter().any(same) {
                     continue;
                 }
-                let whole = shape.kept == Kept::All;
                 let select = if whole { "all".into() } else { name(selection) };
                 let ratio = match ratio {
                     Ratio::Auto => "auto".into(),
@@ -128,10 +126,9 @@ fn measure(
     case: &Case<'_>,
     keep: &[usize],
     sweep: &mut Sweep,
-    drawn_exactly: &mut HashMap<(usize, String, usize), Vec<f32>>,
 ) -> Result<()> {
     let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
-    let (plan, tensors) = model.record(shape, true)?;
+    let (plan, tensors) = model.record(shape, false)?;
     let peak_bytes = plan.arena_bytes() + model.weight_bytes();
     let mut run = model.run(plan)?;
     let mut times = Vec::new();
@@ -147,10 +144,7 @@ fn measure(
     if shape.kept == Kept::All && case.precision == "exact" {
         sweep.stages.push((capture.inputs.len(), stages));
     }
-    let views_per_cluster = match run.observed().iter().find(|(name, _)| name == "assign") {
-        Some((_, assigned)) => Some(views_per_cluster(&run.read(*assigned)?, shape)),
-        None => None,
-    };
+    let views_per_cluster = views_per_cluster(model, case, &images)?;
     let whole = tensors.read(&run, model.architecture().sh_degree as u32)?;
     for &keep in keep.iter().filter(|keep| **keep <= model.architecture().gaussians_per_token) {
         let mut scene = whole.clone();
@@ -158,9 +152,9 @@ fn measure(
         let drawn = compare(renderer, &scene, capture)?;
         let key = (capture.inputs.len(), case.settings.clone(), keep);
         let pixels = drawn.pictures.concat();
-        let psnr_to_exact = drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
+        let psnr_to_exact = sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
         if case.precision == Precision::Exact.name() {
-            drawn_exactly.insert(key, pixels);
+            sweep.drawn_exactly.insert(key, pixels);
         }
         if keep == model.architecture().gaussians_per_token
             && capture.inputs.len() == args.views.iter().copied().max().unwrap_or(0)
@@ -206,11 +200,11 @@ struct Drawn {
 fn compare(renderer: &mut Renderer, scene: &Scene, capture: &Capture) -> Result<Drawn> {
     renderer.load(scene)?;
     // The first picture of a scene also builds the plan.
-    draw(renderer, &capture.targets[0])?;
+    capture.targets[0].draw(renderer)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
     for view in &capture.targets {
         let start = Instant::now();
-        pictures.push(draw(renderer, view)?);
+        pictures.push(view.draw(renderer)?);
         times.push(start.elapsed());
     }
     let scores: Vec<Score> = capture.targets.iter().zip(&pictures).map(|(v, drawn)| capture.score(v, drawn)).collect();
@@ -225,15 +219,26 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
     Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
 }
 
-/// Mean over clusters of the number of views that their tokens come from.
-fn views_per_cluster(cluster_of_token: &[u32], shape: Shape) -> f64 {
-    let mut seen: Vec<(u32, usize)> =
-        cluster_of_token.iter().enumerate().map(|(token, cluster)| (*cluster, token / shape.grid.patches())).collect();
+/// Mean over clusters of the number of views that their tokens come from; nothing where nothing is clustered. A run of its
+/// own: what is observed takes memory and time that a reconstruction does not.
+fn views_per_cluster(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<Option<f64>> {
+    let Kept::Kmeans(_) = case.shape.kept else { return Ok(None) };
+    let (plan, tensors) = model.record(case.shape, true)?;
+    let mut run = model.run(plan)?;
+    model.write_inputs(&mut run, &tensors, case.shape, images, &case.request)?;
+    run.execute()?;
+    let assigned = run.observed().iter().find(|(name, _)| name == "assign").map(|(_, tensor)| *tensor);
+    let cluster_of_token: Vec<u32> = run.read(assigned.expect("clustering observes it"))?;
+    let mut seen: Vec<(u32, usize)> = cluster_of_token
+        .iter()
+        .enumerate()
+        .map(|(token, cluster)| (*cluster, token / case.shape.grid.patches()))
+        .collect();
     seen.sort_unstable();
     seen.dedup();
     let pairs = seen.len();
     seen.dedup_by_key(|(cluster, _)| *cluster);
-    pairs as f64 / seen.len().max(1) as f64
+    Ok(Some(pairs as f64 / seen.len().max(1) as f64))
 }
 
 fn command(args: &Tradeoff, case: &Case<'_>, keep: usize) -> String {
