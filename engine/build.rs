@@ -6,6 +6,8 @@
 
 #[path = "build/codegen.rs"]
 mod codegen;
+#[path = "build/elements.rs"]
+mod elements;
 #[path = "build/reflect.rs"]
 mod reflect;
 #[path = "build/sources.rs"]

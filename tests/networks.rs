@@ -2,14 +2,23 @@
 
 use crate::{architectures, device::device, golden::Golden};
 use std::ops::ControlFlow;
-use zipsplat::{ops::Arithmetic, reconstruct::Model, types::Image, weights::Checkpoint};
+use zipsplat::{
+    ops::{Arithmetic, Precision},
+    reconstruct::Model,
+    types::Image,
+    weights::Checkpoint,
+};
 
-/// Arithmetics with f16 that the device has: on matrix units and without.
-pub fn half_arithmetics() -> Vec<Arithmetic> {
-    let mut found: Vec<_> = Arithmetic::fast(device().limits()).into_iter().collect();
-    found.extend(found.first().map(|fast| Arithmetic { linear: None, attention: None, ..*fast }));
-    found.dedup();
-    found
+/// Arithmetics that the device has beside f32: on matrix units and, where it can do without, on lanes.
+pub fn fast_arithmetics() -> Vec<Arithmetic> {
+    let fast = [Precision::Fast, Precision::FastBf16, Precision::Turbo];
+    let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
+    let on_lanes = |a: &Arithmetic| a.quantised.is_none() && (a.linear.is_some() || a.attention.is_some());
+    let twice = |a: Arithmetic| {
+        let lanes = on_lanes(&a).then_some(Arithmetic { linear: None, attention: None, ..a });
+        [Some(a), lanes].into_iter().flatten()
+    };
+    found.flat_map(twice).collect()
 }
 
 /// A model of generated weights, as the goldens use.

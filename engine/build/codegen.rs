@@ -1,6 +1,7 @@
 //! The Rust side of the kernel table.
 
 use crate::{
+    elements::Element,
     reflect::{COOPERATIVE_MATRIX, Interface, STORAGE_BUFFER_16_BIT, Scalar},
     sources::Source,
 };
@@ -48,13 +49,10 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)], plai
         "kernels/{name}.comp: elements change its interface"
     );
     let mut members = fields(interface).0;
-    let mut index = String::new();
-    for element in source.elements.iter().map(|e| e.to_lowercase()) {
-        writeln!(members, "        pub {element}: Element,").expect("string");
-        let outer = if index.is_empty() { index } else { format!("2 * ({index}) + ") };
-        index = format!("{outer}self.{element} as usize");
+    for (element, _) in &source.elements {
+        writeln!(members, "        pub {}: Element,", element.to_lowercase()).expect("string");
     }
-    let index = if index.is_empty() { "0".into() } else { index };
+    let index = module_index(modules);
     let mut push = String::new();
     for m in &interface.push {
         let (a, b) = (m.offset / 4, m.offset / 4 + m.count);
@@ -107,6 +105,24 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)], plai
     )
 }
 
+/// The expression that finds the module of a call's element types.
+fn module_index(modules: &[(&Source, Interface)]) -> String {
+    let elements = &modules[0].0.elements;
+    if elements.is_empty() {
+        return "0".into();
+    }
+    let tuple = |of: &dyn Fn(&(String, Element)) -> String, elements: &[(String, Element)]| {
+        format!("({},)", elements.iter().map(of).collect::<Vec<_>>().join(", "))
+    };
+    let mut arms = String::new();
+    for (index, (source, _)) in modules.iter().enumerate() {
+        let choice = tuple(&|(_, element)| format!("Element::{element:?}"), &source.elements);
+        write!(arms, "{choice} => {index}, ").expect("string");
+    }
+    let found = tuple(&|(name, _)| format!("self.{}", name.to_lowercase()), elements);
+    format!("match {found} {{ {arms}types => panic!(\"no module for {{types:?}}\") }}")
+}
+
 /// Buffers, push constants and specialisation constants as members of a kernel's struct.
 fn fields(interface: &Interface) -> String {
     let mut fields = String::new();
@@ -144,7 +160,9 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     };
     let spirv = root.join(format!("spirv/{name}.spv"));
     let spirv = spirv.display();
-    let (half, matrices) = (interface.has(STORAGE_BUFFER_16_BIT), interface.has(COOPERATIVE_MATRIX));
+    let half = interface.has(STORAGE_BUFFER_16_BIT);
+    let factor = source.factor().filter(|_| interface.has(COOPERATIVE_MATRIX));
+    let matrices = factor.map_or("None".into(), |factor| format!("Some(Element::{factor:?})"));
     format!(
         "Module {{
             name: {name:?},

@@ -1,5 +1,6 @@
 //! Kernel sources, their hashes, and the committed SPIR-V.
 
+use crate::elements::{self, Element};
 use sha2::{Digest, Sha256};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -7,23 +8,27 @@ use std::{
     path::Path,
 };
 
-/// One `.comp` file for one choice of its element types.
-///
-/// A line `#pragma element T` makes the type `T` of some buffers' values f32 in one module and f16 in another. It stands for
-/// the macros `T`, `T4` (four of them), and `to_T(x)` and `to_T4(x)`, which saturate at f16's largest value.
+/// One `.comp` file for one choice of its element types, see `elements.rs`.
 pub struct Source {
     /// Path below `kernels/` without its extension, for example `render/project`.
     pub kernel: String,
     /// That, followed by the element types where one of them is not f32: `ops/layer_norm_f16`.
     pub name: String,
-    /// Names of the element types.
-    pub elements: Vec<String>,
+    /// Names of the element types, and which they are here.
+    pub elements: Vec<(String, Element)>,
     /// The text with every include in place.
     #[cfg_attr(not(feature = "compile-kernels"), allow(dead_code))]
     pub text: String,
     /// First sentence of the header comment.
     pub summary: String,
     hash: String,
+}
+
+impl Source {
+    /// Type of the factors of its matrices.
+    pub fn factor(&self) -> Option<Element> {
+        self.elements.iter().find(|(name, _)| name == elements::FACTOR).map(|(_, element)| *element)
+    }
 }
 
 /// Ends the names of variants of kernels from which the code of every effect was taken: their constants that are marked
@@ -112,7 +117,7 @@ fn remove_orphans(root: &Path, kernels: &[Source]) {
     }
 }
 
-/// A kernel's modules; the types of the first element change slowest, f32 before f16.
+/// A kernel's modules, the plainest first.
 fn load(root: &Path, kernel: String) -> Vec<Source> {
     let text = with_includes(root, &format!("{kernel}.comp"), &mut BTreeSet::new());
     let summary = text
@@ -122,16 +127,15 @@ fn load(root: &Path, kernel: String) -> Vec<Source> {
         .take_while(|l| !l.is_empty())
         .collect::<Vec<_>>()
         .join(" ");
-    let elements: Vec<String> = text.lines().filter_map(|l| l.strip_prefix(ELEMENT)).map(String::from).collect();
-    let module = |choice: usize| {
-        let is_half = |element: usize| choice >> (elements.len() - 1 - element) & 1 == 1;
-        let types: String = (0..elements.len()).map(|e| if is_half(e) { "_f16" } else { "_f32" }).collect();
-        let name = if choice == 0 { kernel.clone() } else { format!("{kernel}{types}") };
-        let text = with_elements(&text, &elements, is_half);
+    let module = |elements: Vec<(String, Element)>| {
+        let is_plain = elements.iter().all(|(_, element)| *element == Element::F32);
+        let types: String = elements.iter().map(|(_, element)| format!("_{}", element.name())).collect();
+        let name = if is_plain { kernel.clone() } else { format!("{kernel}{types}") };
+        let text = elements::defined(&text, &elements);
         let hash = hash(&text);
-        Source { kernel: kernel.clone(), name, elements: elements.clone(), text, summary: summary.clone(), hash }
+        Source { kernel: kernel.clone(), name, elements, text, summary: summary.clone(), hash }
     };
-    let mut modules: Vec<Source> = (0..1 << elements.len()).map(module).collect();
+    let mut modules: Vec<Source> = elements::choices(&text).into_iter().map(module).collect();
     modules.extend(plain(&modules[0]));
     modules
 }
@@ -159,32 +163,6 @@ fn plain(source: &Source) -> Option<Source> {
 
 fn hash(text: &str) -> String {
     Sha256::digest(text).iter().map(|b| format!("{b:02x}")).collect()
-}
-
-/// Begins the line that names an element type.
-const ELEMENT: &str = "#pragma element ";
-
-/// `text` with the macros of its element types.
-fn with_elements(text: &str, elements: &[String], is_half: impl Fn(usize) -> bool) -> String {
-    let mut out = String::new();
-    for line in text.lines() {
-        let Some(t) = line.strip_prefix(ELEMENT) else {
-            out += &format!("{line}\n");
-            continue;
-        };
-        let element = elements.iter().position(|e| e == t).expect("found in this text");
-        out += &match is_half(element) {
-            true => format!(
-                "#extension GL_EXT_shader_16bit_storage : require\n#define {t} float16_t\n#define {t}4 f16vec4\n\
-                 #define to_{t}(x) float16_t(clamp(x, -65504.0, 65504.0))\n\
-                 #define to_{t}4(x) f16vec4(clamp(x, -65504.0, 65504.0))\n"
-            ),
-            false => {
-                format!("#define {t} float\n#define {t}4 vec4\n#define to_{t}(x) (x)\n#define to_{t}4(x) (x)\n")
-            }
-        };
-    }
-    out
 }
 
 /// Resolves each `#include "shared/x.glsl"` below `root` once, keeping line numbers of the outer file.

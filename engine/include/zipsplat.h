@@ -154,6 +154,11 @@ enum zs_precision
     ZS_PRECISION_EXACT = 1,
     // f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
     ZS_PRECISION_FAST = 2,
+    // bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
+    ZS_PRECISION_FAST_BF16 = 3,
+    // As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks. Refused where the device has no matrix units
+    // for 8-bit integers, or fails the test.
+    ZS_PRECISION_TURBO = 4,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -364,7 +369,7 @@ typedef struct zs_model_info {
     uint32_t gaussians_per_token;
     // Highest band of spherical harmonics of its scenes.
     uint32_t sh_degree;
-    // Number formats in use: ZS_PRECISION_EXACT or ZS_PRECISION_FAST.
+    // Number formats in use: a zs_precision other than ZS_PRECISION_BEST.
     zs_precision precision;
     // Bytes of its weights on the device.
     uint64_t weight_bytes;

@@ -25,5 +25,5 @@ void main() {
         return;
     }
     uint at = i / width * 2 * width + i % width;
-    result[i] = 0.5 * (float(halves[at]) + float(halves[at + width]));
+    result[i] = 0.5 * (from_INPUT(halves[at]) + from_INPUT(halves[at + width]));
 }

@@ -71,12 +71,12 @@ void main() {
         }
         for (uint c = 0; c < quads; c++) {
             uint at = k_at + 4 * c * key_quads;
-            vec4 k0 = vec4(k[at]);
-            vec4 k1 = vec4(k[at + key_quads]);
-            vec4 k2 = vec4(k[at + 2 * key_quads]);
-            vec4 k3 = vec4(k[at + 3 * key_quads]);
+            vec4 k0 = from_ELEMENT4(k[at]);
+            vec4 k1 = from_ELEMENT4(k[at + key_quads]);
+            vec4 k2 = from_ELEMENT4(k[at + 2 * key_quads]);
+            vec4 k3 = from_ELEMENT4(k[at + 3 * key_quads]);
             [[unroll]] for (uint r = 0; r < ROWS; r++) {
-                vec4 x = vec4(q[q_at[r] + c]);
+                vec4 x = from_ELEMENT4(q[q_at[r] + c]);
                 score[r] += x.x * k0;
                 score[r] += x.y * k1;
                 score[r] += x.z * k2;
@@ -105,10 +105,10 @@ void main() {
             uint key = 4 * (tile + j);
             [[unroll]] for (uint c = 0; c < VECTORS; c++) {
                 uint channel = min(lane + c * lanes, quads - 1);
-                vec4 v0 = vec4(v[v_base + key * quads + channel]);
-                vec4 v1 = vec4(v[v_base + min(key + 1, keys - 1) * quads + channel]);
-                vec4 v2 = vec4(v[v_base + min(key + 2, keys - 1) * quads + channel]);
-                vec4 v3 = vec4(v[v_base + min(key + 3, keys - 1) * quads + channel]);
+                vec4 v0 = from_ELEMENT4(v[v_base + key * quads + channel]);
+                vec4 v1 = from_ELEMENT4(v[v_base + min(key + 1, keys - 1) * quads + channel]);
+                vec4 v2 = from_ELEMENT4(v[v_base + min(key + 2, keys - 1) * quads + channel]);
+                vec4 v3 = from_ELEMENT4(v[v_base + min(key + 3, keys - 1) * quads + channel]);
                 [[unroll]] for (uint r = 0; r < ROWS; r++) {
                     vec4 w = weights[r][j];
                     sum[r][c] += w.x * v0;

@@ -1,13 +1,14 @@
 // Softmax attention of one head over one sequence on matrix units, with a running maximum (FlashAttention-2, Dao 2023).
 //
-// Q       [heads, sequences * queries, CHANNELS] f16, already scaled by 1 / sqrt(head size); readable a workgroup beyond its end
-// K, V    [heads, sequences * keys, CHANNELS] f16; channels past the head's size are zeros
-// Out     [sequences * queries, heads * dim] f16, saturated
+// Q       [heads, sequences * queries, CHANNELS] FACTOR, already scaled by 1 / sqrt(head size); readable a workgroup beyond its end
+// K, V    [heads, sequences * keys, CHANNELS] FACTOR; channels past the head's size are zeros
+// Out     [sequences * queries, heads * dim] FACTOR, saturated
 //
 // One workgroup owns SUBGROUPS * ROWS queries of a head, each subgroup ROWS of them. Keys and values pass through shared
 // memory TILE at a time; so do the scores, since only there a row of a matrix can be told from another. Scores, softmax and
 // sums are f32. Memory is linear in tokens.
 #version 460
+#pragma factor f16 bf16
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_vote : require
 #include "shared/matrices.glsl"
@@ -32,7 +33,7 @@ const uint SCORE_STRIDE = TILE / 4 + 1;
 layout(set = 0, binding = 0) readonly buffer Q { uvec4 q[]; };
 layout(set = 0, binding = 1) readonly buffer K { uvec4 k[]; };
 layout(set = 0, binding = 2) readonly buffer V { uvec4 v[]; };
-layout(set = 0, binding = 3) writeonly buffer Out { f16vec4 result[]; };
+layout(set = 0, binding = 3) writeonly buffer Out { FACTOR4 result[]; };
 
 layout(push_constant) uniform Push {
     uint queries;
@@ -74,7 +75,7 @@ void stage() {
 void scale_sums(uint scores) {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         Sums factor;
-        coopMatLoad(factor, staged, scores + m * MATRIX_M * SCORE_STRIDE + FACTOR, SCORE_STRIDE, ROW_MAJOR);
+        coopMatLoad(factor, staged, scores + m * MATRIX_M * SCORE_STRIDE + RESCALE, SCORE_STRIDE, ROW_MAJOR);
         [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
             sums[m * BLOCKS + n] = sums[m * BLOCKS + n] * factor;
         }
@@ -95,7 +96,7 @@ void main() {
             coopMatLoad(query[m * STEPS + c], q, at + c * MATRIX_K / 8, PIECES, ROW_MAJOR);
         }
         [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
-            sums[m * BLOCKS + n] = Sums(0.0);
+            sums[m * BLOCKS + n] = Sums(0);
         }
     }
     softmax_begin();
@@ -111,7 +112,7 @@ void main() {
         [[unroll]] for (uint n = 0; n < TILE / MATRIX_N; n++) {
             Sums score[REPEAT_M];
             [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                score[m] = Sums(0.0);
+                score[m] = Sums(0);
             }
             [[unroll]] for (uint c = 0; c < STEPS; c++) {
                 Right key;
@@ -168,8 +169,7 @@ void main() {
             if (first_query + row < queries && channel < dim) {
                 uint query_row = gl_WorkGroupID.z * queries + first_query + row;
                 vec4 value = uintBitsToFloat(staged[scores + row * SCORE_STRIDE + quad]);
-                result[((query_row * heads + gl_WorkGroupID.y) * dim + channel) / 4] =
-                    f16vec4(clamp(value, -65504.0, 65504.0));
+                result[((query_row * heads + gl_WorkGroupID.y) * dim + channel) / 4] = to_FACTOR4(value);
             }
         }
     }

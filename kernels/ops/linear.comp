@@ -5,7 +5,7 @@
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; f16 saturates
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
 //
 // One workgroup (a subgroup) owns ROWS rows of 4 columns a lane; A is read at addresses that are uniform over the
 // subgroup, so nothing passes through shared memory.
@@ -70,12 +70,12 @@ void main() {
     }
     for (uint k = 0; k < quads_inner; k++) {
         uint at = weight_at + 4 * k * panel_quads;
-        vec4 b0 = vec4(weight[at]);
-        vec4 b1 = vec4(weight[at + panel_quads]);
-        vec4 b2 = vec4(weight[at + 2 * panel_quads]);
-        vec4 b3 = vec4(weight[at + 3 * panel_quads]);
+        vec4 b0 = from_INPUT4(weight[at]);
+        vec4 b1 = from_INPUT4(weight[at + panel_quads]);
+        vec4 b2 = from_INPUT4(weight[at + 2 * panel_quads]);
+        vec4 b3 = from_INPUT4(weight[at + 3 * panel_quads]);
         [[unroll]] for (uint r = 0; r < ROWS; r++) {
-            vec4 x = vec4(a[row_at[r] + k]);
+            vec4 x = from_INPUT4(a[row_at[r] + k]);
             sum[r] += x.x * b0;
             sum[r] += x.y * b1;
             sum[r] += x.z * b2;

@@ -1,15 +1,17 @@
 // Linear layer with its epilogue on matrix units: out = residual + gamma * activation(a * weight + bias).
 //
-// A         [rows, inner] f16, inner a multiple of 8
-// Weight    [columns, inner] f16, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate)
+// A         [rows, inner] FACTOR, inner a multiple of 8
+// Weight    [columns, inner] FACTOR, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate)
+// RowScales, ColumnScales  [rows], [columns] f32: what 1 stands for in a row of A or Weight; read where FACTOR is i8
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; f16 saturates
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
 //
 // One workgroup owns TILE_M rows of TILE_N columns, each of its subgroups REPEAT_M x REPEAT_N matrices of them. Tiles of A
-// and Weight pass through shared memory twice TILE_K deep: while one is multiplied, the next is on its way. Sums are f32.
+// and Weight pass through shared memory twice TILE_K deep: while one is multiplied, the next is on its way.
 #version 460
+#pragma factor f16 bf16 i8
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
 #include "shared/matrices.glsl"
@@ -29,11 +31,11 @@ const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
 const uint TILE_M = SUBGROUPS / SUBGROUPS_N * SUBGROUP_M;
 const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
-// Shared memory in 16 bytes; rows are one longer than they need, so that a matrix's rows lie in different banks.
+// Shared memory in pieces; rows are one longer than they need, so that a matrix's rows lie in different banks.
 const uint PIECES = TILE_K / 8;
 const uint STRIDE = PIECES + 1;
 const uint STAGE = (TILE_M + TILE_N) * STRIDE;
-const uint STRIP_STRIDE = SUBGROUP_N / 4 + 1;
+const uint STRIP_STRIDE = SUBGROUP_N / 4 * QUAD + 1;
 const uint STRIP = MATRIX_M * STRIP_STRIDE; // a row of a subgroup's matrices, as the epilogue reads it
 const uint SHARED = 2 * STAGE > SUBGROUPS * STRIP ? 2 * STAGE : SUBGROUPS * STRIP;
 const uint THREADS = gl_WorkGroupSize.x;
@@ -42,12 +44,14 @@ const uint W_LOADS = (TILE_N * PIECES + THREADS - 1) / THREADS;
 // Quads of sums that become one quad of results.
 const uint MERGED = ACTIVATION == 2 ? 2 : 1;
 
-layout(set = 0, binding = 0) readonly buffer A { uvec4 a[]; };
-layout(set = 0, binding = 1) readonly buffer Weight { uvec4 weight[]; };
+layout(set = 0, binding = 0) readonly buffer A { Piece a[]; };
+layout(set = 0, binding = 1) readonly buffer Weight { Piece weight[]; };
 layout(set = 0, binding = 2) readonly buffer Bias { vec4 bias[]; };
 layout(set = 0, binding = 3) readonly buffer Gamma { vec4 gamma[]; };
 layout(set = 0, binding = 4) readonly buffer Residual { vec4 residual[]; };
 layout(set = 0, binding = 5) buffer Out { OUTPUT4 result[]; };
+layout(set = 0, binding = 6) readonly buffer RowScales { float row_scales[]; };
+layout(set = 0, binding = 7) readonly buffer ColumnScales { vec4 column_scales[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -55,10 +59,10 @@ layout(push_constant) uniform Push {
     uint columns;
 };
 
-shared uvec4 staged[SHARED];
+shared Piece staged[SHARED];
 
-uvec4 next_a[A_LOADS];
-uvec4 next_weight[W_LOADS];
+Piece next_a[A_LOADS];
+Piece next_weight[W_LOADS];
 
 // Rows and columns past the last repeat it, since their results go nowhere; sums past `inner` are of zeros.
 void load(uint first_row, uint first_column, uint tile) {
@@ -67,13 +71,13 @@ void load(uint first_row, uint first_column, uint tile) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
         uint k = tile * PIECES + at % PIECES;
         uint row = min(first_row + at / PIECES, rows - 1);
-        next_a[i] = k < pieces ? a[row * pieces + k] : uvec4(0);
+        next_a[i] = k < pieces ? a[row * pieces + k] : Piece(0);
     }
     [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
         uint k = tile * PIECES + at % PIECES;
         uint column = min(first_column + at / PIECES, columns - 1);
-        next_weight[i] = k < pieces ? weight[column * pieces + k] : uvec4(0);
+        next_weight[i] = k < pieces ? weight[column * pieces + k] : Piece(0);
     }
 }
 
@@ -92,14 +96,24 @@ void stage(uint base) {
     }
 }
 
-// The quad of results whose first sums are `quad` of the strip's row at `strip`; `column` counts quads of all columns.
+// Four sums of a row at `at` of the strip, with their bias; `column` counts quads of all columns.
+vec4 sums_at(uint at, uint row, uint column) {
+#if FACTOR_IS_I8
+    vec4 sum = vec4(ivec4(staged[at], staged[at + 1])) * (row_scales[row] * column_scales[column]);
+#else
+    vec4 sum = uintBitsToFloat(staged[at]);
+#endif
+    return sum + bias[column];
+}
+
+// The quad of results whose first sums are `quad` of the strip's row at `strip`.
 void finish(uint strip, uint quad, uint row, uint column) {
-    vec4 v = uintBitsToFloat(staged[strip + quad]) + bias[column];
+    vec4 v = sums_at(strip + quad * QUAD, row, column);
     if (ACTIVATION == 1) {
         v = vec4(gelu(v.x), gelu(v.y), gelu(v.z), gelu(v.w));
     }
     if (ACTIVATION == 2) {
-        vec4 w = uintBitsToFloat(staged[strip + quad + 1]) + bias[column + 1];
+        vec4 w = sums_at(strip + (quad + 1) * QUAD, row, column + 1);
         v = vec4(silu(v.x) * v.y, silu(v.z) * v.w, silu(w.x) * w.y, silu(w.z) * w.w);
     }
     if (SCALE) {
@@ -120,7 +134,7 @@ void main() {
 
     Sums sums[REPEAT_M * REPEAT_N];
     [[unroll]] for (uint i = 0; i < REPEAT_M * REPEAT_N; i++) {
-        sums[i] = Sums(0.0);
+        sums[i] = Sums(0);
     }
 
     uint tiles = (inner + TILE_K - 1) / TILE_K;
@@ -157,7 +171,7 @@ void main() {
     const uint quads = SUBGROUP_N / 4 / MERGED;
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         [[unroll]] for (uint n = 0; n < REPEAT_N; n++) {
-            uint at = strip + n * MATRIX_N / 4;
+            uint at = strip + n * MATRIX_N / 4 * QUAD;
             coopMatStore(sums[m * REPEAT_N + n], staged, at, STRIP_STRIDE, ROW_MAJOR);
         }
         subgroupBarrier();

@@ -77,12 +77,12 @@ void main() {
     if (NORM) {
         float sum = 0.0;
         for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
-            sum += float(projection[from + c]);
+            sum += from_ELEMENT(projection[from + c]);
         }
         mean = subgroupAdd(sum) / float(dim);
         vec2 sums = vec2(0.0);
         for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
-            float d = float(projection[from + c]) - mean;
+            float d = from_ELEMENT(projection[from + c]) - mean;
             sums += vec2(d, d * d);
         }
         sums = subgroupAdd(sums) / float(dim);
@@ -91,7 +91,7 @@ void main() {
     }
     for (uint p = gl_LocalInvocationID.x; p < dim / 2; p += gl_WorkGroupSize.x) {
         uint c = pair_channel(p);
-        vec2 x = vec2(float(projection[from + c]), float(projection[from + c + apart]));
+        vec2 x = vec2(from_ELEMENT(projection[from + c]), from_ELEMENT(projection[from + c + apart]));
         if (NORM) {
             x = (x - mean - rest) * normal * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
         }

@@ -1,8 +1,8 @@
-// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix): f16 factors, f32 sums. Their sides are the device's.
+// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix), after `#pragma factor`. Their sides are the device's.
+//
+// They pass through shared memory in pieces of 8 factors. Sums are f32, or of whole numbers 32-bit integers.
 #pragma use_vulkan_memory_model
 #extension GL_EXT_control_flow_attributes : require
-#extension GL_EXT_shader_explicit_arithmetic_types_float16 : require
-#extension GL_EXT_shader_16bit_storage : require
 #extension GL_KHR_cooperative_matrix : require
 #extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -12,8 +12,16 @@ layout(constant_id = 2) const uint MATRIX_M = 16;
 layout(constant_id = 3) const uint MATRIX_N = 16;
 layout(constant_id = 4) const uint MATRIX_K = 16;
 
-#define Left coopmat<float16_t, gl_ScopeSubgroup, MATRIX_M, MATRIX_K, gl_MatrixUseA>
-#define Right coopmat<float16_t, gl_ScopeSubgroup, MATRIX_K, MATRIX_N, gl_MatrixUseB>
-#define Sums coopmat<float, gl_ScopeSubgroup, MATRIX_M, MATRIX_N, gl_MatrixUseAccumulator>
+#define Left coopmat<FACTOR_COMPONENT, gl_ScopeSubgroup, MATRIX_M, MATRIX_K, gl_MatrixUseA>
+#define Right coopmat<FACTOR_COMPONENT, gl_ScopeSubgroup, MATRIX_K, MATRIX_N, gl_MatrixUseB>
+#define Sums coopmat<FACTOR_SUM, gl_ScopeSubgroup, MATRIX_M, MATRIX_N, gl_MatrixUseAccumulator>
 const int ROW_MAJOR = gl_CooperativeMatrixLayoutRowMajor;
 const int COLUMN_MAJOR = gl_CooperativeMatrixLayoutColumnMajor;
+
+#if FACTOR_IS_I8
+#define Piece uvec2
+#else
+#define Piece uvec4
+#endif
+// Pieces that four sums take.
+const uint QUAD = 1 + FACTOR_IS_I8;

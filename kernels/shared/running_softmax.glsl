@@ -1,14 +1,14 @@
 // Softmax of rows of scores that come TILE at a time, with a running maximum, by the lanes of one subgroup.
 //
-// A row lies in shared memory `staged`, SCORE_STRIDE times 16 bytes: TILE scores as f32, which become weights as f16 in
-// its first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take.
+// A row lies in shared memory `staged`, SCORE_STRIDE pieces: TILE scores as f32, which become weights as FACTOR in its
+// first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take.
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 // Either several lanes share a row, or a lane has several.
 const uint ROW_LANES = LANES > ROWS ? LANES / ROWS : 1;
 const uint LANE_ROWS = ROWS > LANES ? ROWS / LANES : 1;
 const uint LANE_QUADS = TILE / 4 / ROW_LANES;
-const uint FACTOR = TILE / 8;
+const uint RESCALE = TILE / 8;
 const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
 
 float highest[LANE_ROWS];
@@ -26,7 +26,7 @@ uint lane_row(uint i) { return i * LANES + gl_SubgroupInvocationID / ROW_LANES; 
 
 void put_factor(uint row, float factor) {
     [[unroll]] for (uint c = 0; c < MATRIX_N / 4; c++) {
-        staged[row + FACTOR + c] = floatBitsToUint(vec4(factor));
+        staged[row + RESCALE + c] = floatBitsToUint(vec4(factor));
     }
 }
 
@@ -60,9 +60,7 @@ bool softmax(uint scores, uint first_key, uint keys) {
             vec4 w0 = exp(s[c] - now);
             vec4 w1 = exp(s[c + 1] - now);
             total[i] += dot(w0 + w1, vec4(1.0));
-            staged[row + (part + c) / 2] = uvec4(
-                packHalf2x16(w0.xy), packHalf2x16(w0.zw), packHalf2x16(w1.xy), packHalf2x16(w1.zw)
-            );
+            staged[row + (part + c) / 2] = uvec4(pack_FACTOR4(w0), pack_FACTOR4(w1));
         }
         put_factor(row, keep);
     }

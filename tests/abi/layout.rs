@@ -61,7 +61,9 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_device_kind { ZS_DEVICE_OTHER, ZS_DEVICE_DISCRETE, ZS_DEVICE_CPU }
         zs_pixel_format { ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32 }
-        zs_precision { ZS_PRECISION_BEST, ZS_PRECISION_EXACT, ZS_PRECISION_FAST }
+        zs_precision {
+            ZS_PRECISION_BEST, ZS_PRECISION_EXACT, ZS_PRECISION_FAST, ZS_PRECISION_FAST_BF16, ZS_PRECISION_TURBO
+        }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
         zs_requirement_kind {

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
     ffi::*,
-    ops::{Chosen, Precision},
+    ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Model, Ratio, Request, Selection},
     stages::render::{Depth, Frame, RenderRequest, Renderer},
     types::{Camera, Image, Intrinsics, Pose, Scene},
@@ -216,12 +216,15 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
     let context = context();
     let photos = photos(2);
     let images: Vec<_> = photos.iter().map(image_of).collect();
-    let fast = Chosen::of(device(), Some(Precision::Fast)).ok();
-    let best = if fast.is_some() && !device().limits().cpu { Precision::Fast } else { Precision::Exact };
+    let limits = device().limits();
+    let has = |precision| Arithmetic::of(precision, limits).map(|_| precision);
+    let best = Precision::best(limits);
     for (asked, expected) in [
         (zs_precision::ZS_PRECISION_BEST, Some(best)),
         (zs_precision::ZS_PRECISION_EXACT, Some(Precision::Exact)),
-        (zs_precision::ZS_PRECISION_FAST, fast.as_ref().map(|_| Precision::Fast)),
+        (zs_precision::ZS_PRECISION_FAST, has(Precision::Fast)),
+        (zs_precision::ZS_PRECISION_FAST_BF16, has(Precision::FastBf16)),
+        (zs_precision::ZS_PRECISION_TURBO, has(Precision::Turbo)),
     ] {
         // SAFETY: room for the options, which are filled where it succeeds; live objects; bytes of that length.
         let (status, model) = unsafe {
@@ -249,8 +252,8 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
             ok(zs_model_get_info(model.handle, &mut info));
             info
         };
-        let said = [zs_precision::ZS_PRECISION_EXACT, zs_precision::ZS_PRECISION_FAST][expected as usize];
-        assert_eq!(info.precision, said as i32, "{asked:?}");
+        let said = if asked == zs_precision::ZS_PRECISION_BEST { 1 + best as i32 } else { asked as i32 };
+        assert_eq!(info.precision, said, "{asked:?}");
         let arithmetic = Chosen::of(device(), Some(expected)).expect("the device has it").arithmetic;
         let ours = Model::load_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
         let ours = ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene;

@@ -2,6 +2,7 @@
 
 use crate::Folder;
 use serde_json::Value;
+use zipsplat::ops::{Arithmetic, Precision};
 use zipsplat_tests::device::device;
 
 fn rows(folder: &Folder, line: &str) -> Vec<Value> {
@@ -99,7 +100,8 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
     // Of each number of photos all tokens once, and half of them chosen in three ways; two of each, in each arithmetic.
-    let arithmetics = if device().limits().half_storage { 2 } else { 1 };
+    let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
+    let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics);
     let csv = std::fs::read_to_string(folder.path("report/tradeoff.csv")).expect("a table");
     assert_eq!(csv.lines().count(), 1 + points.len());

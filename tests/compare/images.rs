@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use super::Float;
+use super::{Float, tolerance::factor_rounding};
+use zipsplat::{gpu::Element, ops::Arithmetic};
 
 /// The most that a picture may deviate from truth, per value: `absolute + relative * |truth|`.
 #[derive(Clone, Copy, Debug)]
@@ -33,11 +34,16 @@ impl ImageTolerance {
     pub const DEPTH_EDGE: ImageTolerance = ImageTolerance { absolute: 2e-4, relative: 2e-4, psnr: 80.0 };
     /// Depths of `edge` antialiased.
     pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 2.5e-2, psnr: 50.0 };
-    /// Scenes of a network in f16 against those of f32: single pixels may differ by anything, as Gaussians of about the same
-    /// depth change places; what is left is below what 8-bit pictures show.
-    pub const F16: ImageTolerance = ImageTolerance { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 };
     /// A reference in f64 against stored truth: only its rounding to f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
+
+    /// Scenes of a network in a faster arithmetic against those of f32: single pixels may differ by anything, as Gaussians of
+    /// about the same depth change places. In f16 what is left is below what 8-bit pictures show; elsewhere it is more as the
+    /// factors' rounding is.
+    pub fn of_network(arithmetic: Arithmetic) -> Self {
+        let coarser = factor_rounding(arithmetic) / Element::F16.roundoff();
+        Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }
+    }
 }
 
 /// One picture, row-major and interleaved.

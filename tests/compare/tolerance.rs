@@ -1,6 +1,6 @@
 //! The table of tolerances.
 
-use zipsplat::gpu::Element;
+use zipsplat::{gpu::Element, ops::Arithmetic};
 
 /// The most that an array may deviate from truth; both are relative to the rms of the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,9 +13,6 @@ pub struct Tolerance {
 
 /// Half a unit in the last place of 1: the most that one f32 rounding moves a value, relatively.
 const F32_ROUNDING: f64 = f32::EPSILON as f64 / 2.0;
-
-/// The same of one f16 rounding.
-const F16_ROUNDING: f64 = 1.0 / 2048.0;
 
 /// Taps of the network (digits and the compression prefix removed) and fields of Gaussians, in f32.
 ///
@@ -54,21 +51,22 @@ impl Tolerance {
     /// relative to that element, which may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
-    /// What rounding a result to f16 adds: half a unit in the last place of 11 bits, relative to an element, which may be
-    /// eight times the rms.
-    pub const ROUNDED_F16: Tolerance = Tolerance { max: 8.0 * F16_ROUNDING, rms: F16_ROUNDING };
+    /// Taps of a network whose matrix products take rounded factors (f32 accumulation and residual stream), where its weights
+    /// are f16 numbers. A rounding moves a factor by at most the unit roundoff, at random, so a product's rms by as much or
+    /// less. What a block adds to the stream has passed about four such roundings in a row, sqrt(4) = 2 of them at random;
+    /// the stream, being a sum of blocks, deviates no more, relatively. Single elements: 8 times that over millions, as in
+    /// sums.
+    pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
+        let u = factor_rounding(arithmetic);
+        Tolerance { max: 16.0 * u, rms: 2.0 * u }
+    }
 
-    /// Gaussians of a network run in f16 (f32 accumulation): the reference under autocast deviates by 8e-4 rms.
-    pub const F16: Tolerance = Tolerance { max: 0.1, rms: 2e-3 };
-
-    /// Taps of a network whose matrix products take f16 factors (f32 accumulation and residual stream), where its weights
-    /// are f16 numbers. A rounding moves a factor by at most 2^-11, at random, so a product's rms by as much or less. What a
-    /// block adds to the stream has passed about four such roundings in a row, sqrt(4) = 2 of them at random; the stream,
-    /// being a sum of blocks, deviates no more, relatively. Single elements: 8 times that over millions, as in sums.
-    pub const F16_TAP: Tolerance = Tolerance { max: 16.0 * F16_ROUNDING, rms: 2.0 * F16_ROUNDING };
-
-    /// Gaussians of a network run in bf16 (f32 accumulation): the reference under autocast deviates by 7e-3 rms.
-    pub const BF16: Tolerance = Tolerance { max: 0.6, rms: 1.5e-2 };
+    /// Gaussians of such a network: the reference under autocast deviates by 8e-4 rms in f16 and by 7e-3 in bf16, so by about
+    /// 2 unit roundoffs, and this is twice that. exp amplifies single elements as far as the range of their clamps.
+    pub fn gaussians_in(arithmetic: Arithmetic) -> Tolerance {
+        let u = factor_rounding(arithmetic);
+        Tolerance { max: (200.0 * u).min(2.0), rms: 4.0 * u }
+    }
 
     /// The tolerance of a golden's key such as `bb/block3` or `r0.5/ca1_delta`, in f32.
     ///
@@ -124,17 +122,26 @@ impl Tolerance {
 
     /// The tolerance of a result stored in this type.
     pub fn stored_in(self, element: Element) -> Tolerance {
-        match element {
-            Element::F32 => self,
-            Element::F16 => self.and(Self::ROUNDED_F16),
-        }
+        // Half a unit in the last place, relative to an element, which may be eight times the rms.
+        let u = element.roundoff();
+        if element == Element::F32 { self } else { self.and(Tolerance { max: 8.0 * u, rms: u }) }
     }
 
-    /// The tolerance of the same sums where the factors are rounded to f16 (11 bits) before they are multiplied:
-    /// every term moves by up to 2^-10 relatively, at random, so the sum by as much relative to its rms.
-    pub fn sum_of_f16(terms: usize) -> Tolerance {
-        let Tolerance { max, rms } = Tolerance::sum_of(terms);
-        Tolerance { max: max + 8.0 * F16_ROUNDING, rms: rms + 2.0 * F16_ROUNDING }
+    /// The tolerance of the same sums where both factors are rounded to a type before they are multiplied: every term moves
+    /// by up to 2 unit roundoffs, at random, so the sum by as much relative to its rms.
+    pub fn sum_of_rounded(element: Element, terms: usize) -> Tolerance {
+        let u = element.roundoff();
+        Tolerance::sum_of(terms).and(Tolerance { max: 8.0 * u, rms: 2.0 * u })
+    }
+}
+
+/// By how much the rounding of both factors moves a product at most, relative to its rms. In floats each moves it by less than
+/// the unit roundoff, at random, so both by no more. The 8-bit integers of a row are spread evenly over its range, of which
+/// its rms is about a quarter: half of 1/127 is then 4 times as much of it, at random 1/sqrt(3) of that, for both sqrt(2).
+pub(super) fn factor_rounding(arithmetic: Arithmetic) -> f64 {
+    match arithmetic.quantised {
+        Some(_) => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),
+        None => arithmetic.element.roundoff(),
     }
 }
 

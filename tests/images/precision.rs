@@ -1,4 +1,4 @@
-//! Pictures of what a network gives in f16 against those of what it gives in f32.
+//! Pictures of what a network gives in faster arithmetics against those of what it gives in f32.
 
 use std::ops::ControlFlow;
 use zipsplat::{
@@ -11,7 +11,7 @@ use zipsplat_tests::{
     compare::{ImageTolerance, Picture, assert_images_close},
     device::device,
     golden::Golden,
-    networks::{half_arithmetics, images, model},
+    networks::{fast_arithmetics, images, model},
     scenes::camera,
 };
 
@@ -25,7 +25,7 @@ fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
 }
 
 #[test]
-fn f16_gives_the_same_pictures() {
+fn every_arithmetic_gives_the_same_pictures() {
     let mut renderer = Renderer::new(device());
     // From where the networks of random weights put their Gaussians, and from behind it.
     let mut cameras = [camera(96, 96), camera(96, 96)];
@@ -35,15 +35,15 @@ fn f16_gives_the_same_pictures() {
         let network = config.split('.').next().expect("network.case");
         let exact = reconstruct(&golden, network, Arithmetic::EXACT);
         let truth = renderer.render(&exact, &cameras, &RenderRequest::default()).unwrap();
-        for arithmetic in half_arithmetics() {
+        for arithmetic in fast_arithmetics() {
             let scene = reconstruct(&golden, network, arithmetic);
             let frames = renderer.render(&scene, &cameras, &RenderRequest::default()).unwrap();
             for (view, (frame, truth)) in frames.iter().zip(&truth).enumerate() {
                 let (rgb, truth) = (frame.rgb.as_ref().unwrap(), truth.rgb.as_ref().unwrap());
                 assert!(truth.iter().any(|x| *x > 0.1), "{config} {view}: nothing to see");
                 let picture = Picture { values: rgb, width: 96, channels: 3 };
-                let name = format!("{config} {view} {:?}", arithmetic.linear);
-                let psnr = assert_images_close(&name, picture, truth, &[], ImageTolerance::F16);
+                let name = format!("{config} {view} {arithmetic:?}");
+                let psnr = assert_images_close(&name, picture, truth, &[], ImageTolerance::of_network(arithmetic));
                 println!("{name}: {psnr:.1} dB");
             }
         }

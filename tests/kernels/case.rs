@@ -1,7 +1,6 @@
 //! One plan under test: inputs with their values, and outputs that show what was not written and what should not have been.
 
 use bytemuck::Pod;
-use half::f16;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
 use zipsplat::ops::{AttentionKernel, LinearKernel};
 use zipsplat_tests::device::device;
@@ -36,26 +35,17 @@ impl Case {
 
     /// Values as a kernel takes them in this type.
     pub fn input_of(&mut self, element: Element, values: &[f32]) -> Tensor {
-        match element {
-            Element::F32 => self.input(values),
-            Element::F16 => self.input(&values.iter().map(|x| f16::from_f32(*x)).collect::<Vec<_>>()),
-        }
+        self.input(&element.encode(values))
     }
 
     /// A tensor of `len` results of this type.
     pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
-        match element {
-            Element::F32 => self.output::<f32>(len),
-            Element::F16 => self.output::<f16>(len),
-        }
+        self.output::<u8>(element.bytes() * len)
     }
 
     /// Runs the plan and reads one result of this type.
     pub fn result_of(self, element: Element, output: Tensor) -> Vec<f32> {
-        match element {
-            Element::F32 => self.result(output),
-            Element::F16 => self.result::<f16>(output).into_iter().map(f16::to_f32).collect(),
-        }
+        element.decode(&self.result::<u8>(output))
     }
 
     /// A tensor of `len` results.
@@ -90,28 +80,27 @@ impl Case {
 
 /// Number types that the device's kernels take.
 pub fn elements() -> Vec<Element> {
-    let half = device().limits().half_storage.then_some(Element::F16);
-    [Element::F32].into_iter().chain(half).collect()
+    let half = device().limits().half_storage.then_some([Element::F16, Element::Bf16]);
+    [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
 /// Kernels of linear layers that the device has.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let panels = elements().into_iter().map(LinearKernel::Panels);
-    panels.chain(device().limits().matrices.map(LinearKernel::Matrix)).collect()
+    let matrices = |factor| device().limits().matrices.of(factor).map(|shape| LinearKernel::Matrix(factor, shape));
+    panels.chain([Element::F16, Element::Bf16, Element::I8].into_iter().filter_map(matrices)).collect()
 }
 
 /// Kernels of attention that the device has.
 pub fn attention_kernels() -> Vec<AttentionKernel> {
     let lanes = elements().into_iter().map(AttentionKernel::Lanes);
-    lanes.chain(device().limits().matrices.map(AttentionKernel::Matrix)).collect()
+    let matrices = |factor| device().limits().matrices.of(factor).map(|shape| AttentionKernel::Matrix(factor, shape));
+    lanes.chain([Element::F16, Element::Bf16].into_iter().filter_map(matrices)).collect()
 }
 
 /// Values as they are once they are stored in this type.
 pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
-    match element {
-        Element::F32 => values,
-        Element::F16 => values.into_iter().map(|x| f16::from_f32(x).to_f32()).collect(),
-    }
+    element.decode(&element.encode(&values))
 }
 
 /// `len` values in (-1, 1), the same for the same seed (splitmix64).

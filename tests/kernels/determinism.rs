@@ -8,7 +8,7 @@ use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Model, Ratio, Request};
 use zipsplat::types::{Image, Scene};
 use zipsplat::weights::Checkpoint;
-use zipsplat_tests::{architectures, compare::assert_same, device::device, networks::half_arithmetics};
+use zipsplat_tests::{architectures, compare::assert_same, device::device, networks::fast_arithmetics};
 
 /// Views of 4 x 5 patches of noise.
 fn images(views: u32) -> Vec<Image> {
@@ -43,7 +43,7 @@ fn bits(scene: &Scene) -> Vec<u32> {
 #[test]
 fn every_run_gives_the_same_bits() {
     let elsewhere = Device::open(&DeviceOptions::default()).unwrap();
-    for arithmetic in half_arithmetics().into_iter().chain([Arithmetic::EXACT]) {
+    for arithmetic in fast_arithmetics().into_iter().chain([Arithmetic::EXACT]) {
         let model_here = model_with(device(), arithmetic);
         let first = bits(&reconstruct(&model_here, 2, 0.5));
         assert!(!first.is_empty());
@@ -65,7 +65,7 @@ fn binding_parts_of_tensors_changes_no_bit() {
     // Just above the largest weight, far below the pictures, the hidden layers and the head's output.
     let narrow = DeviceOptions { max_binding_bytes: Some(200 << 10), ..DeviceOptions::default() };
     let narrow = Device::open(&narrow).unwrap();
-    let cases = half_arithmetics().into_iter().map(|half| (half, 1.0));
+    let cases = fast_arithmetics().into_iter().map(|half| (half, 1.0));
     for (arithmetic, ratio) in cases.chain([(Arithmetic::EXACT, 0.5), (Arithmetic::EXACT, 1.0)]) {
         let whole = bits(&reconstruct(&model_with(device(), arithmetic), 24, ratio));
         let parts = bits(&reconstruct(&model_with(&narrow, arithmetic), 24, ratio));

@@ -25,6 +25,7 @@ mod ops {
     mod layer_norm;
     mod linear;
     mod place_columns;
+    mod quantise_rows;
     mod scan;
     mod sort;
     mod split_heads;

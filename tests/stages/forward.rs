@@ -9,13 +9,13 @@ use zipsplat::weights::{Architecture, Checkpoint};
 use zipsplat_tests::compare::{Tolerance, assert_gaussians_within, assert_nearest, assert_same, assert_tap_within};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
-use zipsplat_tests::networks::{half_arithmetics, images, model};
+use zipsplat_tests::networks::{fast_arithmetics, images, model};
 
 /// What each tap may deviate by.
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     match arithmetic.element {
         Element::F32 => Tolerance::of_tap(key),
-        Element::F16 => Tolerance::F16_TAP,
+        _ => Tolerance::tap_in(arithmetic),
     }
 }
 
@@ -79,7 +79,7 @@ fn check(file: &str, arithmetic: Arithmetic) {
         }
         let scene = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene;
         check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
-        // A deviation of f16 is larger than the margin by which many tokens are nearest.
+        // A deviation of 16 bits is larger than the margin by which many tokens are nearest.
         if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
             check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
         }
@@ -102,7 +102,7 @@ fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], model: &Model, ar
     let width = model.architecture().gaussian_width();
     let tolerance = |field: &str| match arithmetic.element {
         Element::F32 => Tolerance::of_field(field),
-        Element::F16 => Tolerance::F16,
+        _ => Tolerance::gaussians_in(arithmetic),
     };
     if golden.has(key) {
         assert_gaussians_within(key, packed, &golden.f32(key), width, tolerance);
@@ -158,27 +158,27 @@ fn embedded() {
     }
 }
 
-/// Tests of a configuration in f32 and in f16.
+/// Tests of a configuration in f32 and in every faster arithmetic.
 macro_rules! configurations {
-    ($($exact:ident $half:ident $config:literal),*) => { $(
+    ($($exact:ident $fast:ident $config:literal),*) => { $(
         #[test]
         fn $exact() {
             check_all($config, &[Arithmetic::EXACT]);
         }
 
         #[test]
-        fn $half() {
-            check_all($config, &half_arithmetics());
+        fn $fast() {
+            check_all($config, &fast_arithmetics());
         }
     )* };
 }
 
 configurations!(
-    micro micro_in_f16 "micro",
-    tiny tiny_in_f16 "tiny",
-    tiny_with_small_activations tiny_with_small_activations_in_f16 "tiny_eps",
-    tiny_not_square tiny_not_square_in_f16 "tiny_rect",
-    tiny_with_swiglu tiny_with_swiglu_in_f16 "tiny_swiglu",
-    small_is_vits small_is_vits_in_f16 "small",
-    slice_of_the_giant slice_of_the_giant_in_f16 "giant_slice"
+    micro micro_fast "micro",
+    tiny tiny_fast "tiny",
+    tiny_with_small_activations tiny_with_small_activations_fast "tiny_eps",
+    tiny_not_square tiny_not_square_fast "tiny_rect",
+    tiny_with_swiglu tiny_with_swiglu_fast "tiny_swiglu",
+    small_is_vits small_is_vits_fast "small",
+    slice_of_the_giant slice_of_the_giant_fast "giant_slice"
 );

@@ -129,6 +129,10 @@ pub enum PrecisionName {
     Exact,
     /// f16 factors of matrix products, all else f32
     Fast,
+    /// bf16 factors of matrix products, all else f32
+    FastBf16,
+    /// As fast, with 8-bit factors in the linear layers of blocks
+    Turbo,
 }
 
 impl PrecisionName {
@@ -137,6 +141,8 @@ impl PrecisionName {
         match self {
             PrecisionName::Exact => Precision::Exact,
             PrecisionName::Fast => Precision::Fast,
+            PrecisionName::FastBf16 => Precision::FastBf16,
+            PrecisionName::Turbo => Precision::Turbo,
         }
     }
 }
@@ -151,10 +157,9 @@ impl ArithmeticOption {
 
     /// The same for a device that is not there.
     pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
-        match (self.asked().unwrap_or(Precision::best(limits)), Arithmetic::fast(limits)) {
-            (Precision::Fast, Some(fast)) => (Precision::Fast, fast),
-            _ => (Precision::Exact, Arithmetic::EXACT),
-        }
+        let precision = self.asked().unwrap_or(Precision::best(limits));
+        let arithmetic = Arithmetic::of(precision, limits);
+        arithmetic.map_or((Precision::Exact, Arithmetic::EXACT), |arithmetic| (precision, arithmetic))
     }
 
     fn asked(&self) -> Option<Precision> {

@@ -71,7 +71,7 @@ pub struct zs_model_info {
     pub gaussians_per_token: u32,
     /// Highest band of spherical harmonics of its scenes.
     pub sh_degree: u32,
-    /// Number formats in use: ZS_PRECISION_EXACT or ZS_PRECISION_FAST.
+    /// Number formats in use: a zs_precision other than ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
     /// Bytes of its weights on the device.
     pub weight_bytes: u64,
@@ -87,6 +87,11 @@ pub enum zs_precision {
     ZS_PRECISION_EXACT = 1,
     /// f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
     ZS_PRECISION_FAST = 2,
+    /// bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
+    ZS_PRECISION_FAST_BF16 = 3,
+    /// As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks. Refused where the device has no matrix units
+    /// for 8-bit integers, or fails the test.
+    ZS_PRECISION_TURBO = 4,
 }
 
 /// Which tokens are kept where the ratio is below 1.
@@ -263,6 +268,8 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
             precision: match precision {
                 Precision::Exact => zs_precision::ZS_PRECISION_EXACT as i32,
                 Precision::Fast => zs_precision::ZS_PRECISION_FAST as i32,
+                Precision::FastBf16 => zs_precision::ZS_PRECISION_FAST_BF16 as i32,
+                Precision::Turbo => zs_precision::ZS_PRECISION_TURBO as i32,
             },
             weight_bytes: model.weight_bytes(),
             ..Versioned::defaults()
@@ -371,6 +378,8 @@ unsafe fn load(
             0 => None,
             1 => Some(Precision::Exact),
             2 => Some(Precision::Fast),
+            3 => Some(Precision::FastBf16),
+            4 => Some(Precision::Turbo),
             other => return Err(Failure::argument("precision", other, "a zs_precision")),
         };
         let chosen = Chosen::of(&context.device, precision)?;

@@ -4,7 +4,7 @@ use super::{
     Device,
     device::{Shared, SharedParts},
     instance::Instance,
-    limits::{REQUIRED_FEATURES, missing_features, probe},
+    limits::{Matrices, REQUIRED_FEATURES, missing_features, probe},
     queue::Queue,
 };
 use crate::{Error, Result};
@@ -76,7 +76,7 @@ impl Device {
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
         // What the app did not have to enable.
-        (limits.half_storage, limits.matrices) = (false, None);
+        (limits.half_storage, limits.matrices) = (false, Matrices::default());
         let missing = missing_features(&limits, &found);
         if !missing.is_empty() {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));

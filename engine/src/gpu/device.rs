@@ -1,9 +1,9 @@
 //! A Vulkan device: choosing it, what it can do, and the pipelines made on it.
 
 use super::{
-    LocalSize, Module,
+    LocalSize, Module, bfloat16,
     instance::Instance,
-    limits::{Limits, probe},
+    limits::{Limits, Matrices, probe},
     queue::Queue,
 };
 use crate::{Error, Result};
@@ -133,12 +133,14 @@ impl Shared {
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let mut extensions = vec![khr::push_descriptor::NAME.as_ptr()];
-        let matrices = limits.matrices.is_some();
+        let matrices = limits.matrices != Matrices::default();
+        let (bf16, i8) = (limits.matrices.bf16.is_some(), limits.matrices.i8.is_some());
         let mut v11 = vk::PhysicalDeviceVulkan11Features::default().storage_buffer16_bit_access(limits.half_storage);
         let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
             .timeline_semaphore(true)
             .scalar_block_layout(true)
             .shader_float16(matrices)
+            .shader_int8(i8)
             .vulkan_memory_model(matrices)
             // Else atomics would be restricted to workgroups, also in kernels without that model.
             .vulkan_memory_model_device_scope(matrices);
@@ -151,6 +153,10 @@ impl Shared {
         if matrices {
             extensions.push(khr::cooperative_matrix::NAME.as_ptr());
         }
+        let mut bf16_features = bfloat16::Features::matrices();
+        if bf16 {
+            extensions.push(bfloat16::NAME.as_ptr());
+        }
         let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
             .enabled_extension_names(&extensions)
@@ -159,6 +165,9 @@ impl Shared {
             .push_next(&mut v13);
         if matrices {
             info = info.push_next(&mut cooperative);
+        }
+        if bf16 {
+            info = info.push_next(&mut bf16_features);
         }
         // SAFETY: `physical` belongs to the instance; the features and extensions were found on it.
         let raw = unsafe { instance.raw.create_device(physical, &info, None) }

@@ -1,5 +1,6 @@
 //! What a device is and can do, and what it would need to have.
 
+use super::{Element, bfloat16};
 use ash::{khr, vk};
 use std::ffi::CStr;
 
@@ -34,8 +35,8 @@ pub struct Limits {
     pub max_invocations: u32,
     /// Whether kernels may read and write 16-bit floats.
     pub half_storage: bool,
-    /// Matrices that a subgroup multiplies as one: f16 factors, f32 sums (VK_KHR_cooperative_matrix).
-    pub matrices: Option<MatrixShape>,
+    /// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix).
+    pub matrices: Matrices,
     /// Device and driver, exactly: what was measured on one is not true of another.
     pub identity: String,
 }
@@ -49,6 +50,29 @@ pub struct MatrixShape {
     pub n: u32,
     /// Terms of a sum.
     pub k: u32,
+}
+
+/// The matrices that a subgroup multiplies as one, by the type of their factors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Matrices {
+    /// f16 factors, f32 sums.
+    pub f16: Option<MatrixShape>,
+    /// bf16 factors, f32 sums (VK_KHR_shader_bfloat16).
+    pub bf16: Option<MatrixShape>,
+    /// Signed 8-bit factors, 32-bit sums.
+    pub i8: Option<MatrixShape>,
+}
+
+impl Matrices {
+    /// Those with factors of this type.
+    pub fn of(&self, factor: Element) -> Option<MatrixShape> {
+        match factor {
+            Element::F32 => None,
+            Element::F16 => self.f16,
+            Element::Bf16 => self.bf16,
+            Element::I8 => self.i8,
+        }
+    }
 }
 
 impl Default for Limits {
@@ -69,7 +93,11 @@ impl Default for Limits {
             timestamp_ns: 1.0,
             max_invocations: 1024,
             half_storage: true,
-            matrices: Some(MatrixShape { m: 16, n: 16, k: 16 }),
+            matrices: Matrices {
+                f16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
+                bf16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
+                i8: Some(MatrixShape { m: 16, n: 16, k: 32 }),
+            },
             identity: "none".into(),
         }
     }
@@ -109,19 +137,25 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
     let mut properties =
         vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
     let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
+    let mut bf16 = bfloat16::Features::default();
+    // SAFETY: a plain query on a live instance.
+    let extensions = unsafe { instance.enumerate_device_extension_properties(device) }.unwrap_or_default();
+    let has = |name| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     let mut features = vk::PhysicalDeviceFeatures2::default()
         .push_next(&mut f11)
         .push_next(&mut f12)
         .push_next(&mut f13)
         .push_next(&mut cooperative);
+    if has(bfloat16::NAME) {
+        features = features.push_next(&mut bf16);
+    }
     // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
-    let (memory, families, extensions) = unsafe {
+    let (memory, families) = unsafe {
         instance.get_physical_device_properties2(device, &mut properties);
         instance.get_physical_device_features2(device, &mut features);
         (
             instance.get_physical_device_memory_properties(device),
             instance.get_physical_device_queue_family_properties(device),
-            instance.enumerate_device_extension_properties(device).unwrap_or_default(),
         )
     };
     let base = properties.properties;
@@ -132,7 +166,6 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
     let kind = base.device_type;
     let api = base.api_version;
     let driver_version = text(v12.driver_info_as_c_str().ok());
-    let has = |name| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     let half_storage = f11.storage_buffer16_bit_access == vk::TRUE;
     let matrices = has(khr::cooperative_matrix::NAME)
         && cooperative.cooperative_matrix == vk::TRUE
@@ -142,7 +175,7 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
         && f12.vulkan_memory_model_device_scope == vk::TRUE
         // Mesa 26.1's lavapipe crashes where it compiles its matrices of 8 x 8 for subgroups of 16.
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
-    let matrix_shape = || matrix_shape(entry, instance, device);
+    let offers = Offers { bf16: bf16.has_matrices(), i8: f12.shader_int8 == vk::TRUE };
     let limits = Limits {
         name: text(base.device_name_as_c_str().ok()),
         driver: format!("{} {driver_version}", text(v12.driver_name_as_c_str().ok())),
@@ -164,7 +197,7 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
         timestamp_ns: if timestamps { base.limits.timestamp_period as f64 } else { 0.0 },
         max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
         half_storage,
-        matrices: matrices.then(matrix_shape).flatten(),
+        matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },
         identity: format!("{}-{}-{:x}", hex(&v11.device_uuid), hex(&v11.driver_uuid), base.driver_version),
     };
     let operations = vk::SubgroupFeatureFlags::BASIC
@@ -200,27 +233,44 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
     (limits, found)
 }
 
-/// The largest matrices with f16 factors and f32 sums that a subgroup multiplies; of two as large, the squarer ones,
-/// whose rows and columns are loaded least often for what they give.
-fn matrix_shape(entry: &ash::Entry, instance: &ash::Instance, device: vk::PhysicalDevice) -> Option<MatrixShape> {
+/// Optional parts of matrices that are not in the list of their shapes.
+struct Offers {
+    bf16: bool,
+    i8: bool,
+}
+
+/// The largest matrices of each kind that a subgroup multiplies; of two as large, the squarer ones, whose rows and columns
+/// are loaded least often for what they give.
+fn find_matrices(
+    entry: &ash::Entry,
+    instance: &ash::Instance,
+    device: vk::PhysicalDevice,
+    offers: &Offers,
+) -> Matrices {
+    use vk::ComponentTypeKHR as Component;
     let loader = khr::cooperative_matrix::Instance::new(entry, instance);
     // SAFETY: a plain query; the device has the extension.
     let shapes = unsafe { loader.get_physical_device_cooperative_matrix_properties(device) }.unwrap_or_default();
-    let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
-    let fits = |p: &&vk::CooperativeMatrixPropertiesKHR<'_>| {
-        [p.a_type, p.b_type] == [half; 2]
-            && [p.c_type, p.result_type] == [single; 2]
-            && p.scope == vk::ScopeKHR::SUBGROUP
+    let largest = |factor: Component, sum: Component| {
+        let fits = |p: &&vk::CooperativeMatrixPropertiesKHR<'_>| {
+            [p.a_type, p.b_type] == [factor; 2]
+                && [p.c_type, p.result_type] == [sum; 2]
+                && p.scope == vk::ScopeKHR::SUBGROUP
+                && p.saturating_accumulation == vk::FALSE
+                // Kernels move 8 factors at a time.
+                && [p.m_size, p.n_size, p.k_size].iter().all(|side| side % 8 == 0)
+        };
+        let size =
+            |p: &&vk::CooperativeMatrixPropertiesKHR<'_>| (p.m_size * p.n_size * p.k_size, p.m_size.min(p.n_size));
+        let best = shapes.iter().filter(fits).max_by_key(size)?;
+        Some(MatrixShape { m: best.m_size, n: best.n_size, k: best.k_size })
     };
-    // Kernels move 8 halves at a time.
-    let whole =
-        |p: &&vk::CooperativeMatrixPropertiesKHR<'_>| [p.m_size, p.n_size, p.k_size].iter().all(|side| side % 8 == 0);
-    let best = shapes
-        .iter()
-        .filter(fits)
-        .filter(whole)
-        .max_by_key(|p| (p.m_size * p.n_size * p.k_size, p.m_size.min(p.n_size)))?;
-    Some(MatrixShape { m: best.m_size, n: best.n_size, k: best.k_size })
+    let (f32, i32) = (Component::FLOAT32, Component::SINT32);
+    Matrices {
+        f16: largest(Component::FLOAT16, f32),
+        bf16: largest(bfloat16::COMPONENT_TYPE, f32).filter(|_| offers.bf16),
+        i8: largest(Component::SINT8, i32).filter(|_| offers.i8),
+    }
 }
 
 fn hex(bytes: &[u8]) -> String {

@@ -6,6 +6,7 @@
 
 mod adopt;
 mod arena;
+mod bfloat16;
 mod commands;
 mod device;
 mod flight;
@@ -25,7 +26,7 @@ pub use adopt::{Adopted, QueueLock, Requirement, requirements};
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};
 pub use kernel::{Binding, Element, Kernel, LocalSize, Module, Needs};
-pub use limits::{Limits, MatrixShape};
+pub use limits::{Limits, Matrices, MatrixShape};
 pub use memory::{Resident, ResidentLayout};
 pub use plan::{ArenaRow, Plan, Tensor};
 pub use profile::{Profile, ProfileRow};

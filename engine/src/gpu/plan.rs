@@ -37,10 +37,8 @@ impl Tensor {
     /// # Panics
     /// As [`Tensor::slice`].
     pub fn slice_of(&self, element: Element, first: usize, len: usize) -> Tensor {
-        match element {
-            Element::F32 => self.slice::<f32>(first, len),
-            Element::F16 => self.slice::<u16>(first, len),
-        }
+        let bytes = element.bytes();
+        self.slice::<u8>(bytes * first, bytes * len)
     }
 
     /// Length in bytes.

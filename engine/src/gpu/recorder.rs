@@ -46,10 +46,7 @@ impl Recorder {
 
     /// As [`Recorder::tensor`], of a type that is known when it is recorded.
     pub fn tensor_of(&mut self, element: Element, name: &str, len: usize) -> Tensor {
-        match element {
-            Element::F32 => self.tensor::<f32>(name, len),
-            Element::F16 => self.tensor::<u16>(name, len),
-        }
+        self.tensor::<u8>(name, len.saturating_mul(element.bytes()))
     }
 
     /// A tensor that the host writes before every run; its bytes are free for others after its last use.
@@ -193,7 +190,8 @@ impl Recorder {
     fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
         let module = if self.plain { kernel.plain() } else { kernel.module() };
         let Needs { half_storage, matrices } = module.needs;
-        let can = (!half_storage || self.limits.half_storage) && (!matrices || self.limits.matrices.is_some());
+        let can = (!half_storage || self.limits.half_storage)
+            && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some());
         assert!(can, "{} needs what {} has not: {:?}", module.name, self.limits.name, module.needs);
         let buffers = kernel.buffers();
         for (tensor, binding) in buffers.iter().zip(module.bindings) {

@@ -2,21 +2,40 @@
 
 use crate::gpu::{Element, Limits, MatrixShape};
 
-/// What is traded for time.
+/// What is traded for time. Sums, softmax, norms, the residual stream and geometry are f32 in all of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
     Exact,
-    /// Factors of matrix products in f16; sums, softmax, norms and the residual stream in f32.
+    /// Factors of matrix products in f16.
     Fast,
+    /// Factors of matrix products in bf16: f32's range in 8 bits, for networks whose activations f16 cannot hold.
+    FastBf16,
+    /// As `Fast`, and in the linear layers of blocks 8-bit integers: a scale for every token and for every output.
+    Turbo,
+}
+
+impl Precision {
+    /// All, the slowest first.
+    pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
+
+    /// As on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Precision::Exact => "exact",
+            Precision::Fast => "fast",
+            Precision::FastBf16 => "fast-bf16",
+            Precision::Turbo => "turbo",
+        }
+    }
 }
 
 /// Number types and kernels of linear layers and attention.
 ///
-/// With f16, these are rounded to it: weights, and activations that only feed matrix products: normed rows, queries, keys
-/// and values, hidden layers, what attention gives. They saturate at 65504 rather than overflow; networks with activations
-/// beyond that are not known. Queries are scaled before they are rounded, and scores are f32, so that those of blocks
-/// without q/k norm, which reach 1e4 and more, stay finite.
+/// With a type of 16 bits, these are rounded to it: weights, and activations that only feed matrix products: normed rows,
+/// queries, keys and values, hidden layers, what attention gives. They saturate at its largest value rather than overflow;
+/// networks with activations beyond f16's 65504 are not known. Queries are scaled before they are rounded, and scores are
+/// f32, so that those of blocks without q/k norm, which reach 1e4 and more, stay finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arithmetic {
     /// Type of the factors of matrix products.
@@ -25,25 +44,24 @@ pub struct Arithmetic {
     pub linear: Option<MatrixShape>,
     /// Matrix units that attention runs on, where it does.
     pub attention: Option<MatrixShape>,
+    /// Matrix units for 8-bit integers that linear layers of blocks run on, where they do.
+    pub quantised: Option<MatrixShape>,
 }
 
 impl Arithmetic {
     /// f32 throughout.
-    pub const EXACT: Self = Self { element: Element::F32, linear: None, attention: None };
+    pub const EXACT: Self = Self { element: Element::F32, linear: None, attention: None, quantised: None };
 
-    /// f16 factors, on matrix units where the device has them; `None` where it cannot hold f16.
-    pub fn fast(limits: &Limits) -> Option<Self> {
-        let matrices = limits.matrices;
-        limits.half_storage.then_some(Self { element: Element::F16, linear: matrices, attention: matrices })
-    }
-}
-
-impl Precision {
-    /// `exact` or `fast`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Precision::Exact => "exact",
-            Precision::Fast => "fast",
-        }
+    /// That of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
+    pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
+        let element = match precision {
+            Precision::Exact => return Some(Self::EXACT),
+            Precision::Fast | Precision::Turbo => Element::F16,
+            Precision::FastBf16 => Element::Bf16,
+        };
+        let matrices = limits.matrices.of(element);
+        let quantised = limits.matrices.i8.filter(|_| precision == Precision::Turbo);
+        let can = limits.half_storage && (precision != Precision::Turbo || quantised.is_some());
+        can.then_some(Self { element, linear: matrices, attention: matrices, quantised })
     }
 }

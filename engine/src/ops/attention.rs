@@ -62,16 +62,15 @@ pub struct Attention {
 pub enum AttentionKernel {
     /// ops/attention: everything of this type, keys with tokens running fastest.
     Lanes(Element),
-    /// ops/attention_matrix: everything in f16, on matrix units; heads padded to whole matrices.
-    Matrix(MatrixShape),
+    /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices.
+    Matrix(Element, MatrixShape),
 }
 
 impl AttentionKernel {
     /// Type of queries, keys, values and of what comes out.
     pub fn element(self) -> Element {
         match self {
-            AttentionKernel::Lanes(element) => element,
-            AttentionKernel::Matrix(_) => Element::F16,
+            AttentionKernel::Lanes(element) | AttentionKernel::Matrix(element, _) => element,
         }
     }
 }
@@ -84,7 +83,7 @@ impl Attention {
         let (queries, keys, values) = match self.kernel {
             AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
             // The last workgroup reads queries beyond the end.
-            AttentionKernel::Matrix(shape) => {
+            AttentionKernel::Matrix(_, shape) => {
                 (queries + AttentionTile::most_rows(rec.limits(), shape) * self.channels(), keys, keys)
             }
         };
@@ -96,7 +95,7 @@ impl Attention {
     fn channels(&self) -> usize {
         match self.kernel {
             AttentionKernel::Lanes(_) => self.heads.dim,
-            AttentionKernel::Matrix(shape) => self.heads.dim.next_multiple_of(shape.n.max(shape.k) as usize),
+            AttentionKernel::Matrix(_, shape) => self.heads.dim.next_multiple_of(shape.n.max(shape.k) as usize),
         }
     }
 
@@ -151,7 +150,7 @@ impl Attention {
         let out = rec.tensor_of(self.kernel.element(), "attended", len);
         match self.kernel {
             AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out),
-            AttentionKernel::Matrix(shape) => self.matrix(rec, shape, tensors, out),
+            AttentionKernel::Matrix(factor, shape) => self.matrix(rec, (factor, shape), tensors, out),
         }
         out
     }
@@ -175,7 +174,7 @@ impl Attention {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
     }
 
-    fn matrix(&self, rec: &mut Recorder, shape: MatrixShape, [q, k, v]: [Tensor; 3], out: Tensor) {
+    fn matrix(&self, rec: &mut Recorder, (factor, shape): (Element, MatrixShape), [q, k, v]: [Tensor; 3], out: Tensor) {
         let Heads { count, dim } = self.heads;
         let tile = AttentionTile::choose(rec.limits(), shape, self.channels(), self.queries, count * self.sequences);
         let kernel = ops::AttentionMatrix {
@@ -195,6 +194,7 @@ impl Attention {
             repeat_m: tile.repeat,
             tile: tile.keys,
             channels: self.channels() as u32,
+            factor,
         };
         let groups = [self.queries.div_ceil(tile.rows(shape)), count, self.sequences];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());

@@ -50,9 +50,9 @@ impl Block {
             heads,
             attention: p.attention(),
             norm1: p.norm(&format!("{name}.norm1"), width, eps),
-            qkv: p.linear(&format!("{name}.attn.qkv"), width, 3 * width),
+            qkv: p.block_linear(&format!("{name}.attn.qkv"), width, 3 * width),
             qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),
-            proj: p.linear(&format!("{name}.attn.proj"), width, width),
+            proj: p.block_linear(&format!("{name}.attn.proj"), width, width),
             gamma1: p.vector(format!("{name}.ls1.gamma"), width),
             mlp: Mlp::new(p, name, width, ffn, eps),
         }
@@ -99,13 +99,13 @@ impl Mlp {
         let gamma = p.vector(format!("{name}.ls2.gamma"), width);
         let (fc1, fc2, activation) = match ffn {
             Ffn::Gelu => (
-                p.linear(&format!("{name}.mlp.fc1"), width, hidden),
-                p.linear(&format!("{name}.mlp.fc2"), hidden, width),
+                p.block_linear(&format!("{name}.mlp.fc1"), width, hidden),
+                p.block_linear(&format!("{name}.mlp.fc2"), hidden, width),
                 Activation::Gelu,
             ),
             Ffn::SwiGlu => (
                 p.gated_linear(&format!("{name}.mlp.w12"), width, 2 * hidden),
-                p.linear(&format!("{name}.mlp.w3"), hidden, width),
+                p.block_linear(&format!("{name}.mlp.w3"), hidden, width),
                 Activation::SwiGlu,
             ),
         };

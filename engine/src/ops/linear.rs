@@ -1,7 +1,7 @@
 //! Linear layers with fused epilogues.
 
 use super::{
-    rows::{SCRATCH_BYTES, row_chunks},
+    rows::{SCRATCH_BYTES, quantise_rows, row_chunks},
     tile::LinearTile,
 };
 use crate::{
@@ -16,7 +16,7 @@ const NARROWEST: usize = (SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_53
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// As `kernel` reads it.
+    /// As `kernel` reads it, see [`pack_matrix`](super::pack_matrix).
     pub weight: Tensor,
     /// `[columns]` f32.
     pub bias: Tensor,
@@ -33,8 +33,9 @@ pub struct Linear {
 pub enum LinearKernel {
     /// ops/linear: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
     Panels(Element),
-    /// ops/linear_matrix: inputs and weight `[columns, inner]` in f16, on matrix units.
-    Matrix(MatrixShape),
+    /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
+    /// behind them, at [`scales_at`]; inputs are f16 and become such integers row by row.
+    Matrix(Element, MatrixShape),
 }
 
 /// What follows the bias.
@@ -63,11 +64,18 @@ pub struct Epilogue {
 }
 
 impl LinearKernel {
-    /// Type of inputs and weight.
+    /// Type of the inputs.
     pub fn element(self) -> Element {
+        match self.factor() {
+            Element::I8 => Element::F16,
+            element => element,
+        }
+    }
+
+    /// Type of the factors, and so of the weight.
+    pub fn factor(self) -> Element {
         match self {
-            LinearKernel::Panels(element) => element,
-            LinearKernel::Matrix(_) => Element::F16,
+            LinearKernel::Panels(element) | LinearKernel::Matrix(element, _) => element,
         }
     }
 
@@ -75,6 +83,11 @@ impl LinearKernel {
     pub fn vector(self) -> usize {
         16 / self.element().bytes()
     }
+}
+
+/// Where the scales of 8-bit integers begin, `[columns]` f32: at a multiple of 256 bytes.
+pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
+    (columns * inner).next_multiple_of(256)
 }
 
 impl Linear {
@@ -110,7 +123,9 @@ impl Linear {
             let epilogue = Epilogue { residual, ..epilogue };
             match self.kernel {
                 LinearKernel::Panels(element) => self.panels(rec, element, input, part.len(), out, epilogue),
-                LinearKernel::Matrix(shape) => self.matrix(rec, shape, input, part.len(), out, epilogue),
+                LinearKernel::Matrix(factor, shape) => {
+                    self.matrix(rec, (factor, shape), input, part.len(), out, epilogue);
+                }
             }
         }
     }
@@ -137,19 +152,37 @@ impl Linear {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn matrix(&self, rec: &mut Recorder, shape: MatrixShape, a: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
-        let tile = LinearTile::choose(rec.limits(), shape, rows, self.columns);
+    fn matrix(
+        &self,
+        rec: &mut Recorder,
+        (factor, shape): (Element, MatrixShape),
+        input: Tensor,
+        rows: usize,
+        out: Tensor,
+        epilogue: Epilogue,
+    ) {
+        let tile = LinearTile::choose(rec.limits(), factor, shape, rows, self.columns);
         let [tile_rows, tile_columns] = tile.sides(shape);
+        let (columns, inner) = (self.columns, self.inner);
+        let (a, row_scales, column_scales) = match factor {
+            Element::I8 => {
+                let (a, scales) = quantise_rows(rec, input, rows, inner);
+                (a, scales, self.weight.slice::<f32>(scales_at(columns, inner) / 4, columns))
+            }
+            _ => (input, self.bias, self.bias),
+        };
         let kernel = ops::LinearMatrix {
             a,
-            weight: self.weight,
+            weight: self.weight.slice_of(factor, 0, columns * inner),
             bias: self.bias,
             gamma: epilogue.gamma.unwrap_or(self.bias),
             residual: epilogue.residual.unwrap_or(self.bias),
             out,
+            row_scales,
+            column_scales,
             rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
+            inner: inner as u32,
+            columns: columns as u32,
             subgroups: tile.subgroups[0] * tile.subgroups[1],
             subgroups_n: tile.subgroups[1],
             matrix_m: shape.m,
@@ -161,6 +194,7 @@ impl Linear {
             activation: epilogue.activation as u32,
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
+            factor,
             output: epilogue.output,
         };
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.

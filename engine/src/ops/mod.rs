@@ -21,5 +21,5 @@ pub use linear::{Activation, Epilogue, Linear, LinearKernel};
 pub use norm::{Norm, NormRows};
 pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
-pub use rows::{add, gather_rows, join_columns};
+pub use rows::{add, gather_rows, join_columns, quantise_rows};
 pub use self_test::{Chosen, SelfTest};

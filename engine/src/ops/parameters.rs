@@ -1,13 +1,12 @@
 //! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
 
-use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, Norm};
+use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, Norm, linear::scales_at};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Resident, ResidentLayout, Tensor},
     kernels::limits::PANEL_COLUMNS,
     weights::Checkpoint,
 };
-use half::f16;
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
@@ -50,7 +49,7 @@ impl ParameterLayout {
     /// The kernel of attention.
     pub fn attention(&self) -> AttentionKernel {
         match self.arithmetic {
-            Arithmetic { attention: Some(shape), .. } => AttentionKernel::Matrix(shape),
+            Arithmetic { attention: Some(shape), element, .. } => AttentionKernel::Matrix(element, shape),
             Arithmetic { element, .. } => AttentionKernel::Lanes(element),
         }
     }
@@ -62,6 +61,12 @@ impl ParameterLayout {
 
     /// `NAME.weight` `[columns, inner]` (a convolution's kernel counts as one row an output) and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
+        self.matrix(name, inner, columns, false, Arithmetic { quantised: None, ..self.arithmetic })
+    }
+
+    /// As [`ParameterLayout::linear`], within a block, whose errors the residual stream outweighs: 8-bit integers where the
+    /// arithmetic has them.
+    pub fn block_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, inner, columns, false, self.arithmetic)
     }
 
@@ -70,7 +75,7 @@ impl ParameterLayout {
         self.matrix(name, inner, columns, false, Arithmetic::EXACT)
     }
 
-    /// As [`ParameterLayout::linear`] for a layer whose output is [gate | value].
+    /// As [`ParameterLayout::block_linear`] for a layer whose output is [gate | value].
     pub fn gated_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, inner, columns, true, self.arithmetic)
     }
@@ -119,17 +124,17 @@ impl ParameterLayout {
 
     fn matrix(&mut self, name: &str, inner: usize, columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
         // The matrix kernel writes whole vectors.
-        let kernel = match arithmetic.linear {
-            Some(shape) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(shape),
-            _ => LinearKernel::Panels(arithmetic.element),
+        let Arithmetic { element, linear, quantised, .. } = arithmetic;
+        let units = quantised.map(|shape| (Element::I8, shape)).or(linear.map(|shape| (element, shape)));
+        let kernel = match units {
+            Some((factor, shape)) if columns.is_multiple_of(if gated { 8 } else { 4 }) => {
+                LinearKernel::Matrix(factor, shape)
+            }
+            _ => LinearKernel::Panels(element),
         };
         let packing = Packing::Matrix { inner, columns, gated, kernel };
-        let (weight, len) = (format!("{name}.weight"), packed_len(inner, columns, kernel));
         Linear {
-            weight: match kernel.element() {
-                Element::F32 => self.add::<f32>(weight, len, packing),
-                Element::F16 => self.add::<u16>(weight, len, packing),
-            },
+            weight: self.add::<u8>(format!("{name}.weight"), packed_bytes(inner, columns, kernel), packing),
             bias: self.add::<f32>(
                 format!("{name}.bias"),
                 columns,
@@ -148,12 +153,13 @@ impl ParameterLayout {
     }
 }
 
-/// Values of a packed matrix.
-fn packed_len(inner: usize, columns: usize, kernel: LinearKernel) -> usize {
+/// Bytes of a packed matrix.
+fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -> usize {
     let inner = inner.next_multiple_of(kernel.vector());
     match kernel {
-        LinearKernel::Panels(_) => inner * columns.next_multiple_of(PANEL_COLUMNS as usize),
-        LinearKernel::Matrix(_) => inner * columns,
+        LinearKernel::Panels(element) => element.bytes() * inner * columns.next_multiple_of(PANEL_COLUMNS as usize),
+        LinearKernel::Matrix(Element::I8, _) => scales_at(columns, inner) + 4 * columns,
+        LinearKernel::Matrix(factor, _) => factor.bytes() * inner * columns,
     }
 }
 
@@ -168,27 +174,22 @@ impl Packing {
                 packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
             }
             Packing::Matrix { inner, columns, gated, kernel } => {
-                packed.resize(packed_len(inner, columns, kernel) * kernel.element().bytes(), 0);
+                packed.resize(packed_bytes(inner, columns, kernel), 0);
                 let row = |column: usize| &source[source_row(column, columns, gated) * inner..][..inner];
+                let padded = inner.next_multiple_of(kernel.vector());
                 match kernel {
-                    LinearKernel::Panels(Element::F32) => panels(row, inner, columns, kernel, packed, f32::to_ne_bytes),
-                    LinearKernel::Panels(Element::F16) => panels(row, inner, columns, kernel, packed, half),
-                    LinearKernel::Matrix(_) => {
-                        let padded = 2 * inner.next_multiple_of(kernel.vector());
-                        packed.par_chunks_mut(padded).enumerate().for_each(|(column, out)| {
-                            let (out, _) = out.as_chunks_mut::<2>();
-                            out.iter_mut().zip(row(column)).for_each(|(out, value)| *out = half(*value));
+                    LinearKernel::Panels(Element::F32) => panels::<4>(row, columns, padded, Element::F32, packed),
+                    LinearKernel::Panels(half) => panels::<2>(row, columns, padded, half, packed),
+                    LinearKernel::Matrix(Element::I8, _) => quantised(row, columns, padded, packed),
+                    LinearKernel::Matrix(factor, _) => {
+                        packed.par_chunks_mut(factor.bytes() * padded).enumerate().for_each(|(column, out)| {
+                            out[..factor.bytes() * inner].copy_from_slice(&factor.encode(row(column)));
                         });
                     }
                 }
             }
         }
     }
-}
-
-/// A value as f16. One beyond its largest becomes that one.
-fn half(value: f32) -> [u8; 2] {
-    f16::from_f32(value.clamp(f16::MIN.to_f32(), f16::MAX.to_f32())).to_ne_bytes()
 }
 
 /// The bytes of the matrix `weight` `[columns, inner]` as `kernel` reads them.
@@ -198,23 +199,36 @@ pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: 
     packed
 }
 
-/// Columns, each a row of a checkpoint's matrix, as `[panels, padded inner, PANEL_COLUMNS]`.
+/// Columns, each a row of a checkpoint's matrix, as `[panels, padded, PANEL_COLUMNS]` of a type of N bytes.
 fn panels<'a, const N: usize>(
     row: impl Fn(usize) -> &'a [f32] + Sync,
-    inner: usize,
     columns: usize,
-    kernel: LinearKernel,
+    padded: usize,
+    element: Element,
     packed: &mut [u8],
-    encode: impl Fn(f32) -> [u8; N] + Sync,
 ) {
     const PANEL: usize = PANEL_COLUMNS as usize;
-    let padded = inner.next_multiple_of(kernel.vector());
     packed.par_chunks_mut(padded * PANEL * N).enumerate().for_each(|(p, panel)| {
         let (panel, _) = panel.as_chunks_mut::<N>();
         for column in p * PANEL..columns.min((p + 1) * PANEL) {
-            for (k, value) in row(column).iter().enumerate() {
-                panel[k * PANEL + column % PANEL] = encode(*value);
+            for (k, value) in element.encode(row(column)).as_chunks::<N>().0.iter().enumerate() {
+                panel[k * PANEL + column % PANEL] = *value;
             }
         }
     });
+}
+
+/// Columns as 8-bit integers `[columns, padded]`, each with a scale that makes its largest magnitude 127, and behind them
+/// the scales.
+fn quantised<'a>(row: impl Fn(usize) -> &'a [f32] + Sync, columns: usize, padded: usize, packed: &mut [u8]) {
+    let largest = |column: usize| row(column).iter().fold(0f32, |most, x| most.max(x.abs()));
+    let (integers, scales) = packed.split_at_mut(scales_at(columns, padded));
+    integers[..columns * padded].par_chunks_mut(padded).enumerate().for_each(|(column, out)| {
+        let steps = 127.0 / largest(column).max(f32::MIN_POSITIVE);
+        let scaled: Vec<f32> = row(column).iter().map(|x| x * steps).collect();
+        out[..scaled.len()].copy_from_slice(&Element::I8.encode(&scaled));
+    });
+    for (column, scale) in scales.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+        *scale = (largest(column) / 127.0).to_ne_bytes();
+    }
 }

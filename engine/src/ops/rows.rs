@@ -58,6 +58,14 @@ pub fn gather_rows(
     out
 }
 
+/// `source` `[rows, width]` f16 as 8-bit integers, and `[rows]` f32 that 1 stands for in each row.
+pub fn quantise_rows(rec: &mut Recorder, source: Tensor, rows: usize, width: usize) -> (Tensor, Tensor) {
+    let (out, scales) = (rec.tensor::<u8>("quantised", rows * width), rec.tensor::<f32>("row_scales", rows));
+    let kernel = ops::QuantiseRows { source, out, scales, rows: rows as u32, width: width as u32 };
+    rec.dispatch_groups(kernel, rows);
+    (out, scales)
+}
+
 /// `[rows, a]` and `[rows, b]` side by side as `[rows, a + b]` of type `output`.
 pub fn join_columns(rec: &mut Recorder, rows: usize, parts: [(Tensor, usize); 2], output: Element) -> Tensor {
     let out_width = parts[0].1 + parts[1].1;

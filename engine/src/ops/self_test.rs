@@ -6,20 +6,20 @@ use super::{
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
+    gpu::{Device, Element, Limits, MatrixShape, Recorder, Run},
     kernels::MODULES,
 };
-use half::f16;
 use std::{
     fs,
     hash::{DefaultHasher, Hash, Hasher},
     path::{Path, PathBuf},
 };
 
-/// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same f16 factors, so a linear
-/// layer differs by the order of its sums, attention by the rounding of queries, weights and results.
+/// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same factors, so a linear
+/// layer differs by the order of its sums, attention by the rounding of queries, weights and results, which is this many
+/// times the unit roundoff.
 const LINEAR_LIMIT: f64 = 1e-3;
-const ATTENTION_LIMIT: f64 = 2e-2;
+const ATTENTION_LIMIT: f64 = 40.0;
 
 /// What the kernels of one device were found to do.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -33,7 +33,7 @@ impl Precision {
     /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
     /// which convert f16 slowly.
     pub fn best(limits: &Limits) -> Self {
-        if !limits.cpu && limits.matrices.is_some() { Precision::Fast } else { Precision::Exact }
+        if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
     }
 }
 
@@ -56,33 +56,35 @@ impl Chosen {
     pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
         let exact = |notes| Self { precision: Precision::Exact, arithmetic: Arithmetic::EXACT, notes };
         let limits = device.limits();
-        if precision.unwrap_or(Precision::best(limits)) == Precision::Exact {
+        let wanted = precision.unwrap_or(Precision::best(limits));
+        if wanted == Precision::Exact {
             return Ok(exact(Vec::new()));
         }
-        let (fast, test) = match Arithmetic::fast(limits) {
-            Some(fast) => (fast, SelfTest::of(device)?),
-            None => return Err(refused("fast, without 16-bit floats in buffers", limits)),
-        };
+        let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
+        let test = SelfTest::of(device)?;
         let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
         let note = |(kernel, deviation): &(String, Option<f64>)| match deviation {
             Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
             None => format!("{kernel} gave no result on {}: not used", limits.name),
         };
         let notes = failed.map(note).collect();
-        if !(test.passed("ops/linear_f16_f32") && test.passed("ops/attention_f16")) {
-            let asked = precision.is_some();
-            return if asked { Err(refused("fast, which failed its self-test", limits)) } else { Ok(exact(notes)) };
-        }
-        let arithmetic = Arithmetic {
-            linear: fast.linear.filter(|_| test.passed("ops/linear_matrix")),
-            attention: fast.attention.filter(|_| test.passed("ops/attention_matrix")),
-            ..fast
+        let Some(arithmetic) = test.allowed(arithmetic) else {
+            let found = format!("{}, which failed its self-test", wanted.name());
+            return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
         };
-        Ok(Self { precision: Precision::Fast, arithmetic, notes })
+        Ok(Self { precision: wanted, arithmetic, notes })
     }
 }
 
-fn refused(found: &str, limits: &Limits) -> Error {
+fn lacking(precision: Precision, limits: &Limits) -> Error {
+    let what = match precision {
+        Precision::Turbo if limits.half_storage => "matrix units for 8-bit integers",
+        _ => "16-bit floats in buffers",
+    };
+    refused(format!("{}, without {what}", precision.name()), limits)
+}
+
+fn refused(found: String, limits: &Limits) -> Error {
     Error::argument("precision", found, format!("exact on {}", limits.name))
 }
 
@@ -122,27 +124,51 @@ impl SelfTest {
     pub fn run(device: &Device) -> Result<Self> {
         let limits = device.limits();
         let mut test = Self::default();
-        if limits.half_storage {
-            test.linear(device, "ops/linear_f16_f32", LinearKernel::Panels(Element::F16), [35, 40])?;
-            test.attention(device, "ops/attention_f16", AttentionKernel::Lanes(Element::F16), 35)?;
+        if !limits.half_storage {
+            return Ok(test);
         }
-        if let Some(shape) = limits.matrices {
+        for element in [Element::F16, Element::Bf16] {
+            test.linear(device, LinearKernel::Panels(element), [35, 40])?;
+            test.attention(device, AttentionKernel::Lanes(element), 35)?;
+        }
+        for factor in [Element::F16, Element::Bf16, Element::I8] {
+            let Some(shape) = limits.matrices.of(factor) else { continue };
             // As many tiles as make each candidate the one that is chosen.
-            let tiles = LinearTile::candidates(limits, shape);
-            test.none_fits("ops/linear_matrix", tiles.is_empty());
+            let kernel = LinearKernel::Matrix(factor, shape);
+            let tiles = LinearTile::candidates(limits, factor, shape);
+            test.none_fits(linear_name(kernel), tiles.is_empty());
             for tile in tiles {
                 let [rows, columns] = tile.sides(shape);
-                let size = [16 * rows + 3, 16 * columns + 8];
-                test.linear(device, "ops/linear_matrix", LinearKernel::Matrix(shape), size)?;
+                test.linear(device, kernel, [16 * rows + 3, 16 * columns + 8])?;
             }
+            if factor == Element::I8 {
+                continue;
+            }
+            let kernel = AttentionKernel::Matrix(factor, shape);
             let tiles = AttentionTile::candidates(limits, shape, WIDEST_HEAD);
-            test.none_fits("ops/attention_matrix", tiles.is_empty());
+            test.none_fits(attention_name(kernel), tiles.is_empty());
             for tile in tiles {
-                let queries = 16 * tile.rows(shape) + 3;
-                test.attention(device, "ops/attention_matrix", AttentionKernel::Matrix(shape), queries)?;
+                test.attention(device, kernel, 16 * tile.rows(shape) + 3)?;
             }
         }
         Ok(test)
+    }
+
+    /// An arithmetic without the matrix kernels that failed; `None` where those that would replace them failed, too.
+    fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
+        let element = wanted.element;
+        let lanes = [linear_name(LinearKernel::Panels(element)), attention_name(AttentionKernel::Lanes(element))];
+        let linear = |factor| move |shape: &MatrixShape| linear_name(LinearKernel::Matrix(factor, *shape));
+        let quantised = wanted.quantised.filter(|shape| self.passed(linear(Element::I8)(shape)));
+        let usable =
+            lanes.into_iter().all(|name| self.passed(name)) && quantised.is_some() == wanted.quantised.is_some();
+        usable.then_some(Arithmetic {
+            linear: wanted.linear.filter(|shape| self.passed(linear(element)(shape))),
+            attention: wanted
+                .attention
+                .filter(|shape| self.passed(attention_name(AttentionKernel::Matrix(element, *shape)))),
+            ..wanted
+        })
     }
 
     fn passed(&self, kernel: &str) -> bool {
@@ -167,9 +193,11 @@ impl SelfTest {
         self.deviations.push((kernel.into(), deviation.is_finite().then_some(deviation)));
     }
 
-    fn linear(&mut self, device: &Device, name: &str, kernel: LinearKernel, [rows, columns]: [usize; 2]) -> Result<()> {
+    fn linear(&mut self, device: &Device, kernel: LinearKernel, [rows, columns]: [usize; 2]) -> Result<()> {
         const INNER: usize = 72;
-        let (a, b, bias) = (noise(1, rows * INNER), noise(2, columns * INNER), noise(3, columns));
+        let factor = kernel.factor();
+        let (a, b, bias) =
+            (noise(1, rows, INNER, factor), noise(2, columns, INNER, factor), noise(3, 1, columns, factor));
         let run = |kernel: LinearKernel| -> Result<Vec<f32>> {
             let mut rec = Recorder::new(device.limits());
             let packed = pack_matrix(kernel, &b, INNER, columns);
@@ -181,19 +209,19 @@ impl SelfTest {
             let mut run = Run::new(device, rec.finish()?)?;
             run.write(weight, &packed)?;
             run.write(bias_tensor, &bias)?;
-            write(&mut run, kernel.element(), input, &a)?;
+            run.write(input, &kernel.element().encode(&a))?;
             run.execute()?;
             run.read(out)
         };
         let (exact, fast) = (run(LinearKernel::Panels(Element::F32))?, run(kernel)?);
-        self.compare(name, LINEAR_LIMIT, &exact, &fast);
+        self.compare(linear_name(kernel), LINEAR_LIMIT, &exact, &fast);
         Ok(())
     }
 
-    fn attention(&mut self, device: &Device, name: &str, kernel: AttentionKernel, queries: usize) -> Result<()> {
+    fn attention(&mut self, device: &Device, kernel: AttentionKernel, queries: usize) -> Result<()> {
         let (heads, keys) = (Heads { count: 16, dim: 64 }, 100);
-        let width = heads.width();
-        let parts = [(1, queries), (2, keys), (3, keys)].map(|(seed, tokens)| noise(seed, tokens * width));
+        let (width, element) = (heads.width(), kernel.element());
+        let parts = [(1, queries), (2, keys), (3, keys)].map(|(seed, tokens)| noise(seed, tokens, width, element));
         let run = |kernel: AttentionKernel| -> Result<Vec<f32>> {
             let attention = Attention { heads, sequences: 1, queries, keys, kernel };
             let element = kernel.element();
@@ -210,17 +238,37 @@ impl SelfTest {
             rec.output(out);
             let mut run = Run::new(device, rec.finish()?)?;
             for (input, values) in inputs.into_iter().zip(&parts) {
-                write(&mut run, element, input, values)?;
+                run.write(input, &element.encode(values))?;
             }
             run.execute()?;
-            match element {
-                Element::F32 => run.read(out),
-                Element::F16 => Ok(run.read::<f16>(out)?.into_iter().map(f16::to_f32).collect()),
-            }
+            Ok(element.decode(&run.read::<u8>(out)?))
         };
         let (exact, fast) = (run(AttentionKernel::Lanes(Element::F32))?, run(kernel)?);
-        self.compare(name, ATTENTION_LIMIT, &exact, &fast);
+        let limit = ATTENTION_LIMIT * element.roundoff();
+        self.compare(attention_name(kernel), limit, &exact, &fast);
         Ok(())
+    }
+}
+
+/// Names of kernels that give f32, or their own type.
+fn linear_name(kernel: LinearKernel) -> &'static str {
+    match kernel {
+        LinearKernel::Panels(Element::F16) => "ops/linear_f16_f32",
+        LinearKernel::Panels(Element::Bf16) => "ops/linear_bf16_f32",
+        LinearKernel::Panels(_) => "ops/linear",
+        LinearKernel::Matrix(Element::Bf16, _) => "ops/linear_matrix_bf16_f32",
+        LinearKernel::Matrix(Element::I8, _) => "ops/linear_matrix_i8_f32",
+        LinearKernel::Matrix(..) => "ops/linear_matrix_f16_f32",
+    }
+}
+
+fn attention_name(kernel: AttentionKernel) -> &'static str {
+    match kernel {
+        AttentionKernel::Lanes(Element::F16) => "ops/attention_f16",
+        AttentionKernel::Lanes(Element::Bf16) => "ops/attention_bf16",
+        AttentionKernel::Lanes(_) => "ops/attention",
+        AttentionKernel::Matrix(Element::Bf16, _) => "ops/attention_matrix_bf16",
+        AttentionKernel::Matrix(..) => "ops/attention_matrix_f16",
     }
 }
 
@@ -231,21 +279,21 @@ fn passes(deviation: Option<f64>) -> bool {
     deviation.is_some_and(|times| times <= 1.0)
 }
 
-fn write(run: &mut Run, element: Element, tensor: Tensor, values: &[f32]) -> Result<()> {
-    match element {
-        Element::F32 => run.write(tensor, values),
-        Element::F16 => run.write(tensor, &values.iter().map(|x| f16::from_f32(*x)).collect::<Vec<_>>()),
-    }
-}
-
-/// f16 numbers in (-1, 1).
-fn noise(seed: u64, len: usize) -> Vec<f32> {
+/// `rows` of numbers in (-1, 1) that a type holds; of whole numbers that keep their values when a row is scaled to 127.
+fn noise(seed: u64, rows: usize, width: usize, element: Element) -> Vec<f32> {
     let mut state = seed << 40;
     let mut next = || {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        f16::from_f32((state >> 40) as f32 / (1 << 23) as f32 - 1.0).to_f32()
+        (state >> 40) as f32 / (1 << 23) as f32 - 1.0
     };
-    (0..len).map(|_| next()).collect()
+    let values: Vec<f32> = (0..rows * width).map(|_| next()).collect();
+    match element {
+        Element::I8 => {
+            let whole = |(i, x): (usize, f32)| if i % width == 0 { 127.0 } else { (126.0 * x).round() };
+            values.into_iter().enumerate().map(whole).collect()
+        }
+        _ => element.decode(&element.encode(&values)),
+    }
 }
 
 /// Where the result for a device, its driver and these kernels is kept.

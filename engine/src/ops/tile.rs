@@ -1,6 +1,6 @@
 //! How matrix kernels cut their work into workgroups.
 
-use crate::gpu::{Limits, MatrixShape};
+use crate::gpu::{Element, Limits, MatrixShape};
 
 /// What a workgroup of ops/linear_matrix owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,23 +19,23 @@ const TILES: usize = 256;
 impl LinearTile {
     /// Shapes to choose from, largest first: what a subgroup owns is 64 x 64, where every matrix that is loaded is
     /// multiplied four times, or 32 x 32.
-    pub fn candidates(limits: &Limits, shape: MatrixShape) -> Vec<Self> {
+    pub fn candidates(limits: &Limits, factor: Element, shape: MatrixShape) -> Vec<Self> {
         // On a CPU matrices are loops that take long to compile.
         let sides: &[u32] = if limits.cpu { &[16] } else { &[64, 32] };
         let tile = |side: &u32| LinearTile {
             subgroups: [2, 2],
             repeats: [side.div_ceil(shape.m), side.div_ceil(shape.n)],
-            k: if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(32) },
+            k: if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(64 / factor.bytes() as u32) },
         };
-        sides.iter().map(tile).filter(|tile| tile.fits(limits, shape)).collect()
+        sides.iter().map(tile).filter(|tile| tile.fits(limits, factor, shape)).collect()
     }
 
     /// The largest tile that leaves enough of them to keep the device busy, else the smallest.
     ///
     /// # Panics
     /// Where none fits; [`LinearTile::candidates`] says so.
-    pub(super) fn choose(limits: &Limits, shape: MatrixShape, rows: usize, columns: usize) -> Self {
-        let candidates = Self::candidates(limits, shape);
+    pub(super) fn choose(limits: &Limits, factor: Element, shape: MatrixShape, rows: usize, columns: usize) -> Self {
+        let candidates = Self::candidates(limits, factor, shape);
         let busy = |tile: &&Self| {
             let [tile_rows, tile_columns] = tile.sides(shape);
             rows.div_ceil(tile_rows) * columns.div_ceil(tile_columns) >= TILES
@@ -50,12 +50,13 @@ impl LinearTile {
     }
 
     /// Whether a workgroup is within the device's limits, its shared memory as kernels/ops/linear_matrix.comp lays it out.
-    fn fits(&self, limits: &Limits, shape: MatrixShape) -> bool {
+    fn fits(&self, limits: &Limits, factor: Element, shape: MatrixShape) -> bool {
         let subgroups = self.subgroups[0] * self.subgroups[1];
         let [rows, columns] = self.sides(shape);
+        let piece = 8 * factor.bytes() as u32;
         let stages = 2 * (rows + columns) as u32 * (self.k / 8 + 1);
-        let strips = subgroups * shape.m * (self.repeats[1] * shape.n / 4 + 1);
-        16 * stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
+        let strips = subgroups * shape.m * (self.repeats[1] * shape.n * 4 / piece + 1);
+        piece * stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
     }
 }
 

@@ -84,7 +84,7 @@ fn tolerance(shape: Attention, element: Element) -> Tolerance {
         Element::F32 => sums,
         // Scaled queries are rounded, which moves scores that are below 1 here by less than themselves, then weights, then
         // the result.
-        Element::F16 => sums.and(Tolerance::sum_of_f16(shape.keys)).stored_in(element),
+        half => sums.and(Tolerance::sum_of_rounded(half, shape.keys)).stored_in(half),
     }
 }
 

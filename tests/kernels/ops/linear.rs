@@ -4,7 +4,7 @@ use crate::case::{Case, elements, linear_kernels, random, stored};
 use zipsplat::{
     gpu::{Element, Limits, Tensor},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel},
+    ops::{Activation, Epilogue, Linear, LinearKernel, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -43,14 +43,17 @@ impl Layer {
             (true, false) => 0.0,
             (false, _) => f32::NAN,
         };
-        let weight: Vec<f32> = match kernel {
-            LinearKernel::Panels(_) => (0..inner * self.columns.next_multiple_of(panel))
-                .map(|i| value(i / panel / inner * panel + i % panel, i / panel % inner))
-                .collect(),
-            LinearKernel::Matrix(_) => (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect(),
-        };
         let bias: Vec<f32> = (0..self.columns).map(|c| self.bias[row_from_column(c)]).collect();
-        let weight = case.input_of(kernel.element(), &weight);
+        let rows = || (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect::<Vec<f32>>();
+        let weight = match kernel {
+            LinearKernel::Panels(element) => {
+                let at = |i| value(i / panel / inner * panel + i % panel, i / panel % inner);
+                let weight: Vec<f32> = (0..inner * self.columns.next_multiple_of(panel)).map(at).collect();
+                case.input_of(element, &weight)
+            }
+            LinearKernel::Matrix(Element::I8, _) => case.input(&pack_matrix(kernel, &rows(), inner, self.columns)),
+            LinearKernel::Matrix(factor, _) => case.input_of(factor, &rows()),
+        };
         Linear { weight, bias: case.input(&bias), inner, columns: self.columns, kernel }
     }
 
@@ -61,10 +64,11 @@ impl Layer {
         case.input_of(kernel.element(), &padded)
     }
 
-    /// Of factors as `element` stores them.
-    fn truth(&self, element: Element, x: &[f32], activation: Activation, gamma: Option<&[f32]>) -> Vec<f64> {
-        let weight = stored(element, self.weight.clone());
-        let sums = linear(&widen(&stored(element, x.to_vec())), &weight, &self.bias);
+    /// Of factors as `factor` stores them.
+    fn truth(&self, factor: Element, x: &[f32], activation: Activation, gamma: Option<&[f32]>) -> Vec<f64> {
+        let held =
+            |values: &[f32]| if factor == Element::I8 { values.to_vec() } else { stored(factor, values.to_vec()) };
+        let sums = linear(&widen(&held(x)), &held(&self.weight), &self.bias);
         let activated = match activation {
             Activation::None => sums,
             Activation::Gelu => sums.into_iter().map(gelu).collect(),
@@ -81,6 +85,11 @@ impl Layer {
         sums.stored_in(output)
     }
 
+    /// With weights that kernels of this type hold.
+    fn for_factors(&self, factor: Element) -> Layer {
+        Layer { weight: holdable(factor, &self.weight, self.inner), bias: self.bias.clone(), ..*self }
+    }
+
     /// Kernels that can compute it.
     fn kernels(&self, activation: Activation) -> Vec<LinearKernel> {
         let vector = if activation == Activation::SwiGlu { 8 } else { 4 };
@@ -90,10 +99,20 @@ impl Layer {
     }
 }
 
-/// Every kernel, with outputs of every type.
+/// Rows whose scale is a power of two and that are whole numbers of it, where factors are 8-bit integers: their rounding is
+/// tested on its own.
+fn holdable(factor: Element, values: &[f32], width: usize) -> Vec<f32> {
+    let whole = |(i, x): (usize, &f32)| if i % width == 0 { 127.0 } else { (126.0 * x).round().clamp(-127.0, 127.0) };
+    match factor {
+        Element::I8 => values.iter().enumerate().map(whole).map(|x| x / 128.0).collect(),
+        _ => values.to_vec(),
+    }
+}
+
+/// Every kernel, with outputs of every type that goes with it.
 fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, scaled: bool, added: bool) {
     for kernel in layer.kernels(activation) {
-        for output in elements() {
+        for output in elements().into_iter().filter(|output| [Element::F32, kernel.element()].contains(output)) {
             check_kernel(limits, (kernel, output), rows, layer, activation, scaled, added);
         }
     }
@@ -109,9 +128,10 @@ fn check_kernel(
     added: bool,
 ) {
     let mut case = Case::within(limits);
+    let layer = layer.for_factors(kernel.factor());
     let device_layer = layer.input(&mut case, kernel, activation);
     let out_columns = device_layer.out_columns(activation);
-    let x = random(3, rows * layer.inner);
+    let x = holdable(kernel.factor(), &random(3, rows * layer.inner), layer.inner);
     let gamma = scaled.then(|| random(4, out_columns));
     let residual = added.then(|| random(5, rows * out_columns));
     let (input, out) = (layer.rows(&mut case, kernel, &x), case.output_of(output, rows * out_columns));
@@ -123,7 +143,7 @@ fn check_kernel(
     };
     device_layer.record(&mut case.rec, input, rows, out, epilogue);
     let name = format!("{kernel:?} {rows} x {} -> {} {activation:?} {scaled} {added}", layer.inner, layer.columns);
-    let product = layer.truth(kernel.element(), &x, activation, gamma.as_deref());
+    let product = layer.truth(kernel.factor(), &x, activation, gamma.as_deref());
     let truth = residual.map_or(product.clone(), |residual| add(&product, &widen(&residual)));
     assert_close(&name, &case.result_of(output, out), &truth, layer.tolerance(activation, output));
 }
@@ -173,16 +193,18 @@ fn the_activation_holds_far_from_zero() {
 
 #[test]
 fn adds_to_its_own_output() {
-    let (layer, rows) = (Layer::random(40, 52), 37);
-    let (x, stream, gamma) = (random(6, rows * 40), random(7, rows * 52), random(8, 52));
+    let rows = 37;
+    let (stream, gamma) = (random(7, rows * 52), random(8, 52));
     for kernel in linear_kernels() {
+        let layer = Layer::random(40, 52).for_factors(kernel.factor());
+        let x = holdable(kernel.factor(), &random(6, rows * 40), 40);
         let mut case = Case::new();
         let (input, residual) = (layer.rows(&mut case, kernel, &x), case.input(&stream));
         let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(residual), ..Epilogue::default() };
         let device_layer = layer.input(&mut case, kernel, Activation::None);
         device_layer.record(&mut case.rec, input, rows, residual, epilogue);
         case.rec.output(residual);
-        let product = layer.truth(kernel.element(), &x, Activation::None, Some(&gamma));
+        let product = layer.truth(kernel.factor(), &x, Activation::None, Some(&gamma));
         let truth = add(&product, &widen(&stream));
         let tolerance = layer.tolerance(Activation::None, Element::F32);
         assert_close(&format!("{kernel:?} in place"), &case.result::<f32>(residual), &truth, tolerance);
@@ -192,7 +214,8 @@ fn adds_to_its_own_output() {
 #[test]
 fn what_f16_cannot_hold_saturates() {
     let layer = Layer { inner: 8, columns: 8, weight: vec![200.0; 64], bias: vec![0.0; 8] };
-    for kernel in linear_kernels().into_iter().filter(|_| elements().contains(&Element::F16)) {
+    let gives_f16 = |kernel: &LinearKernel| kernel.element() != Element::Bf16 && elements().contains(&Element::F16);
+    for kernel in linear_kernels().into_iter().filter(gives_f16) {
         for (activation, sign) in [(Activation::None, 1.0), (Activation::None, -1.0), (Activation::SwiGlu, 1.0)] {
             let mut case = Case::new();
             let input = layer.rows(&mut case, kernel, &[100.0 * sign; 8]);

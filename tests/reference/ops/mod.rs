@@ -7,4 +7,5 @@ pub mod gather_rows;
 pub mod layer_norm;
 pub mod linear;
 pub mod place_columns;
+pub mod quantise_rows;
 pub mod split_heads;

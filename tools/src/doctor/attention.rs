@@ -3,15 +3,13 @@
 use super::{
     Area, Case, Mode, Worst,
     bound::{DIVISION, TINY, U, ULP},
-    halves,
     trial::Trial,
 };
 use crate::noise::Noise;
-use half::f16;
 use std::rc::Rc;
 use zipsplat::{
     Result,
-    gpu::{Device, Element},
+    gpu::Device,
     ops::{Attention, AttentionKernel, Heads, Part},
 };
 use zipsplat_reference::{ops::attention::attention, widen};
@@ -61,10 +59,10 @@ impl Problem {
     }
 
     fn run(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
-        let kernel = match (mode, device.limits().matrices) {
-            (Mode::Exact, _) => AttentionKernel::Lanes(Element::F32),
-            (Mode::Matrix, Some(shape)) => AttentionKernel::Matrix(shape),
-            _ => AttentionKernel::Lanes(Element::F16),
+        let units = device.limits().matrices.of(mode.factor).filter(|_| mode.matrix);
+        let kernel = match units {
+            Some(shape) => AttentionKernel::Matrix(mode.factor, shape),
+            None => AttentionKernel::Lanes(mode.factor),
         };
         let width = self.width();
         let (queries, keys) = (self.q.len() / width, self.keys());
@@ -77,18 +75,12 @@ impl Problem {
         for ((values, rows, part), tensor) in parts.into_iter().zip(tensors) {
             // Padding holds NaN, which must reach nothing.
             trial.blank(tensor);
-            let input = match kernel.element() {
-                Element::F32 => trial.input(values),
-                Element::F16 => trial.input(&halves(values)),
-            };
+            let input = trial.input(&kernel.element().encode(values));
             shape.split(&mut trial.rec, (input, width), 0, rows, part, tensor);
         }
         let out = shape.record(&mut trial.rec, tensors);
         trial.rec.output(out);
-        Ok(match kernel.element() {
-            Element::F32 => trial.result(out)?,
-            Element::F16 => trial.result(out)?.into_iter().map(|bits| f16::from_bits(bits).to_f32()).collect(),
-        })
+        Ok(kernel.element().decode(&trial.result::<u8>(out)?))
     }
 
     fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
@@ -199,7 +191,7 @@ pub fn area() -> Area {
     add("values near the largest f16", Box::new(|| values_of(65_000.0)));
     add("values of 1e30", Box::new(|| values_of(1e30)));
     add("subnormal values", Box::new(|| values_of(1e-39)));
-    Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::ALL, cases }
+    Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
 }
 
 fn identical() -> Problem {

@@ -77,7 +77,7 @@ pub fn nearest() -> Area {
     add("one target", [65, 1, 64], |r| r);
     add("values of 1e15", [33, 100, 64], |r| 1e15 * r);
     add("values of 1e-15", [33, 100, 64], |r| 1e-15 * r);
-    Area { kernel: "cluster/nearest", size: "channels", reason: NEAREST, modes: Mode::EXACT, cases }
+    Area { kernel: "cluster/nearest", size: "channels", reason: NEAREST, modes: Mode::ONLY_EXACT, cases }
 }
 
 /// Nearest tokens of k-means and the final assignment.
@@ -126,5 +126,5 @@ pub fn kmeans() -> Area {
     add("K = N - 1", 64, 63, |token, r| (4 * token) as f32 + r);
     add("duplicates, empty clusters", 128, 40, |token, _| (token % 4) as f32);
     add("all tokens equal", 64, 9, |_, _| 0.5);
-    Area { kernel: "cluster", size: "tokens", reason: KMEANS, modes: Mode::EXACT, cases }
+    Area { kernel: "cluster", size: "tokens", reason: KMEANS, modes: Mode::ONLY_EXACT, cases }
 }

@@ -3,7 +3,6 @@
 use super::{
     Area, Case, Factors, Mode, Worst,
     bound::{DIVISION, TINY, U, ULP, exponential},
-    halves,
     trial::Trial,
 };
 use crate::noise::Noise;
@@ -23,7 +22,7 @@ use zipsplat_reference::{
 
 const REASON: &str = "|error| <= gamma_(K+1) (|x| |W| + |b|) in every element, whatever the order of the sum (Higham, \
     section 3.5), carried through the activation's slope, plus Vulkan's limits for exp and division; factors rounded to 11 \
-    bits add twice their unit roundoff";
+    or 8 bits add twice their unit roundoff, 8-bit integers half a step of a row's 127 for each factor";
 
 /// One layer and its input: `x [rows, inner]`, `weight [columns, inner]`.
 struct Problem {
@@ -108,14 +107,9 @@ impl Problem {
             kernel,
         };
         let out_columns = layer.out_columns(self.activation);
-        let input = match kernel.element() {
-            Element::F32 => trial.input(&self.x),
-            Element::F16 => {
-                let padding = vec![0; layer.inner - self.inner];
-                let rows = self.x.chunks(self.inner).flat_map(|row| [halves(row), padding.clone()].concat());
-                trial.input(&rows.collect::<Vec<_>>())
-            }
-        };
+        let padding = vec![0.0; layer.inner - self.inner];
+        let rows: Vec<f32> = self.x.chunks(self.inner).flat_map(|row| [row, &padding].concat()).collect();
+        let input = trial.input(&kernel.element().encode(&rows));
         let (out, epilogue) = if self.scaled {
             let (gamma, stream) = (trial.input(&self.gamma()), trial.input(&self.stream()));
             trial.rec.output(stream);
@@ -138,10 +132,11 @@ impl Problem {
 
     /// As the engine chooses it: matrix units write whole vectors.
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
-        match (mode, device.limits().matrices) {
-            (Mode::Exact, _) => LinearKernel::Panels(Element::F32),
-            (Mode::Matrix, Some(shape)) if self.columns.is_multiple_of(8) => LinearKernel::Matrix(shape),
-            _ => LinearKernel::Panels(Element::F16),
+        let units = device.limits().matrices.of(mode.factor).filter(|_| mode.matrix && self.columns.is_multiple_of(8));
+        match (units, mode.factor) {
+            (Some(shape), factor) => LinearKernel::Matrix(factor, shape),
+            (None, Element::I8) => LinearKernel::Panels(Element::F16),
+            (None, element) => LinearKernel::Panels(element),
         }
     }
 
@@ -154,12 +149,21 @@ impl Problem {
         let weight_sums: Vec<f64> = self.weight.chunks(self.inner).map(sum).collect();
         let rounded = 2.0 * factors.unit + factors.unit * factors.unit;
         let relative = factors.sum(self.inner + 1) * (1.0 + rounded) + rounded;
+        let most = |values: &[f32]| values.iter().fold(0.0, |most: f64, v| most.max(f64::from(v.abs())));
+        let x_steps: Vec<f64> =
+            self.x.chunks(self.inner).map(|row| factors.step * (1.0 + factors.unit) * most(row)).collect();
+        let weight_steps: Vec<f64> = self.weight.chunks(self.inner).map(|row| factors.step * most(row)).collect();
+        let stepped = |i: usize| {
+            let (row, column) = (i / self.columns, i % self.columns);
+            let beside = x_steps[row] * weight_sums[column] + weight_steps[column] * x_sums[row];
+            beside + self.inner as f64 * x_steps[row] * weight_steps[column]
+        };
         // A factor or a product near zero may be flushed.
         let flushed = |i: usize| {
             let beside = x_sums[i / self.columns] + weight_sums[i % self.columns];
             (TINY + factors.tiny) * beside + (self.inner + 1) as f64 * TINY
         };
-        magnitude.iter().enumerate().map(|(i, m)| relative * m + flushed(i)).collect()
+        magnitude.iter().enumerate().map(|(i, m)| relative * m + flushed(i) + stepped(i)).collect()
     }
 }
 

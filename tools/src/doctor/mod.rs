@@ -21,23 +21,19 @@ mod trial;
 
 pub use bound::Worst;
 
-use half::f16;
 use serde::Serialize;
 use zipsplat::{
     Result,
-    gpu::{Device, Limits},
+    gpu::{Device, Element, Limits},
 };
 
 /// Arithmetic of matrix products: the only thing that precision modes differ in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mode {
-    /// f32 throughout.
-    Exact,
-    /// f16 factors and f32 sums, one lane a result.
-    Fast,
-    /// f16 factors and f32 sums, on matrix units.
-    Matrix,
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mode {
+    /// Type of the factors.
+    pub factor: Element,
+    /// Whether matrix units multiply them; else a lane gives a result.
+    pub matrix: bool,
 }
 
 /// How a mode holds the factors of matrix products.
@@ -45,54 +41,78 @@ pub enum Mode {
 struct Factors {
     /// The most that rounding moves one, relatively.
     unit: f64,
+    /// The most that it moves one, relative to the largest of its row.
+    step: f64,
     /// The most that it moves one near zero.
     tiny: f64,
     /// Factors saturate here.
     largest: f64,
-    /// Units of rounding that a step of a sum may cost: matrix units may truncate (Fasi, Higham, Mikaitis and Pranesh,
+    /// Units of rounding that a term of a sum may cost: matrix units may truncate (Fasi, Higham, Mikaitis and Pranesh,
     /// Numerical behavior of NVIDIA tensor cores, 2021).
-    step: usize,
+    roundings: usize,
 }
 
 impl Factors {
     /// The most by which a sum of `n` products moves relative to their magnitudes, rounding of the factors apart.
     fn sum(&self, n: usize) -> f64 {
-        bound::gamma(self.step * n)
+        bound::gamma(self.roundings * n)
     }
 }
 
 impl Mode {
-    /// Every mode.
-    pub const ALL: &[Mode] = &[Mode::Exact, Mode::Fast, Mode::Matrix];
-    /// Of what is f32 in every mode: norms, softmax, clustering, geometry.
-    const EXACT: &[Mode] = &[Mode::Exact];
+    /// f32 throughout.
+    pub const EXACT: Mode = Mode { factor: Element::F32, matrix: false };
+    const F16: Mode = Mode { factor: Element::F16, matrix: false };
+    const BF16: Mode = Mode { factor: Element::Bf16, matrix: false };
+    const F16_MATRIX: Mode = Mode { factor: Element::F16, matrix: true };
+    const BF16_MATRIX: Mode = Mode { factor: Element::Bf16, matrix: true };
+    const I8_MATRIX: Mode = Mode { factor: Element::I8, matrix: true };
 
-    /// As on the command line.
+    /// Every mode: those of linear layers.
+    pub const ALL: &[Mode] =
+        &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
+    /// Of attention.
+    const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
+    /// Of what is f32 in every mode: norms, softmax, clustering, geometry.
+    const ONLY_EXACT: &[Mode] = &[Mode::EXACT];
+
+    /// As in the report.
     pub fn name(self) -> &'static str {
-        match self {
-            Mode::Exact => "exact",
-            Mode::Fast => "fast",
-            Mode::Matrix => "matrix",
+        match (self.factor, self.matrix) {
+            (Element::F32, _) => "exact",
+            (Element::F16, false) => "f16",
+            (Element::Bf16, false) => "bf16",
+            (Element::F16, true) => "f16 matrix",
+            (Element::Bf16, true) => "bf16 matrix",
+            (Element::I8, _) => "i8 matrix",
         }
     }
 
     /// Whether a device has it.
     pub fn is_on(self, limits: &Limits) -> bool {
-        match self {
-            Mode::Exact => true,
-            Mode::Fast => limits.half_storage,
-            Mode::Matrix => limits.half_storage && limits.matrices.is_some(),
-        }
+        let stored = self.factor == Element::F32 || limits.half_storage;
+        stored && (!self.matrix || limits.matrices.of(self.factor).is_some())
     }
 
     fn factors(self) -> Factors {
-        // Of 11 bits; a device may flush what is subnormal.
-        let half = Factors { unit: (-11f64).exp2(), tiny: (-14f64).exp2(), largest: 65504.0, step: 1 };
-        match self {
-            Mode::Exact => Factors { unit: 0.0, tiny: 0.0, largest: f64::INFINITY, step: 1 },
-            Mode::Fast => half,
-            Mode::Matrix => Factors { step: 2, ..half },
+        let roundings = if self.matrix { 2 } else { 1 };
+        let exact = Factors { unit: 0.0, step: 0.0, tiny: 0.0, largest: f64::INFINITY, roundings };
+        let largest = f64::from(self.factor.largest());
+        // A device may flush what is subnormal.
+        let half = Factors { unit: (-11f64).exp2(), tiny: (-14f64).exp2(), largest, ..exact };
+        match self.factor {
+            Element::F32 => exact,
+            Element::F16 => half,
+            Element::Bf16 => Factors { unit: (-8f64).exp2(), tiny: bound::TINY, ..half },
+            // f16 before they become integers; scaling to them is three roundings.
+            Element::I8 => Factors { step: Element::I8.roundoff() + 3.0 * bound::U, largest: 65504.0, ..half },
         }
+    }
+}
+
+impl Serialize for Mode {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
     }
 }
 
@@ -162,11 +182,6 @@ impl Area {
         let (kernel, name) = (self.kernel, case.name.clone());
         Ok(Finding { kernel, case: name, mode, size: case.size, holds: worst.share <= 1.0, worst })
     }
-}
-
-/// As a device in f16 holds it.
-fn halves(values: &[f32]) -> Vec<u16> {
-    values.iter().map(|v| f16::from_f32(v.clamp(-65504.0, 65504.0)).to_bits()).collect()
 }
 
 /// Everything, in the order of the data.

@@ -74,5 +74,5 @@ pub fn area() -> Area {
             check_scan(device, &values)
         }));
     }
-    Area { kernel: "ops/sort", size: "keys", reason: REASON, modes: Mode::EXACT, cases }
+    Area { kernel: "ops/sort", size: "keys", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }

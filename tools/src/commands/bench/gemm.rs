@@ -8,7 +8,6 @@ use crate::{
 };
 use clap::Args;
 use gemm::Parallelism;
-use half::f16;
 use serde::Serialize;
 use std::time::{Duration, Instant};
 use zipsplat::{
@@ -119,8 +118,13 @@ impl Gemm {
 fn kernels(device: &Device) -> Vec<(&'static str, LinearKernel)> {
     let limits = device.limits();
     let mut kernels = vec![("exact", LinearKernel::Panels(Element::F32))];
-    kernels.extend(limits.half_storage.then_some(("f16", LinearKernel::Panels(Element::F16))));
-    kernels.extend(limits.matrices.map(|shape| ("f16 matrices", LinearKernel::Matrix(shape))));
+    if limits.half_storage {
+        kernels.extend([("f16", Element::F16), ("bf16", Element::Bf16)].map(|(n, e)| (n, LinearKernel::Panels(e))));
+    }
+    let matrices = [("f16 matrices", Element::F16), ("bf16 matrices", Element::Bf16), ("i8 matrices", Element::I8)];
+    kernels.extend(matrices.into_iter().filter_map(|(name, factor)| {
+        limits.matrices.of(factor).map(|shape| (name, LinearKernel::Matrix(factor, shape)))
+    }));
     kernels
 }
 
@@ -134,11 +138,7 @@ fn on_device(
     stage: &Stage<'_>,
 ) -> Result<(Vec<Duration>, Vec<f32>)> {
     let mut rec = Recorder::new(device.limits());
-    let rows_of = |values: &[f32]| match kernel.element() {
-        Element::F32 => values.iter().flat_map(|x| x.to_ne_bytes()).collect(),
-        Element::F16 => values.iter().flat_map(|x| f16::from_f32(*x).to_ne_bytes()).collect::<Vec<u8>>(),
-    };
-    let (packed_input, packed) = (rows_of(a), pack_matrix(kernel, b, inner, columns));
+    let (packed_input, packed) = (kernel.element().encode(a), pack_matrix(kernel, b, inner, columns));
     let input = rec.constant::<u8>("input", packed_input.len());
     let weight = rec.constant::<u8>("weight", packed.len());
     let bias = rec.constant::<f32>("bias", columns);

@@ -49,7 +49,7 @@ pub struct Tradeoff {
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<usize>>,
-    /// Arithmetics: exact, fast [default: all that the device has]
+    /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
     /// Photos to compare with, at most
@@ -108,11 +108,8 @@ impl Tradeoff {
     /// Those asked for, or all that the device has; `exact` first, which the others are compared with.
     fn arithmetics(&self, session: &mut Session<'_>, device: &Device) -> Result<Vec<(Precision, Arithmetic)>> {
         let asked = self.precision.as_ref().map(|names| names.iter().map(|name| name.precision()).collect());
-        let has_fast = Arithmetic::fast(device.limits()).is_some();
-        let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| match has_fast {
-            true => vec![Precision::Exact, Precision::Fast],
-            false => vec![Precision::Exact],
-        });
+        let has = |precision: &Precision| Arithmetic::of(*precision, device.limits()).is_some();
+        let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| Precision::ALL.into_iter().filter(has).collect());
         precisions.sort_by_key(|precision| *precision != Precision::Exact);
         precisions.dedup();
         let choose = |precision| {

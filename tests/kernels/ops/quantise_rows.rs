@@ -1,0 +1,59 @@
+//! Rows as 8-bit integers: the nearest ones, or either where rounding of f32 decides between two.
+
+use crate::case::{Case, elements, random, stored};
+use zipsplat::{gpu::Element, ops::quantise_rows};
+use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::reference::{ops::quantise_rows::quantise_rows as reference, widen};
+
+/// What the kernel makes of `values`: integers and scales.
+fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
+    let mut case = Case::new();
+    let source = case.input_of(Element::F16, values);
+    let (out, scales) = quantise_rows(&mut case.rec, source, rows, width);
+    case.rec.output(out);
+    case.rec.output(scales);
+    let run = case.run();
+    (Element::I8.decode(&run.read::<u8>(out).unwrap()), run.read(scales).unwrap())
+}
+
+fn check(values: Vec<f32>, rows: usize, width: usize) {
+    let values = stored(Element::F16, values);
+    let (integers, scales) = quantised(&values, rows, width);
+    let (truth, units) = reference(&widen(&values), width);
+    // Vulkan's division is off by 2.5 ulp, which the product with at most 127 carries along.
+    let nearest = |(got, truth): (&f32, &f64)| (f64::from(*got) - truth).abs() <= 0.5 + 1e-4;
+    let worst = integers.iter().zip(&truth).position(|pair| !nearest(pair));
+    assert!(worst.is_none(), "{rows} x {width}: element {worst:?}");
+    assert_close(&format!("scales of {rows} x {width}"), &scales, &units, Tolerance::ELEMENTWISE);
+}
+
+#[test]
+fn rounds_to_the_nearest_of_each_row() {
+    if !elements().contains(&Element::F16) {
+        return;
+    }
+    for (rows, width) in [(1, 8), (3, 24), (17, 64), (5, 1536), (66_000, 8)] {
+        check(random(1, rows * width), rows, width);
+    }
+    // Rows of very different sizes, one of them a single channel.
+    let mut values = random(2, 6 * 64);
+    for (row, size) in values.chunks_mut(64).zip([1e-4, 1.0, 6e4, 1e-2, 30.0, 500.0]) {
+        row.iter_mut().for_each(|x| *x *= size);
+    }
+    values[130..192].fill(0.0);
+    check(values, 6, 64);
+}
+
+#[test]
+fn zeros_stay_and_nan_is_not_lost() {
+    if !elements().contains(&Element::F16) {
+        return;
+    }
+    let mut values = vec![0.0; 3 * 16];
+    values[20] = f32::NAN;
+    values[40] = -2.0;
+    let (integers, scales) = quantised(&values, 3, 16);
+    assert!(integers[..16].iter().all(|x| *x == 0.0) && scales[0] == 0.0);
+    assert!(scales[1].is_nan(), "{scales:?}");
+    assert_eq!(integers[40], -127.0);
+}
