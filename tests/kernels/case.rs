@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, LinearKernel};
+use zipsplat::ops::{AttentionKernel, LinearKernel, Units};
 use zipsplat_tests::device::device;
 
 /// Bytes behind an output that nothing may write.
@@ -87,14 +87,14 @@ pub fn elements() -> Vec<Element> {
 /// Kernels of linear layers that the device has.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let panels = elements().into_iter().map(LinearKernel::Panels);
-    let matrices = |factor| device().limits().matrices.of(factor).map(|shape| LinearKernel::Matrix(factor, shape));
+    let matrices = |factor| Units::of(factor, device().limits()).map(LinearKernel::Matrix);
     panels.chain([Element::F16, Element::Bf16, Element::I8].into_iter().filter_map(matrices)).collect()
 }
 
 /// Kernels of attention that the device has.
 pub fn attention_kernels() -> Vec<AttentionKernel> {
     let lanes = elements().into_iter().map(AttentionKernel::Lanes);
-    let matrices = |factor| device().limits().matrices.of(factor).map(|shape| AttentionKernel::Matrix(factor, shape));
+    let matrices = |factor| Units::of(factor, device().limits()).map(AttentionKernel::Matrix);
     lanes.chain([Element::F16, Element::Bf16].into_iter().filter_map(matrices)).collect()
 }
 

@@ -4,6 +4,7 @@ mod arena;
 mod case;
 mod determinism;
 mod self_test;
+mod tuning;
 
 mod backbone {
     mod average_halves;

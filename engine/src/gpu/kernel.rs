@@ -67,7 +67,8 @@ impl LocalSize {
 }
 
 /// The type of values that a kernel takes in several types (`#pragma element` and `#pragma factor` in its source).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Element {
     /// IEEE single precision.
     #[default]

@@ -1,5 +1,6 @@
 //! Which number types and kernels linear layers and attention use.
 
+use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
 
 /// What is traded for time. Sums, softmax, norms, the residual stream and geometry are f32 in all of them.
@@ -41,11 +42,29 @@ pub struct Arithmetic {
     /// Type of the factors of matrix products.
     pub element: Element,
     /// Matrix units that linear layers run on, where they do.
-    pub linear: Option<MatrixShape>,
+    pub linear: Option<Units>,
     /// Matrix units that attention runs on, where it does.
-    pub attention: Option<MatrixShape>,
+    pub attention: Option<Units>,
     /// Matrix units for 8-bit integers that linear layers of blocks run on, where they do.
-    pub quantised: Option<MatrixShape>,
+    pub quantised: Option<Units>,
+}
+
+/// Matrix units as a kernel uses them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Units {
+    /// Type of their factors.
+    pub factor: Element,
+    /// Their shape.
+    pub shape: MatrixShape,
+    /// How work is cut for them.
+    pub tiles: Tiles,
+}
+
+impl Units {
+    /// Those of a device with factors of a type, with tiles by rule.
+    pub fn of(factor: Element, limits: &Limits) -> Option<Self> {
+        limits.matrices.of(factor).map(|shape| Self { factor, shape, tiles: Tiles::default() })
+    }
 }
 
 impl Arithmetic {
@@ -59,8 +78,8 @@ impl Arithmetic {
             Precision::Fast | Precision::Turbo => Element::F16,
             Precision::FastBf16 => Element::Bf16,
         };
-        let matrices = limits.matrices.of(element);
-        let quantised = limits.matrices.i8.filter(|_| precision == Precision::Turbo);
+        let matrices = Units::of(element, limits);
+        let quantised = Units::of(Element::I8, limits).filter(|_| precision == Precision::Turbo);
         let can = limits.half_storage && (precision != Precision::Turbo || quantised.is_some());
         can.then_some(Self { element, linear: matrices, attention: matrices, quantised })
     }

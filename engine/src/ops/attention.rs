@@ -1,8 +1,8 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{Norm, tile::AttentionTile};
+use super::{Norm, Units, tile::AttentionTile};
 use crate::{
-    gpu::{Element, MatrixShape, Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
@@ -63,14 +63,14 @@ pub enum AttentionKernel {
     /// ops/attention: everything of this type, keys with tokens running fastest.
     Lanes(Element),
     /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices.
-    Matrix(Element, MatrixShape),
+    Matrix(Units),
 }
 
 impl AttentionKernel {
     /// Type of queries, keys, values and of what comes out.
     pub fn element(self) -> Element {
         match self {
-            AttentionKernel::Lanes(element) | AttentionKernel::Matrix(element, _) => element,
+            AttentionKernel::Lanes(element) | AttentionKernel::Matrix(Units { factor: element, .. }) => element,
         }
     }
 }
@@ -83,8 +83,8 @@ impl Attention {
         let (queries, keys, values) = match self.kernel {
             AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
             // The last workgroup reads queries beyond the end.
-            AttentionKernel::Matrix(_, shape) => {
-                (queries + AttentionTile::most_rows(rec.limits(), shape) * self.channels(), keys, keys)
+            AttentionKernel::Matrix(units) => {
+                (queries + AttentionTile::most_rows(rec.limits(), units) * self.channels(), keys, keys)
             }
         };
         let element = self.kernel.element();
@@ -95,7 +95,9 @@ impl Attention {
     fn channels(&self) -> usize {
         match self.kernel {
             AttentionKernel::Lanes(_) => self.heads.dim,
-            AttentionKernel::Matrix(_, shape) => self.heads.dim.next_multiple_of(shape.n.max(shape.k) as usize),
+            AttentionKernel::Matrix(Units { shape, .. }) => {
+                self.heads.dim.next_multiple_of(shape.n.max(shape.k) as usize)
+            }
         }
     }
 
@@ -150,7 +152,7 @@ impl Attention {
         let out = rec.tensor_of(self.kernel.element(), "attended", len);
         match self.kernel {
             AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out),
-            AttentionKernel::Matrix(factor, shape) => self.matrix(rec, (factor, shape), tensors, out),
+            AttentionKernel::Matrix(units) => self.matrix(rec, units, tensors, out),
         }
         out
     }
@@ -174,9 +176,10 @@ impl Attention {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
     }
 
-    fn matrix(&self, rec: &mut Recorder, (factor, shape): (Element, MatrixShape), [q, k, v]: [Tensor; 3], out: Tensor) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v]: [Tensor; 3], out: Tensor) {
+        let Units { factor, shape, .. } = units;
         let Heads { count, dim } = self.heads;
-        let tile = AttentionTile::choose(rec.limits(), shape, self.channels(), self.queries, count * self.sequences);
+        let tile = AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, count * self.sequences);
         let kernel = ops::AttentionMatrix {
             q,
             k,

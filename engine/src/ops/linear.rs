@@ -1,11 +1,12 @@
 //! Linear layers with fused epilogues.
 
 use super::{
+    Units,
     rows::{SCRATCH_BYTES, quantise_rows, row_chunks},
     tile::LinearTile,
 };
 use crate::{
-    gpu::{Element, MatrixShape, Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::{limits::LINEAR_ROWS, ops},
 };
 
@@ -35,7 +36,7 @@ pub enum LinearKernel {
     Panels(Element),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
     /// behind them, at [`scales_at`]; inputs are f16 and become such integers row by row.
-    Matrix(Element, MatrixShape),
+    Matrix(Units),
 }
 
 /// What follows the bias.
@@ -75,7 +76,7 @@ impl LinearKernel {
     /// Type of the factors, and so of the weight.
     pub fn factor(self) -> Element {
         match self {
-            LinearKernel::Panels(element) | LinearKernel::Matrix(element, _) => element,
+            LinearKernel::Panels(element) | LinearKernel::Matrix(Units { factor: element, .. }) => element,
         }
     }
 
@@ -123,9 +124,7 @@ impl Linear {
             let epilogue = Epilogue { residual, ..epilogue };
             match self.kernel {
                 LinearKernel::Panels(element) => self.panels(rec, element, input, part.len(), out, epilogue),
-                LinearKernel::Matrix(factor, shape) => {
-                    self.matrix(rec, (factor, shape), input, part.len(), out, epilogue);
-                }
+                LinearKernel::Matrix(units) => self.matrix(rec, units, input, part.len(), out, epilogue),
             }
         }
     }
@@ -152,16 +151,9 @@ impl Linear {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn matrix(
-        &self,
-        rec: &mut Recorder,
-        (factor, shape): (Element, MatrixShape),
-        input: Tensor,
-        rows: usize,
-        out: Tensor,
-        epilogue: Epilogue,
-    ) {
-        let tile = LinearTile::choose(rec.limits(), factor, shape, rows, self.columns);
+    fn matrix(&self, rec: &mut Recorder, units: Units, input: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
+        let Units { factor, shape, .. } = units;
+        let tile = LinearTile::choose(rec.limits(), units, rows, self.columns);
         let [tile_rows, tile_columns] = tile.sides(shape);
         let (columns, inner) = (self.columns, self.inner);
         let (a, row_scales, column_scales) = match factor {

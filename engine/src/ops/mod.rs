@@ -12,8 +12,9 @@ pub mod scan;
 mod self_test;
 pub mod sort;
 mod tile;
+mod tuning;
 
-pub use arithmetic::{Arithmetic, Precision};
+pub use arithmetic::{Arithmetic, Precision, Units};
 pub use attention::{Attention, AttentionKernel, Heads, Part};
 pub use block::{Block, Sequences};
 pub use cross_block::CrossBlock;
@@ -23,3 +24,5 @@ pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns, quantise_rows};
 pub use self_test::{Chosen, SelfTest};
+pub use tile::{AttentionTile, LinearTile, Tiles};
+pub use tuning::{Measured, Tuned, Tuning};

@@ -1,6 +1,6 @@
 //! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
 
-use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, Norm, linear::scales_at};
+use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, Norm, Units, linear::scales_at};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Resident, ResidentLayout, Tensor},
@@ -49,7 +49,7 @@ impl ParameterLayout {
     /// The kernel of attention.
     pub fn attention(&self) -> AttentionKernel {
         match self.arithmetic {
-            Arithmetic { attention: Some(shape), element, .. } => AttentionKernel::Matrix(element, shape),
+            Arithmetic { attention: Some(units), .. } => AttentionKernel::Matrix(units),
             Arithmetic { element, .. } => AttentionKernel::Lanes(element),
         }
     }
@@ -125,11 +125,8 @@ impl ParameterLayout {
     fn matrix(&mut self, name: &str, inner: usize, columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
         // The matrix kernel writes whole vectors.
         let Arithmetic { element, linear, quantised, .. } = arithmetic;
-        let units = quantised.map(|shape| (Element::I8, shape)).or(linear.map(|shape| (element, shape)));
-        let kernel = match units {
-            Some((factor, shape)) if columns.is_multiple_of(if gated { 8 } else { 4 }) => {
-                LinearKernel::Matrix(factor, shape)
-            }
+        let kernel = match quantised.or(linear) {
+            Some(units) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(units),
             _ => LinearKernel::Panels(element),
         };
         let packing = Packing::Matrix { inner, columns, gated, kernel };
@@ -158,8 +155,8 @@ fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -> usize {
     let inner = inner.next_multiple_of(kernel.vector());
     match kernel {
         LinearKernel::Panels(element) => element.bytes() * inner * columns.next_multiple_of(PANEL_COLUMNS as usize),
-        LinearKernel::Matrix(Element::I8, _) => scales_at(columns, inner) + 4 * columns,
-        LinearKernel::Matrix(factor, _) => factor.bytes() * inner * columns,
+        LinearKernel::Matrix(Units { factor: Element::I8, .. }) => scales_at(columns, inner) + 4 * columns,
+        LinearKernel::Matrix(Units { factor, .. }) => factor.bytes() * inner * columns,
     }
 }
 
@@ -180,8 +177,8 @@ impl Packing {
                 match kernel {
                     LinearKernel::Panels(Element::F32) => panels::<4>(row, columns, padded, Element::F32, packed),
                     LinearKernel::Panels(half) => panels::<2>(row, columns, padded, half, packed),
-                    LinearKernel::Matrix(Element::I8, _) => quantised(row, columns, padded, packed),
-                    LinearKernel::Matrix(factor, _) => {
+                    LinearKernel::Matrix(Units { factor: Element::I8, .. }) => quantised(row, columns, padded, packed),
+                    LinearKernel::Matrix(Units { factor, .. }) => {
                         packed.par_chunks_mut(factor.bytes() * padded).enumerate().for_each(|(column, out)| {
                             out[..factor.bytes() * inner].copy_from_slice(&factor.encode(row(column)));
                         });

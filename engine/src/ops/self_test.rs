@@ -1,12 +1,13 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
 use super::{
-    Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, pack_matrix,
-    tile::{AttentionTile, LinearTile},
+    Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, Tuning, Units,
+    pack_matrix,
+    tile::{AttentionTile, LinearTile, Tiles},
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Element, Limits, MatrixShape, Recorder, Run},
+    gpu::{Device, Element, Limits, Recorder, Run},
     kernels::MODULES,
 };
 use std::{
@@ -72,6 +73,7 @@ impl Chosen {
             let found = format!("{}, which failed its self-test", wanted.name());
             return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
         };
+        let arithmetic = Tuning::known(device).unwrap_or_default().applied(arithmetic, limits);
         Ok(Self { precision: wanted, arithmetic, notes })
     }
 }
@@ -94,7 +96,7 @@ impl SelfTest {
     /// # Errors
     /// [`Error::DeviceLost`]; other failures are those of its kernels.
     pub fn of(device: &Device) -> Result<Self> {
-        let file = cache_file(device);
+        let file = cache_file(device, "self-test");
         let known = file.as_ref().and_then(|file| fs::read(file).ok());
         if let Some(test) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Ok(test);
@@ -132,23 +134,23 @@ impl SelfTest {
             test.attention(device, AttentionKernel::Lanes(element), 35)?;
         }
         for factor in [Element::F16, Element::Bf16, Element::I8] {
-            let Some(shape) = limits.matrices.of(factor) else { continue };
-            // As many tiles as make each candidate the one that is chosen.
-            let kernel = LinearKernel::Matrix(factor, shape);
-            let tiles = LinearTile::candidates(limits, factor, shape);
-            test.none_fits(linear_name(kernel), tiles.is_empty());
-            for tile in tiles {
-                let [rows, columns] = tile.sides(shape);
-                test.linear(device, kernel, [16 * rows + 3, 16 * columns + 8])?;
+            let Some(units) = Units::of(factor, limits) else { continue };
+            let tiles = LinearTile::candidates(limits, units);
+            test.none_fits(linear_name(LinearKernel::Matrix(units)), tiles.is_empty());
+            for (index, tile) in tiles.iter().enumerate() {
+                let ([rows, columns], tiles) = (tile.sides(units.shape), Tiles::always(index));
+                // More than one workgroup each way, the last of them not whole.
+                test.linear(device, LinearKernel::Matrix(Units { tiles, ..units }), [rows + 3, columns + 8])?;
             }
             if factor == Element::I8 {
                 continue;
             }
-            let kernel = AttentionKernel::Matrix(factor, shape);
-            let tiles = AttentionTile::candidates(limits, shape, WIDEST_HEAD);
-            test.none_fits(attention_name(kernel), tiles.is_empty());
-            for tile in tiles {
-                test.attention(device, kernel, 16 * tile.rows(shape) + 3)?;
+            let widest = AttentionTile::candidates(limits, units, WIDEST_HEAD);
+            test.none_fits(attention_name(AttentionKernel::Matrix(units)), widest.is_empty());
+            let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
+            for (index, tile) in tiles.iter().enumerate() {
+                let tiles = Tiles::always(index);
+                test.attention(device, AttentionKernel::Matrix(Units { tiles, ..units }), tile.rows(units.shape) + 3)?;
             }
         }
         Ok(test)
@@ -158,15 +160,13 @@ impl SelfTest {
     fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
         let element = wanted.element;
         let lanes = [linear_name(LinearKernel::Panels(element)), attention_name(AttentionKernel::Lanes(element))];
-        let linear = |factor| move |shape: &MatrixShape| linear_name(LinearKernel::Matrix(factor, *shape));
-        let quantised = wanted.quantised.filter(|shape| self.passed(linear(Element::I8)(shape)));
+        let passed = |units: &Units| self.passed(linear_name(LinearKernel::Matrix(*units)));
+        let quantised = wanted.quantised.filter(passed);
         let usable =
             lanes.into_iter().all(|name| self.passed(name)) && quantised.is_some() == wanted.quantised.is_some();
         usable.then_some(Arithmetic {
-            linear: wanted.linear.filter(|shape| self.passed(linear(element)(shape))),
-            attention: wanted
-                .attention
-                .filter(|shape| self.passed(attention_name(AttentionKernel::Matrix(element, *shape)))),
+            linear: wanted.linear.filter(passed),
+            attention: wanted.attention.filter(|units| self.passed(attention_name(AttentionKernel::Matrix(*units)))),
             ..wanted
         })
     }
@@ -256,8 +256,8 @@ fn linear_name(kernel: LinearKernel) -> &'static str {
         LinearKernel::Panels(Element::F16) => "ops/linear_f16_f32",
         LinearKernel::Panels(Element::Bf16) => "ops/linear_bf16_f32",
         LinearKernel::Panels(_) => "ops/linear",
-        LinearKernel::Matrix(Element::Bf16, _) => "ops/linear_matrix_bf16_f32",
-        LinearKernel::Matrix(Element::I8, _) => "ops/linear_matrix_i8_f32",
+        LinearKernel::Matrix(Units { factor: Element::Bf16, .. }) => "ops/linear_matrix_bf16_f32",
+        LinearKernel::Matrix(Units { factor: Element::I8, .. }) => "ops/linear_matrix_i8_f32",
         LinearKernel::Matrix(..) => "ops/linear_matrix_f16_f32",
     }
 }
@@ -267,7 +267,7 @@ fn attention_name(kernel: AttentionKernel) -> &'static str {
         AttentionKernel::Lanes(Element::F16) => "ops/attention_f16",
         AttentionKernel::Lanes(Element::Bf16) => "ops/attention_bf16",
         AttentionKernel::Lanes(_) => "ops/attention",
-        AttentionKernel::Matrix(Element::Bf16, _) => "ops/attention_matrix_bf16",
+        AttentionKernel::Matrix(Units { factor: Element::Bf16, .. }) => "ops/attention_matrix_bf16",
         AttentionKernel::Matrix(..) => "ops/attention_matrix_f16",
     }
 }
@@ -296,8 +296,8 @@ fn noise(seed: u64, rows: usize, width: usize, element: Element) -> Vec<f32> {
     }
 }
 
-/// Where the result for a device, its driver and these kernels is kept.
-fn cache_file(device: &Device) -> Option<PathBuf> {
+/// Where what was found of a device, its driver and these kernels is kept, in a folder of the user's cache.
+pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
     let folder = |name: &str, below: &str| std::env::var_os(name).map(|value| PathBuf::from(value).join(below));
     let cache = folder("ZIPSPLAT_CACHE", "")
         .or_else(|| folder("XDG_CACHE_HOME", "zipsplat"))
@@ -306,7 +306,7 @@ fn cache_file(device: &Device) -> Option<PathBuf> {
     let mut kernels = DefaultHasher::new();
     MODULES.iter().filter(|module| module.needs.half_storage).for_each(|module| module.spirv.hash(&mut kernels));
     let subgroup = device.limits().subgroup_size;
-    Some(cache.join(format!("self-test/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
+    Some(cache.join(format!("{kind}/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
 }
 
 #[cfg(test)]

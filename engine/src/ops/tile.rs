@@ -1,6 +1,38 @@
 //! How matrix kernels cut their work into workgroups.
 
-use crate::gpu::{Element, Limits, MatrixShape};
+use super::Units;
+use crate::gpu::{Limits, MatrixShape};
+use std::fmt;
+
+/// Which of its candidates a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on,
+/// four times apart. The default takes them by rule; [`Tuning`](super::Tuning) measures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tiles([Option<u8>; Tiles::CLASSES]);
+
+impl Tiles {
+    /// Sizes that are told apart.
+    pub const CLASSES: usize = 7;
+
+    /// The candidate at an index, whatever the size.
+    pub fn always(index: usize) -> Self {
+        Self([Some(index as u8); Self::CLASSES])
+    }
+
+    /// The candidate at an index for one class of sizes and those above.
+    pub(super) fn from(&mut self, class: usize, index: usize) {
+        self.0[class..].fill(Some(index as u8));
+    }
+
+    /// Values of a result in the middle of a class.
+    pub(super) fn values(class: usize) -> usize {
+        1 << (14 + 2 * class)
+    }
+
+    fn of(&self, values: usize) -> Option<usize> {
+        let class = values.max(1).ilog2().saturating_sub(13) as usize / 2;
+        self.0[class.min(Self::CLASSES - 1)].map(usize::from)
+    }
+}
 
 /// What a workgroup of ops/linear_matrix owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,30 +49,45 @@ pub struct LinearTile {
 const TILES: usize = 256;
 
 impl LinearTile {
-    /// Shapes to choose from, largest first: what a subgroup owns is 64 x 64, where every matrix that is loaded is
-    /// multiplied four times, or 32 x 32.
-    pub fn candidates(limits: &Limits, factor: Element, shape: MatrixShape) -> Vec<Self> {
-        // On a CPU matrices are loops that take long to compile.
-        let sides: &[u32] = if limits.cpu { &[16] } else { &[64, 32] };
-        let tile = |side: &u32| LinearTile {
-            subgroups: [2, 2],
-            repeats: [side.div_ceil(shape.m), side.div_ceil(shape.n)],
-            k: if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(64 / factor.bytes() as u32) },
+    /// Shapes to choose from, the first two by rule, the larger first: what a subgroup owns is 64 x 64, where every matrix
+    /// that is loaded is multiplied four times, or 32 x 32.
+    pub fn candidates(limits: &Limits, units: Units) -> Vec<Self> {
+        let shape = units.shape;
+        // Subgroups along rows and columns; rows and columns of each; bytes of a row that pass through shared memory.
+        const GPU: &[([u32; 2], [u32; 2], u32)] = &[
+            ([2, 2], [64, 64], 64),
+            ([2, 2], [32, 32], 64),
+            ([2, 2], [32, 32], 128),
+            ([2, 2], [64, 32], 64),
+            ([4, 2], [32, 64], 64),
+            ([2, 4], [64, 32], 64),
+        ];
+        // There matrices are loops that take long to compile.
+        const CPU: &[([u32; 2], [u32; 2], u32)] = &[([2, 2], [16, 16], 16), ([1, 1], [16, 16], 16)];
+        let tile = |&(subgroups, [rows, columns], bytes): &([u32; 2], [u32; 2], u32)| LinearTile {
+            subgroups,
+            repeats: [rows.div_ceil(shape.m), columns.div_ceil(shape.n)],
+            k: if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / units.factor.bytes() as u32) },
         };
-        sides.iter().map(tile).filter(|tile| tile.fits(limits, factor, shape)).collect()
+        let layouts = if limits.cpu { CPU } else { GPU };
+        layouts.iter().map(tile).filter(|tile| tile.fits(limits, units)).collect()
     }
 
-    /// The largest tile that leaves enough of them to keep the device busy, else the smallest.
+    /// The tile that was measured to be fastest; by rule the larger of the first two if it leaves enough of them to keep the
+    /// device busy.
     ///
     /// # Panics
     /// Where none fits; [`LinearTile::candidates`] says so.
-    pub(super) fn choose(limits: &Limits, factor: Element, shape: MatrixShape, rows: usize, columns: usize) -> Self {
-        let candidates = Self::candidates(limits, factor, shape);
+    pub(super) fn choose(limits: &Limits, units: Units, rows: usize, columns: usize) -> Self {
+        let candidates = Self::candidates(limits, units);
         let busy = |tile: &&Self| {
-            let [tile_rows, tile_columns] = tile.sides(shape);
-            rows.div_ceil(tile_rows) * columns.div_ceil(tile_columns) >= TILES
+            let [tile_rows, tile_columns] = tile.sides(units.shape);
+            limits.cpu || rows.div_ceil(tile_rows) * columns.div_ceil(tile_columns) >= TILES
         };
-        *candidates.iter().find(busy).or(candidates.last()).expect("matrix units are used where a tile fits")
+        let measured = units.tiles.of(rows * columns).and_then(|index| candidates.get(index));
+        let ruled = &candidates[..candidates.len().min(2)];
+        let tile = measured.or(ruled.iter().find(busy)).or(ruled.last());
+        *tile.expect("matrix units are used where a tile fits")
     }
 
     /// Rows and columns of a workgroup.
@@ -50,13 +97,21 @@ impl LinearTile {
     }
 
     /// Whether a workgroup is within the device's limits, its shared memory as kernels/ops/linear_matrix.comp lays it out.
-    fn fits(&self, limits: &Limits, factor: Element, shape: MatrixShape) -> bool {
+    fn fits(&self, limits: &Limits, units: Units) -> bool {
         let subgroups = self.subgroups[0] * self.subgroups[1];
-        let [rows, columns] = self.sides(shape);
-        let piece = 8 * factor.bytes() as u32;
+        let [rows, columns] = self.sides(units.shape);
+        let piece = 8 * units.factor.bytes() as u32;
         let stages = 2 * (rows + columns) as u32 * (self.k / 8 + 1);
-        let strips = subgroups * shape.m * (self.repeats[1] * shape.n * 4 / piece + 1);
+        let strips = subgroups * units.shape.m * (self.repeats[1] * units.shape.n * 4 / piece + 1);
         piece * stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
+    }
+}
+
+impl fmt::Display for LinearTile {
+    /// Subgroups, matrices of each, depth.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ([rows, columns], [m, n]) = (self.subgroups, self.repeats);
+        write!(f, "{rows}x{columns} of {m}x{n}, k {}", self.k)
     }
 }
 
@@ -74,7 +129,8 @@ pub struct AttentionTile {
 impl AttentionTile {
     /// Shapes to choose from for heads of `channels`, largest first: a subgroup's 32 or 16 queries, where every matrix of
     /// keys and values that is loaded is multiplied twice or once.
-    pub fn candidates(limits: &Limits, shape: MatrixShape, channels: usize) -> Vec<Self> {
+    pub fn candidates(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
+        let shape = units.shape;
         let sides: &[u32] = if limits.cpu { &[8] } else { &[32, 16] };
         let tiles = sides.iter().flat_map(|side| {
             let repeat = side.div_ceil(shape.m);
@@ -87,15 +143,23 @@ impl AttentionTile {
         tiles.filter(|tile| tile.fits(limits, shape, channels)).collect()
     }
 
-    /// The largest tile that leaves enough of them to keep the device busy, else the smallest.
+    /// The tile that was measured to be fastest; by rule the largest that leaves enough of them to keep the device busy, else
+    /// the smallest.
     ///
     /// # Panics
     /// Where none fits; [`AttentionTile::candidates`] says so.
-    pub(super) fn choose(limits: &Limits, shape: MatrixShape, channels: usize, queries: usize, heads: usize) -> Self {
-        let candidates = Self::candidates(limits, shape, channels);
-        let busy = |tile: &&Self| queries.div_ceil(tile.rows(shape)) * heads >= TILES;
-        *candidates.iter().find(busy).or(candidates.last()).expect("matrix units are used where a tile fits")
+    pub(super) fn choose(limits: &Limits, units: Units, channels: usize, queries: usize, heads: usize) -> Self {
+        let candidates = Self::candidates(limits, units, channels);
+        let busy = |tile: &&Self| queries.div_ceil(tile.rows(units.shape)) * heads >= TILES;
+        // Where tiles are missing that do not fit wide heads, an index means another one.
+        let whole = candidates.len() == Self::candidates(limits, units, Self::TUNED_CHANNELS).len();
+        let measured = units.tiles.of(queries * heads * channels).filter(|_| whole);
+        let tile = measured.and_then(|index| candidates.get(index)).or(candidates.iter().find(busy));
+        *tile.or(candidates.last()).expect("matrix units are used where a tile fits")
     }
+
+    /// Channels of the heads that are measured: those of every DA3 network.
+    pub(super) const TUNED_CHANNELS: usize = 64;
 
     /// Queries of a workgroup.
     pub fn rows(&self, shape: MatrixShape) -> usize {
@@ -103,8 +167,8 @@ impl AttentionTile {
     }
 
     /// Queries of the largest workgroup.
-    pub(super) fn most_rows(limits: &Limits, shape: MatrixShape) -> usize {
-        Self::candidates(limits, shape, 8).iter().map(|tile| tile.rows(shape)).max().unwrap_or(0)
+    pub(super) fn most_rows(limits: &Limits, units: Units) -> usize {
+        Self::candidates(limits, units, 8).iter().map(|tile| tile.rows(units.shape)).max().unwrap_or(0)
     }
 
     /// Whether a workgroup is within the device's limits, its shared memory as kernels/ops/attention_matrix.comp lays it
@@ -113,5 +177,37 @@ impl AttentionTile {
         let values = 2 * self.keys * (channels as u32 / 8 + 1);
         let scores = self.rows(shape) as u32 * (self.keys / 4 + 1);
         16 * (values + scores) <= limits.shared_bytes && self.subgroups * limits.subgroup_size <= limits.max_invocations
+    }
+}
+
+impl fmt::Display for AttentionTile {
+    /// Subgroups, matrices of each, keys.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of {}, {} keys", self.subgroups, self.repeat, self.keys)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_are_four_times_apart() {
+        let mut tiles = Tiles::default();
+        assert_eq!(tiles.of(0), None);
+        tiles.from(0, 3);
+        tiles.from(2, 5);
+        let found = |values| tiles.of(values).expect("set from the smallest on");
+        assert_eq!([0, 1, 1 << 14, 1 << 16, 1 << 17, 1 << 18, 1 << 30].map(found), [3, 3, 3, 3, 5, 5, 5]);
+    }
+
+    #[test]
+    fn a_size_that_is_measured_lies_in_its_class() {
+        for class in 0..Tiles::CLASSES {
+            let mut tiles = Tiles::default();
+            tiles.from(class, 1);
+            assert_eq!(tiles.of(Tiles::values(class)), Some(1));
+            assert_eq!(tiles.of(Tiles::values(class) / 4), None);
+        }
     }
 }

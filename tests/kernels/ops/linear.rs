@@ -4,7 +4,7 @@ use crate::case::{Case, elements, linear_kernels, random, stored};
 use zipsplat::{
     gpu::{Element, Limits, Tensor},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel, pack_matrix},
+    ops::{Activation, Epilogue, Linear, LinearKernel, LinearTile, Tiles, Units, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -51,8 +51,10 @@ impl Layer {
                 let weight: Vec<f32> = (0..inner * self.columns.next_multiple_of(panel)).map(at).collect();
                 case.input_of(element, &weight)
             }
-            LinearKernel::Matrix(Element::I8, _) => case.input(&pack_matrix(kernel, &rows(), inner, self.columns)),
-            LinearKernel::Matrix(factor, _) => case.input_of(factor, &rows()),
+            LinearKernel::Matrix(Units { factor: Element::I8, .. }) => {
+                case.input(&pack_matrix(kernel, &rows(), inner, self.columns))
+            }
+            LinearKernel::Matrix(Units { factor, .. }) => case.input_of(factor, &rows()),
         };
         Linear { weight, bias: case.input(&bias), inner, columns: self.columns, kernel }
     }
@@ -247,8 +249,12 @@ fn rows_beyond_the_most_workgroups() {
 fn tiles_of_gpus() {
     // On a CPU kernels take smaller tiles, which compile faster.
     let limits = Limits { cpu: false, ..device().limits().clone() };
-    for (rows, columns) in [(1, 8), (65, 72), (1030, 260)] {
-        let layer = Layer::random(72, columns);
-        check(&limits, rows, &layer, Activation::Gelu, true, true);
+    let layer = Layer::random(72, 260);
+    for units in [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, &limits)) {
+        for (index, tile) in LinearTile::candidates(&limits, units).iter().enumerate() {
+            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+            println!("{tile}");
+            check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);
+        }
     }
 }

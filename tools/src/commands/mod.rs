@@ -8,6 +8,7 @@ mod info;
 mod reconstruct;
 mod render;
 mod scene;
+mod tune;
 
 use crate::session::Session;
 use clap::Subcommand;
@@ -24,6 +25,7 @@ pub enum Command {
     Bench(bench::Bench),
     Doctor(doctor::Doctor),
     Scene(scene::Scene),
+    Tune(tune::Tune),
 }
 
 impl Command {
@@ -37,6 +39,7 @@ impl Command {
             Command::Bench(command) => command.run(session),
             Command::Doctor(command) => command.run(session),
             Command::Scene(command) => command.run(session),
+            Command::Tune(command) => command.run(session),
         }
     }
 }

@@ -59,9 +59,8 @@ impl Problem {
     }
 
     fn run(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
-        let units = device.limits().matrices.of(mode.factor).filter(|_| mode.matrix);
-        let kernel = match units {
-            Some(shape) => AttentionKernel::Matrix(mode.factor, shape),
+        let kernel = match mode.units(device) {
+            Some(units) => AttentionKernel::Matrix(units),
             None => AttentionKernel::Lanes(mode.factor),
         };
         let width = self.width();

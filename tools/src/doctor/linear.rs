@@ -132,9 +132,8 @@ impl Problem {
 
     /// As the engine chooses it: matrix units write whole vectors.
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
-        let units = device.limits().matrices.of(mode.factor).filter(|_| mode.matrix && self.columns.is_multiple_of(8));
-        match (units, mode.factor) {
-            (Some(shape), factor) => LinearKernel::Matrix(factor, shape),
+        match (mode.units(device).filter(|_| self.columns.is_multiple_of(8)), mode.factor) {
+            (Some(units), _) => LinearKernel::Matrix(units),
             (None, Element::I8) => LinearKernel::Panels(Element::F16),
             (None, element) => LinearKernel::Panels(element),
         }

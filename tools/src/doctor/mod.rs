@@ -25,6 +25,7 @@ use serde::Serialize;
 use zipsplat::{
     Result,
     gpu::{Device, Element, Limits},
+    ops::Units,
 };
 
 /// Arithmetic of matrix products: the only thing that precision modes differ in.
@@ -92,6 +93,11 @@ impl Mode {
     pub fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
         stored && (!self.matrix || limits.matrices.of(self.factor).is_some())
+    }
+
+    /// The matrix units that it takes.
+    fn units(self, device: &Device) -> Option<Units> {
+        Units::of(self.factor, device.limits()).filter(|_| self.matrix)
     }
 
     fn factors(self) -> Factors {

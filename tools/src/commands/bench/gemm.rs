@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
     gpu::{Device, Element, Recorder, Run},
-    ops::{Epilogue, Linear, LinearKernel, pack_matrix},
+    ops::{Epilogue, Linear, LinearKernel, Units, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
@@ -122,9 +122,11 @@ fn kernels(device: &Device) -> Vec<(&'static str, LinearKernel)> {
         kernels.extend([("f16", Element::F16), ("bf16", Element::Bf16)].map(|(n, e)| (n, LinearKernel::Panels(e))));
     }
     let matrices = [("f16 matrices", Element::F16), ("bf16 matrices", Element::Bf16), ("i8 matrices", Element::I8)];
-    kernels.extend(matrices.into_iter().filter_map(|(name, factor)| {
-        limits.matrices.of(factor).map(|shape| (name, LinearKernel::Matrix(factor, shape)))
-    }));
+    kernels.extend(
+        matrices
+            .into_iter()
+            .filter_map(|(name, factor)| Units::of(factor, limits).map(|units| (name, LinearKernel::Matrix(units)))),
+    );
     kernels
 }
 

@@ -1,0 +1,209 @@
+//! The fastest tile of each matrix kernel for results of each size, by measurement on the device at hand.
+
+use super::{
+    Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, Tiles,
+    Units, pack_matrix, self_test::cache_file,
+};
+use crate::{
+    Error, Result,
+    gpu::{Device, Element, Limits, Recorder, Run},
+};
+use std::{fs, ops::ControlFlow};
+
+/// What was measured on a device.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Tuning {
+    /// Of each kernel and size.
+    pub measured: Vec<Measured>,
+}
+
+/// The tiles of one kernel for one size of its result.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Measured {
+    /// The kernel.
+    pub kernel: Tuned,
+    /// Type of its factors.
+    pub factor: Element,
+    /// Values of the result.
+    pub values: usize,
+    /// Every tile, by name, and its milliseconds.
+    pub tiles: Vec<(String, f64)>,
+}
+
+/// A kernel whose tiles are measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Tuned {
+    /// ops/linear_matrix
+    Linear,
+    /// ops/attention_matrix
+    Attention,
+}
+
+/// Columns, or channels of all heads, and terms of a sum, or keys: those of a middling network.
+const COLUMNS: usize = 1024;
+const TERMS: usize = 1024;
+/// A size at which one run takes more milliseconds is the largest that is measured; those above take what is best there.
+const LONGEST: f64 = 50.0;
+const REPEATS: usize = 5;
+
+impl Measured {
+    /// Name of the fastest tile.
+    pub fn best(&self) -> Option<&str> {
+        self.tiles.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|(name, _)| name.as_str())
+    }
+}
+
+impl Tuning {
+    /// What was measured on this device before, with this driver and these kernels.
+    pub fn known(device: &Device) -> Option<Self> {
+        serde_json::from_slice(&fs::read(cache_file(device, "tuning")?).ok()?).ok()
+    }
+
+    /// Remembers it for all that follows on this device.
+    ///
+    /// # Errors
+    /// Where there is no cache folder or it cannot be written.
+    pub fn keep(&self, device: &Device) -> Result<()> {
+        let file = cache_file(device, "tuning");
+        let file = file.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE or HOME"))?;
+        let partial = file.with_extension(format!("{}.partial", std::process::id()));
+        let folder = file.parent().map_or(Ok(()), fs::create_dir_all);
+        let bytes = serde_json::to_vec(self).unwrap_or_default();
+        let written = folder.and_then(|()| fs::write(&partial, bytes)).and_then(|()| fs::rename(&partial, &file));
+        written.map_err(|e| Error::io(&file, e))
+    }
+
+    /// Measures every tile of every matrix kernel. `progress` gets what comes next and the share that is done, and may stop.
+    ///
+    /// # Errors
+    /// A failure of the device; [`Error::Cancelled`].
+    pub fn measure(device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
+        let all = |kernel| move |units| (kernel, units);
+        let units = |factors: &'static [Element]| factors.iter().filter_map(|f| Units::of(*f, device.limits()));
+        let linear = units(&[Element::F16, Element::Bf16, Element::I8]).map(all(Tuned::Linear));
+        let attention = units(&[Element::F16, Element::Bf16]).map(all(Tuned::Attention));
+        let jobs: Vec<_> = linear.chain(attention).collect();
+        let mut tuning = Self::default();
+        for (job, (kernel, units)) in jobs.iter().enumerate() {
+            for class in 0..Tiles::CLASSES {
+                let done = (job as f64 + class as f64 / Tiles::CLASSES as f64) / jobs.len() as f64;
+                let next = |tile: &str| progress(tile, done);
+                match Measured::of(device, *kernel, *units, Tiles::values(class), next) {
+                    Ok(measured) => tuning.measured.push(measured),
+                    Err(Error::Memory { .. }) => break,
+                    Err(other) => return Err(other),
+                }
+                let slow = |measured: &Measured| measured.tiles.iter().any(|(_, ms)| *ms > LONGEST);
+                if tuning.measured.last().is_some_and(slow) {
+                    break;
+                }
+            }
+        }
+        Ok(tuning)
+    }
+
+    /// An arithmetic with the tiles that were fastest. Names that are no candidate's are left out.
+    pub fn applied(&self, arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
+        let tuned = |kernel: Tuned| {
+            move |units: Units| {
+                let names = kernel.tiles(units, limits);
+                let mut tiles = Tiles::default();
+                for class in 0..Tiles::CLASSES {
+                    let is_it =
+                        |m: &&Measured| (m.kernel, m.factor, m.values) == (kernel, units.factor, Tiles::values(class));
+                    let best = self.measured.iter().find(is_it).and_then(Measured::best);
+                    if let Some(index) = best.and_then(|best| names.iter().position(|name| name == best)) {
+                        tiles.from(class, index);
+                    }
+                }
+                Units { tiles, ..units }
+            }
+        };
+        Arithmetic {
+            linear: arithmetic.linear.map(tuned(Tuned::Linear)),
+            attention: arithmetic.attention.map(tuned(Tuned::Attention)),
+            quantised: arithmetic.quantised.map(tuned(Tuned::Linear)),
+            ..arithmetic
+        }
+    }
+}
+
+impl Measured {
+    /// Measures every tile of a kernel for results of `values`.
+    fn of(
+        device: &Device,
+        kernel: Tuned,
+        units: Units,
+        values: usize,
+        mut next: impl FnMut(&str) -> ControlFlow<()>,
+    ) -> Result<Self> {
+        let mut tiles = Vec::new();
+        for (index, name) in kernel.tiles(units, device.limits()).into_iter().enumerate() {
+            if next(&format!("{kernel:?} {:?} {name}", units.factor).to_lowercase()).is_break() {
+                return Err(Error::Cancelled);
+            }
+            let units = Units { tiles: Tiles::always(index), ..units };
+            let run = match kernel {
+                Tuned::Linear => linear_run(device, units, values / COLUMNS),
+                Tuned::Attention => attention_run(device, units, values / COLUMNS),
+            };
+            tiles.push((name, median(run?)?));
+        }
+        Ok(Self { kernel, factor: units.factor, values, tiles })
+    }
+}
+
+impl Tuned {
+    /// Names of its candidates.
+    fn tiles(self, units: Units, limits: &Limits) -> Vec<String> {
+        let channels = AttentionTile::TUNED_CHANNELS;
+        match self {
+            Tuned::Linear => LinearTile::candidates(limits, units).iter().map(ToString::to_string).collect(),
+            Tuned::Attention => {
+                AttentionTile::candidates(limits, units, channels).iter().map(ToString::to_string).collect()
+            }
+        }
+    }
+}
+
+fn linear_run(device: &Device, units: Units, rows: usize) -> Result<Run> {
+    let kernel = LinearKernel::Matrix(units);
+    let element = kernel.element();
+    let mut rec = Recorder::new(device.limits());
+    let packed = pack_matrix(kernel, &vec![1.0; COLUMNS * TERMS], TERMS, COLUMNS);
+    let (weight, bias) = (rec.constant::<u8>("weight", packed.len()), rec.constant::<f32>("bias", COLUMNS));
+    let input = rec.constant::<u8>("input", rows * TERMS * element.bytes());
+    let layer = Linear { weight, bias, inner: TERMS, columns: COLUMNS, kernel };
+    let out = layer.apply(&mut rec, "out", input, rows, Epilogue { output: element, ..Epilogue::default() });
+    rec.output(out);
+    let mut run = Run::new(device, rec.finish()?)?;
+    run.write(weight, &packed)?;
+    run.write(bias, &vec![1f32; COLUMNS])?;
+    run.write(input, &element.encode(&vec![1.0; rows * TERMS]))?;
+    Ok(run)
+}
+
+fn attention_run(device: &Device, units: Units, queries: usize) -> Result<Run> {
+    let heads = Heads::new(COLUMNS / AttentionTile::TUNED_CHANNELS, COLUMNS);
+    let attention = Attention { heads, sequences: 1, queries, keys: TERMS, kernel: AttentionKernel::Matrix(units) };
+    let mut rec = Recorder::new(device.limits());
+    let tensors = attention.tensors(&mut rec);
+    tensors.iter().for_each(|tensor| rec.fill(*tensor, 0));
+    let out = attention.record(&mut rec, tensors);
+    rec.output(out);
+    Run::new(device, rec.finish()?)
+}
+
+/// Median milliseconds of matrix kernels on the device, warmed up.
+fn median(mut run: Run) -> Result<f64> {
+    let mut once = || -> Result<f64> {
+        let profile = run.profile()?;
+        let kernels = profile.rows.iter().filter(|row| row.kernel.contains("_matrix"));
+        Ok(kernels.map(|row| 1e3 * row.time.as_secs_f64()).sum())
+    };
+    once()?;
+    let mut times = (0..REPEATS).map(|_| once()).collect::<Result<Vec<_>>>()?;
+    times.sort_by(f64::total_cmp);
+    Ok(times[REPEATS / 2])
+}

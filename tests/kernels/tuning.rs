@@ -1,0 +1,95 @@
+//! Tiles by measurement: every one is timed, the fastest is taken, and none changes a linear layer's bits.
+
+use std::ops::ControlFlow;
+use zipsplat::{
+    Error,
+    gpu::{Element, Matrices, Recorder, Run},
+    ops::{
+        Arithmetic, AttentionTile, Epilogue, Linear, LinearKernel, LinearTile, Measured, Precision, Tiles, Tuned,
+        Tuning, Units, pack_matrix,
+    },
+};
+use zipsplat_tests::{compare::assert_same, device::device};
+
+#[test]
+fn measures_every_tile_and_can_be_stopped() {
+    let limits = device().limits();
+    let mut last = 0.0;
+    let tuning = Tuning::measure(device(), |_, done| {
+        assert!((last..=1.0).contains(&done), "{done} after {last}");
+        last = done;
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    assert_eq!(tuning.measured.is_empty(), limits.matrices == Matrices::default());
+    for measured in &tuning.measured {
+        let units = Units::of(measured.factor, limits).unwrap();
+        let candidates = match measured.kernel {
+            Tuned::Linear => LinearTile::candidates(limits, units).len(),
+            Tuned::Attention => AttentionTile::candidates(limits, units, 64).len(),
+        };
+        assert_eq!(measured.tiles.len(), candidates);
+        assert!(measured.tiles.iter().all(|(_, ms)| *ms > 0.0), "{measured:?}");
+    }
+    if !tuning.measured.is_empty() {
+        let stopped = Tuning::measure(device(), |_, _| ControlFlow::Break(()));
+        assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+    }
+}
+
+#[test]
+fn the_fastest_tile_is_taken() {
+    let limits = device().limits();
+    let Some(fast) = Arithmetic::of(Precision::Fast, limits) else { return };
+    let Some(units) = fast.linear else { return };
+    let names: Vec<String> = LinearTile::candidates(limits, units).iter().map(ToString::to_string).collect();
+    let tuning = |best: &str| {
+        let tiles =
+            names.iter().cloned().chain([best.into()]).map(|name| (name.clone(), if name == best { 1.0 } else { 2.0 }));
+        let measured =
+            Measured { kernel: Tuned::Linear, factor: Element::F16, values: 1 << 14, tiles: tiles.collect() };
+        Tuning { measured: vec![measured] }
+    };
+    for (index, name) in names.iter().enumerate() {
+        let tuned = tuning(name).applied(fast, limits);
+        assert_eq!(
+            tuned.linear.unwrap().tiles,
+            Tiles::always(index),
+            "also of larger results, which were not measured"
+        );
+        assert_eq!(tuned.attention, fast.attention, "which was not measured");
+    }
+    assert_eq!(tuning("a tile of another version").applied(fast, limits), fast);
+    let kept: Tuning = serde_json::from_slice(&serde_json::to_vec(&tuning(&names[0])).unwrap()).unwrap();
+    assert_eq!(kept, tuning(&names[0]));
+}
+
+#[test]
+fn a_tile_changes_no_bit_of_a_linear_layer() {
+    const SIZES: [usize; 3] = [70, 96, 136];
+    let [rows, inner, columns] = SIZES;
+    let limits = device().limits();
+    let values = crate::case::random(1, rows * inner.max(columns) + inner * columns);
+    let (x, weight) = values.split_at(rows * inner);
+    for units in [Element::F16, Element::Bf16, Element::I8].into_iter().filter_map(|f| Units::of(f, limits)) {
+        let product = |index: usize| -> Vec<u32> {
+            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+            let packed = pack_matrix(kernel, &weight[..inner * columns], inner, columns);
+            let mut rec = Recorder::new(limits);
+            let (packed_weight, bias) = (rec.input::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));
+            let input = rec.input::<u8>("input", rows * inner * kernel.element().bytes());
+            let layer = Linear { weight: packed_weight, bias, inner, columns, kernel };
+            let out = layer.apply(&mut rec, "out", input, rows, Epilogue::default());
+            rec.output(out);
+            let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+            run.write(packed_weight, &packed).unwrap();
+            run.write(bias, &weight[..columns]).unwrap();
+            run.write(input, &kernel.element().encode(x)).unwrap();
+            run.execute().unwrap();
+            run.read(out).unwrap()
+        };
+        for index in 1..LinearTile::candidates(limits, units).len() {
+            assert_same(&format!("{:?}, tile {index}", units.factor), &product(index), &product(0));
+        }
+    }
+}

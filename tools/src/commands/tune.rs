@@ -1,0 +1,65 @@
+//! `zipsplat tune`: the fastest tiles of matrix kernels, by measurement.
+
+use crate::{session::Session, table::Table};
+use clap::Args;
+use serde::Serialize;
+use zipsplat::{
+    Error, Result,
+    gpu::Matrices,
+    ops::{Measured, Tuning},
+};
+
+/// Measure which tiles of matrix kernels are fastest on this device, for all later runs
+#[derive(Args)]
+#[command(
+    after_help = "What is found is kept in the cache folder for this device, driver and version of the kernels. Results \
+stay within the same tolerances; those of --precision exact keep their bits.
+
+Examples:
+  zipsplat tune
+  zipsplat tune --device 1"
+)]
+pub struct Tune {}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    device: &'a str,
+    measured: &'a [Measured],
+}
+
+impl Tune {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let device = session.device()?;
+        let limits = device.limits();
+        if limits.matrices == Matrices::default() {
+            return Err(Error::NoDevice(format!("{} has no matrix units, whose tiles could be chosen", limits.name)));
+        }
+        if limits.timestamp_ns == 0.0 {
+            return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", limits.name)));
+        }
+        let (tuning, time) = session.stage("tune", |stage| {
+            Tuning::measure(&device, |what, done| {
+                stage.name(what);
+                stage.at(done)
+            })
+        })?;
+        tuning.keep(&device)?;
+        let mut table = Table::new(3, &["kernel", "factors", "tile", "values", "ms", ""]);
+        for measured in &tuning.measured {
+            for (tile, ms) in &measured.tiles {
+                let (kernel, factor) = (format!("{:?}", measured.kernel), format!("{:?}", measured.factor));
+                let best = if measured.best() == Some(tile) { "fastest" } else { "" };
+                table.row([
+                    kernel.to_lowercase(),
+                    factor.to_lowercase(),
+                    tile.clone(),
+                    measured.values.to_string(),
+                    format!("{ms:.3}"),
+                    best.into(),
+                ]);
+            }
+        }
+        let text = format!("{table}{}: measured in {:.1} s", limits.name, time.as_secs_f64());
+        session.report(&Report { device: &limits.name, measured: &tuning.measured }, text)
+    }
+}
