@@ -12,6 +12,10 @@ mod elements;
 mod reflect;
 #[path = "build/sources.rs"]
 mod sources;
+#[cfg(feature = "compile-kernels")]
+#[allow(unsafe_code)]
+#[path = "build/validate.rs"]
+mod validate;
 
 use std::{env, fs, path::PathBuf};
 

@@ -100,6 +100,7 @@ fn compile(root: &Path, stale: &[&Source]) {
         let spirv = compiler
             .compile_into_spirv(&kernel.text, shaderc::ShaderKind::Compute, &file, "main", Some(&options))
             .unwrap_or_else(|e| panic!("{e}"));
+        crate::validate::validate(spirv.as_binary()).unwrap_or_else(|e| panic!("{}: {e}", kernel.name));
         let path = root.join(format!("spirv/{}.spv", kernel.name));
         fs::create_dir_all(path.parent().expect("has a folder")).expect("kernels/spirv is writable");
         fs::write(path, spirv.as_binary_u8()).expect("kernels/spirv is writable");
