@@ -6,9 +6,10 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 8] = [
+const STEPS: [(&str, &str); 9] = [
     ("ops/attention_matrix", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
+    ("ops/linear_workgroup", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),
     ("ops/sort_count", "ops/sort"),
@@ -74,9 +75,11 @@ fn every_exception_is_of_use() {
 #[test]
 fn the_table_has_every_kernel_within_its_limits() {
     // A kernel of several element types has a module of each.
-    let kernel =
-        |module: &str| module.trim_end_matches("_f16").trim_end_matches("_f32").trim_end_matches("_f16").to_owned();
-    let table: BTreeSet<String> = MODULES.iter().map(|module| kernel(module.name)).collect();
+    let types = ["_f32", "_f16", "_bf16", "_i8"];
+    fn kernel<'a>(module: &'a str, types: &[&str]) -> &'a str {
+        types.iter().find_map(|name| module.strip_suffix(name)).map_or(module, |rest| kernel(rest, types))
+    }
+    let table: BTreeSet<String> = MODULES.iter().map(|module| kernel(module.name, &types).to_owned()).collect();
     assert_eq!(table, names("kernels", "comp"));
     for module in MODULES {
         assert!(module.push_bytes <= 64, "{}: {} bytes of push constants", module.name, module.push_bytes);

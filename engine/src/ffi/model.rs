@@ -89,8 +89,7 @@ pub enum zs_precision {
     ZS_PRECISION_FAST = 2,
     /// bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
     ZS_PRECISION_FAST_BF16 = 3,
-    /// As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks. Refused where the device has no matrix units
-    /// for 8-bit integers, or fails the test.
+    /// As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks, where matrix units multiply those.
     ZS_PRECISION_TURBO = 4,
 }
 

@@ -77,6 +77,7 @@ impl Device {
         let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
         // What the app did not have to enable.
         (limits.half_storage, limits.matrices) = (false, Matrices::default());
+        limits.workgroup_matrices.clear();
         let missing = missing_features(&limits, &found);
         if !missing.is_empty() {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));

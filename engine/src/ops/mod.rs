@@ -24,5 +24,5 @@ pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns, quantise_rows};
 pub use self_test::{Chosen, SelfTest};
-pub use tile::{AttentionTile, LinearTile, Tiles};
+pub use tile::{AttentionTile, LinearTile, SubgroupTile, Tiles, WorkgroupTile};
 pub use tuning::{Measured, Tuned, Tuning};

@@ -1,7 +1,7 @@
 //! How matrix kernels cut their work into workgroups.
 
 use super::Units;
-use crate::gpu::{Limits, MatrixShape};
+use crate::gpu::{Element, Limits, MatrixShape, WorkgroupMatrices};
 use std::fmt;
 
 /// Which of its candidates a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on,
@@ -34,14 +34,34 @@ impl Tiles {
     }
 }
 
+/// How a linear layer on matrix units is cut into workgroups, and which kernel computes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinearTile {
+    /// ops/linear_matrix
+    Subgroups(SubgroupTile),
+    /// ops/linear_workgroup: only where [`Tuning`](super::Tuning) has found it to compute rightly, and to be faster.
+    Workgroup(WorkgroupTile),
+}
+
 /// What a workgroup of ops/linear_matrix owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LinearTile {
+pub struct SubgroupTile {
     /// Subgroups along rows and columns.
     pub subgroups: [u32; 2],
     /// Matrices of a subgroup along rows and columns.
     pub repeats: [u32; 2],
     /// Terms of the sums that pass through shared memory at a time.
+    pub k: u32,
+}
+
+/// What a workgroup of ops/linear_workgroup owns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WorkgroupTile {
+    /// Subgroups.
+    pub subgroups: u32,
+    /// Rows and columns of the sums.
+    pub sides: [u32; 2],
+    /// Terms of the sums that are loaded at a time.
     pub k: u32,
 }
 
@@ -52,25 +72,8 @@ impl LinearTile {
     /// Shapes to choose from, the first two by rule, the larger first: what a subgroup owns is 64 x 64, where every matrix
     /// that is loaded is multiplied four times, or 32 x 32.
     pub fn candidates(limits: &Limits, units: Units) -> Vec<Self> {
-        let shape = units.shape;
-        // Subgroups along rows and columns; rows and columns of each; bytes of a row that pass through shared memory.
-        const GPU: &[([u32; 2], [u32; 2], u32)] = &[
-            ([2, 2], [64, 64], 64),
-            ([2, 2], [32, 32], 64),
-            ([2, 2], [32, 32], 128),
-            ([2, 2], [64, 32], 64),
-            ([4, 2], [32, 64], 64),
-            ([2, 4], [64, 32], 64),
-        ];
-        // There matrices are loops that take long to compile.
-        const CPU: &[([u32; 2], [u32; 2], u32)] = &[([2, 2], [16, 16], 16), ([1, 1], [16, 16], 16)];
-        let tile = |&(subgroups, [rows, columns], bytes): &([u32; 2], [u32; 2], u32)| LinearTile {
-            subgroups,
-            repeats: [rows.div_ceil(shape.m), columns.div_ceil(shape.n)],
-            k: if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / units.factor.bytes() as u32) },
-        };
-        let layouts = if limits.cpu { CPU } else { GPU };
-        layouts.iter().map(tile).filter(|tile| tile.fits(limits, units)).collect()
+        let subgroups = SubgroupTile::candidates(limits, units).map(Self::Subgroups);
+        subgroups.chain(WorkgroupTile::candidates(limits, units).map(Self::Workgroup)).collect()
     }
 
     /// The tile that was measured to be fastest; by rule the larger of the first two if it leaves enough of them to keep the
@@ -90,8 +93,44 @@ impl LinearTile {
         *tile.expect("matrix units are used where a tile fits")
     }
 
+    /// Whether it is used only after it was measured.
+    pub(super) fn is_experimental(&self) -> bool {
+        matches!(self, Self::Workgroup(_))
+    }
+
     /// Rows and columns of a workgroup.
     pub fn sides(&self, shape: MatrixShape) -> [usize; 2] {
+        match self {
+            Self::Subgroups(tile) => tile.sides(shape),
+            Self::Workgroup(tile) => tile.sides.map(|side| side as usize),
+        }
+    }
+}
+
+impl SubgroupTile {
+    fn candidates(limits: &Limits, units: Units) -> impl Iterator<Item = Self> {
+        let (shape, bytes_of_k, cpu) = (units.shape, units.factor.bytes() as u32, limits.cpu);
+        // Subgroups along rows and columns; rows and columns of each; bytes of a row that pass through shared memory.
+        const GPU: &[([u32; 2], [u32; 2], u32)] = &[
+            ([2, 2], [64, 64], 64),
+            ([2, 2], [32, 32], 64),
+            ([2, 2], [32, 32], 128),
+            ([2, 2], [64, 32], 64),
+            ([4, 2], [32, 64], 64),
+            ([2, 4], [64, 32], 64),
+        ];
+        // There matrices are loops that take long to compile.
+        const CPU: &[([u32; 2], [u32; 2], u32)] = &[([2, 2], [16, 16], 16), ([1, 1], [16, 16], 16)];
+        let tile = move |&(subgroups, [rows, columns], bytes): &([u32; 2], [u32; 2], u32)| Self {
+            subgroups,
+            repeats: [rows.div_ceil(shape.m), columns.div_ceil(shape.n)],
+            k: if cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / bytes_of_k) },
+        };
+        let layouts = if cpu { CPU } else { GPU };
+        layouts.iter().map(tile).filter(move |tile| tile.fits(limits, units))
+    }
+
+    fn sides(&self, shape: MatrixShape) -> [usize; 2] {
         let side = |axis: usize, matrix: u32| (self.subgroups[axis] * self.repeats[axis] * matrix) as usize;
         [side(0, shape.m), side(1, shape.n)]
     }
@@ -107,11 +146,35 @@ impl LinearTile {
     }
 }
 
+impl WorkgroupTile {
+    fn candidates(limits: &Limits, units: Units) -> impl Iterator<Item = Self> {
+        const SHAPES: [(u32, [u32; 2], u32); 4] =
+            [(256, [128, 256], 64), (256, [128, 128], 64), (128, [128, 64], 64), (128, [64, 64], 64)];
+        let found = move |(invocations, [rows, columns], k): (u32, [u32; 2], u32)| {
+            let fits = |m: &WorkgroupMatrices| {
+                // SwiGLU's gates and values have half of the columns each.
+                let sides = [(rows, m.granularity.m), (columns / 2, m.granularity.n), (k, m.granularity.k)];
+                m.invocations == invocations && sides.iter().all(|(side, of)| side.is_multiple_of(*of))
+            };
+            let subgroups = invocations / limits.subgroup_size;
+            let is_one = units.factor == Element::F16 && limits.workgroup_matrices.iter().any(fits);
+            is_one.then_some(Self { subgroups, sides: [rows, columns], k })
+        };
+        SHAPES.into_iter().filter_map(found)
+    }
+}
+
 impl fmt::Display for LinearTile {
-    /// Subgroups, matrices of each, depth.
+    /// Subgroups and matrices of each, or sides; depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ([rows, columns], [m, n]) = (self.subgroups, self.repeats);
-        write!(f, "{rows}x{columns} of {m}x{n}, k {}", self.k)
+        match self {
+            Self::Subgroups(SubgroupTile { subgroups: [rows, columns], repeats: [m, n], k }) => {
+                write!(f, "{rows}x{columns} of {m}x{n}, k {k}")
+            }
+            Self::Workgroup(WorkgroupTile { sides: [rows, columns], k, .. }) => {
+                write!(f, "workgroup {rows}x{columns}, k {k}")
+            }
+        }
     }
 }
 

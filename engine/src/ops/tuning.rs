@@ -1,8 +1,8 @@
 //! The fastest tile of each matrix kernel for results of each size, by measurement on the device at hand.
 
 use super::{
-    Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, Tiles,
-    Units, pack_matrix, self_test::cache_file,
+    Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, SelfTest,
+    Tiles, Units, pack_matrix, self_test::cache_file,
 };
 use crate::{
     Error, Result,
@@ -26,7 +26,7 @@ pub struct Measured {
     pub factor: Element,
     /// Values of the result.
     pub values: usize,
-    /// Every tile, by name, and its milliseconds.
+    /// Every tile that computes rightly, by name, and its milliseconds.
     pub tiles: Vec<(String, f64)>,
 }
 
@@ -143,6 +143,13 @@ impl Measured {
             if next(&format!("{kernel:?} {:?} {name}", units.factor).to_lowercase()).is_break() {
                 return Err(Error::Cancelled);
             }
+            let candidate = LinearTile::candidates(device.limits(), units).get(index).copied();
+            let experimental = candidate.filter(|tile| kernel == Tuned::Linear && tile.is_experimental());
+            if let Some(tile) = experimental
+                && !SelfTest::passes_with(device, units, tile, index)?
+            {
+                continue;
+            }
             let units = Units { tiles: Tiles::always(index), ..units };
             let run = match kernel {
                 Tuned::Linear => linear_run(device, units, values / COLUMNS),
@@ -199,7 +206,8 @@ fn attention_run(device: &Device, units: Units, queries: usize) -> Result<Run> {
 fn median(mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;
-        let kernels = profile.rows.iter().filter(|row| row.kernel.contains("_matrix"));
+        let kernels =
+            profile.rows.iter().filter(|row| row.kernel.contains("_matrix") || row.kernel.contains("_workgroup"));
         Ok(kernels.map(|row| 1e3 * row.time.as_secs_f64()).sum())
     };
     once()?;
