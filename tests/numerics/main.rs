@@ -3,8 +3,10 @@
 //! What takes long is ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs it.
 
 mod catalogue;
+mod faults;
 mod hostile;
 mod metamorphic;
+mod processes;
 mod resources;
 mod splatting;
 mod views;

@@ -1,10 +1,13 @@
 //! Disks that fill up, processes that are killed or that share a device, and memory that must not grow.
 
-use crate::{micro, noise, reconstruct};
+use crate::{
+    micro, noise,
+    processes::{assert_succeeds, child, target},
+    reconstruct,
+};
 use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
     time::Duration,
 };
 use zipsplat::{
@@ -15,34 +18,6 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_tests::{architectures, scenes::random_scene};
-
-/// Tells a child process what to work on; without it the tests that are children have nothing to do.
-const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
-
-fn target() -> Option<PathBuf> {
-    std::env::var_os(TARGET).map(PathBuf::from)
-}
-
-/// This program again with only the test `name`, behind the same loader and below `shell`.
-fn child(name: &str, target: &Path, shell: &str) -> Command {
-    let line = std::fs::read("/proc/self/cmdline").expect("Linux");
-    let words: Vec<String> =
-        line.split(|byte| *byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect();
-    let program = std::env::args().next().expect("a program");
-    let place = words.iter().position(|word| *word == program).expect("the program is on its own command line");
-    let mut command = Command::new("bash");
-    command.args(["-c", &format!("{shell}\nexec \"$@\""), "bash"]).args(&words[..=place]);
-    command.args(["--exact", &format!("resources::{name}"), "--ignored", "--test-threads=1"]);
-    command.env(TARGET, target).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
-
-#[track_caller]
-fn assert_succeeds(mut command: Command) {
-    let out = command.output().expect("bash");
-    let text = String::from_utf8_lossy(&out.stdout);
-    assert!(out.status.success() && text.contains("1 passed"), "{text}{}", String::from_utf8_lossy(&out.stderr));
-}
 
 const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
 
@@ -70,7 +45,7 @@ fn a_full_disk_leaves_what_was_there() {
     let before = contents(folder.path());
     assert_eq!(before.len(), 7);
     // No file may grow beyond 16 KiB, and writing on is an error rather than a signal.
-    assert_succeeds(child("writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
+    assert_succeeds(child("resources::writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
     assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
 }
 
@@ -101,7 +76,7 @@ fn a_killed_writer_leaves_a_whole_file() {
     let last_written = || folder.path().join(SCENES[4]).metadata().and_then(|found| found.modified()).unwrap();
     for delay in [1, 7, 19, 31] {
         let before = last_written();
-        let mut writer = child("writes_forever", folder.path(), "").spawn().unwrap();
+        let mut writer = child("resources::writes_forever", folder.path(), "").spawn().unwrap();
         while last_written() == before {
             assert_eq!(writer.try_wait().unwrap(), None, "the writer ended by itself");
             std::thread::sleep(Duration::from_millis(1));
@@ -142,7 +117,7 @@ fn reconstructed() -> Vec<u8> {
 fn two_processes_on_one_device_get_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let files = ["first", "second"].map(|name| folder.path().join(name));
-    let children = files.clone().map(|file| child("reconstructs", &file, "").spawn().unwrap());
+    let children = files.clone().map(|file| child("resources::reconstructs", &file, "").spawn().unwrap());
     let own = reconstructed();
     for child in children {
         let out = child.wait_with_output().unwrap();
@@ -168,13 +143,13 @@ fn resident_bytes() -> u64 {
 
 #[test]
 fn reconstructions_in_a_row_do_not_grow() {
-    assert_succeeds(child("reconstructs_and_renders_again_and_again", Path::new("25"), ""));
+    assert_succeeds(child("resources::reconstructs_and_renders_again_and_again", Path::new("25"), ""));
 }
 
 #[test]
 #[ignore = "a minute on a CPU"]
 fn a_thousand_reconstructions_do_not_grow() {
-    assert_succeeds(child("reconstructs_and_renders_again_and_again", Path::new("1000"), ""));
+    assert_succeeds(child("resources::reconstructs_and_renders_again_and_again", Path::new("1000"), ""));
 }
 
 #[test]
@@ -205,7 +180,7 @@ fn reconstructs_and_renders_again_and_again() {
 fn every_subgroup_size_of_lavapipe_stays_within_the_bounds() {
     for bits in [128, 256, 512] {
         let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
-        assert_succeeds(child("examines_the_catalogue", Path::new("all"), &shell));
+        assert_succeeds(child("resources::examines_the_catalogue", Path::new("all"), &shell));
     }
 }
 

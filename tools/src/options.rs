@@ -26,7 +26,7 @@ use zipsplat::{
 
 Exit codes:
   0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
-  4 no device or too little memory   5 a device that computes wrongly   130 cancelled"
+  4 no device, a lost one or too little memory   5 a device that computes wrongly   130 cancelled"
 )]
 pub struct Cli {
     #[command(flatten)]

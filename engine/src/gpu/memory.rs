@@ -46,6 +46,7 @@ impl Memory {
 
     fn at(device: &Device, what: &str, sizes: &[u64], location: MemoryLocation) -> Result<Self> {
         let shared = device.0.clone();
+        shared.check_lost()?;
         let needed: u64 = sizes.iter().sum();
         let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
         if needed > available {
@@ -69,6 +70,7 @@ impl Memory {
     }
 
     pub fn write(&self, block: u32, offset: u64, bytes: &[u8]) -> Result<()> {
+        self.shared.check_lost()?;
         let target = &self.blocks[block as usize];
         if let Some(memory) = target.bytes_at(offset, bytes.len()) {
             // SAFETY: in bounds (checked there), mapped, and no submission is using the range: runs are exclusive.
@@ -88,6 +90,7 @@ impl Memory {
     }
 
     pub fn read(&self, block: u32, offset: u64, bytes: &mut [u8]) -> Result<()> {
+        self.shared.check_lost()?;
         let source = &self.blocks[block as usize];
         if let Some(memory) = source.bytes_at(offset, bytes.len()) {
             // SAFETY: as in `write`.
@@ -137,10 +140,13 @@ impl Block {
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        let too_little =
-            || Error::Memory { what: what.into(), needed: bytes, available: shared.limits.memory_bytes.min(bytes - 1) };
+        // Others use the memory too, and it may be in pieces: how much could be had, no driver says.
+        let refused = || {
+            let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
+            Error::Memory { what: format!("{what}, which the driver refused,"), needed: bytes, available }
+        };
         // SAFETY: a plain buffer; freed in `free`.
-        let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| too_little())?;
+        let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
         shared.allocated.fetch_add(bytes, Ordering::Relaxed);
         let mut block = Self { buffer, allocation: None, bytes, mapped: false };
         // SAFETY: the buffer was just made on this device.
@@ -154,7 +160,7 @@ impl Block {
         });
         let Ok(allocation) = allocation else {
             block.free(shared);
-            return Err(too_little());
+            return Err(refused());
         };
         let coherent = allocation.memory_properties().contains(vk::MemoryPropertyFlags::HOST_COHERENT);
         let staged = shared.staged && location == MemoryLocation::GpuOnly;
