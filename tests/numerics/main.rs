@@ -5,6 +5,7 @@
 mod catalogue;
 mod faults;
 mod hostile;
+mod memory;
 mod metamorphic;
 mod processes;
 mod resources;

@@ -41,6 +41,10 @@ pub struct Global {
     /// Vulkan device: its number in `zipsplat info` or a part of its name; none plans for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
+    /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
+    /// [default: all of it]
+    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    pub memory: Option<u64>,
     /// Print the result as JSON
     #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
@@ -199,6 +203,18 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
         "auto" => Ok(Ratio::Auto),
         number => number.parse().map(Ratio::Fixed).map_err(|_| "expected a number in (0, 1], or auto".into()),
     }
+}
+
+/// A number of bytes, or of 1024 to the power of 1, 2 or 3 of them.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
+        Some(number) if text.ends_with('K') => (number, 1 << 10),
+        Some(number) if text.ends_with('M') => (number, 1 << 20),
+        Some(number) => (number, 1 << 30),
+        None => (text, 1),
+    };
+    let bytes = number.parse().ok().and_then(|number: u64| number.checked_mul(unit));
+    bytes.ok_or_else(|| "expected a number of bytes, such as 800000000, 800M or 3G".into())
 }
 
 /// A length that something can be measured in.

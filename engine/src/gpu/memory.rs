@@ -29,6 +29,8 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
+    /// Whether it counts as the device's memory: what the host sees and caches is the host's on discrete GPUs.
+    counted: bool,
     /// Host pointer where the memory is host visible and coherent.
     mapped: bool,
 }
@@ -49,7 +51,7 @@ impl Memory {
         shared.check_lost()?;
         let needed: u64 = sizes.iter().sum();
         let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
-        if needed > available {
+        if needed > available && location == MemoryLocation::GpuOnly {
             return Err(Error::Memory { what: what.into(), needed, available });
         }
         let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
@@ -147,8 +149,9 @@ impl Block {
         };
         // SAFETY: a plain buffer; freed in `free`.
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
-        shared.allocated.fetch_add(bytes, Ordering::Relaxed);
-        let mut block = Self { buffer, allocation: None, bytes, mapped: false };
+        let counted = location == MemoryLocation::GpuOnly;
+        shared.allocated.fetch_add(if counted { bytes } else { 0 }, Ordering::Relaxed);
+        let mut block = Self { buffer, allocation: None, bytes, counted, mapped: false };
         // SAFETY: the buffer was just made on this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
         let allocation = shared.allocator().allocate(&AllocationCreateDesc {
@@ -184,7 +187,7 @@ impl Block {
     }
 
     fn free(self, shared: &Shared) {
-        shared.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
+        shared.allocated.fetch_sub(if self.counted { self.bytes } else { 0 }, Ordering::Relaxed);
         // SAFETY: users wait for their submissions before they drop their memory.
         unsafe { shared.raw.destroy_buffer(self.buffer, None) };
         if let Some(allocation) = self.allocation {
