@@ -2,6 +2,7 @@
 //!
 //! What takes long is ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs it.
 
+mod cache;
 mod catalogue;
 mod faults;
 mod hostile;
