@@ -6,6 +6,7 @@ mod cache;
 mod catalogue;
 mod faults;
 mod hostile;
+mod invalid;
 mod memory;
 mod metamorphic;
 mod processes;

@@ -2,13 +2,13 @@
 
 use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
-use std::{fmt, str::FromStr};
+use std::{fmt, path::Path, str::FromStr};
 use zipsplat::{
-    Result,
+    Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
-    types::Scene,
+    types::{Scene, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
 };
 
@@ -102,6 +102,47 @@ pub struct Quality {
     size: Option<Size>,
     #[command(flatten)]
     pub arithmetic: ArithmeticOption,
+}
+
+/// How a scene is read.
+#[derive(Args)]
+pub struct SceneInput {
+    /// Gaussians in the scene's file with values that are NaN, infinite or out of range [default: refuse]
+    #[arg(long, value_enum, value_name = "WHAT")]
+    invalid: Option<Invalid>,
+}
+
+/// What becomes of Gaussians that cannot be drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Invalid {
+    /// The file is an error
+    Refuse,
+    /// They are left out and counted
+    Drop,
+}
+
+impl SceneInput {
+    /// Whether it says anything.
+    pub fn is_given(&self) -> bool {
+        self.invalid.is_some()
+    }
+
+    /// The scene of a file, and how many Gaussians of it were left out, which is noted.
+    pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
+        let (mut scene, _) = session.stage("read scene", |_| read_scene_unchecked(path))?;
+        if self.invalid != Some(Invalid::Drop) {
+            let refused =
+                |error| Error::format(path, None, format!("{error}; --invalid drop leaves such Gaussians out"));
+            scene.validate().map_err(refused)?;
+            return Ok((scene, 0));
+        }
+        let (all, dropped) = (scene.len(), scene.drop_invalid()?);
+        if dropped > 0 {
+            let why = "left out: with values that are NaN, infinite or out of range";
+            session.note(format!("{}: {dropped} of {all} Gaussians {why}", path.display()));
+        }
+        Ok((scene, dropped))
+    }
 }
 
 /// In which arithmetic.
