@@ -17,7 +17,12 @@ use zipsplat::{
     types::{Image, Scene, WriteOptions, read_scene, write_scene},
     weights::{Checkpoint, Dtype},
 };
-use zipsplat_tests::{architectures, scenes::random_scene};
+use zipsplat_tests::{
+    architectures,
+    compare::{Tolerance, assert_gaussians_within},
+    device::device,
+    scenes::random_scene,
+};
 
 const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
 
@@ -174,11 +179,53 @@ fn reconstructs_and_renders_again_and_again() {
     assert!(grown < 8 << 20, "{grown} bytes more after the second half of {rounds} rounds");
 }
 
-/// Other subgroup sizes are other orders of every sum.
+/// Vector widths of lavapipe, which are subgroups of 4, 8 and 16 and workgroups of as many.
+const VECTORS: [u32; 3] = [128, 256, 512];
+
+/// Other subgroups and workgroups are other orders of every sum: each scene is within the tolerance of their common truth.
+#[test]
+fn every_subgroup_size_gives_the_same_scene() {
+    if !device().limits().cpu {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let scene_of = |bits: u32| -> Vec<f32> {
+        let file = folder.path().join(bits.to_string());
+        let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
+        assert_succeeds(child("resources::reconstructs_every_token", &file, &shell));
+        let bytes = std::fs::read(file).unwrap();
+        bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+    };
+    let scenes = VECTORS.map(scene_of);
+    assert!(scenes.iter().any(|scene| *scene != scenes[0]), "one subgroup size was tested three times");
+    let width = architectures::golden("micro").gaussian_width();
+    for (scene, bits) in scenes.iter().zip(VECTORS) {
+        let tolerance = |field: &str| Tolerance::of_field(field).times(2.0);
+        assert_gaussians_within(&format!("{bits} bits"), scene, &scenes[0], width, tolerance);
+    }
+}
+
+/// Gaussians one after another, packed as the goldens have them.
+#[test]
+#[ignore = "child of every_subgroup_size_gives_the_same_scene"]
+fn reconstructs_every_token() {
+    let Some(file) = target() else { return };
+    let device = Device::open(&DeviceOptions::default()).unwrap();
+    let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+    let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &Request::default());
+    let k = scene.sh_coeffs_per_gaussian();
+    let gaussian = |i: usize| {
+        let head = scene.means[i].into_iter().chain(scene.scales[i]).chain(scene.quats[i]);
+        head.chain([scene.opacities[i]]).chain(scene.sh_coeffs[i * k..][..k].as_flattened().iter().copied())
+    };
+    let values = (0..scene.len()).flat_map(gaussian);
+    std::fs::write(file, values.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()).unwrap();
+}
+
 #[test]
 #[ignore = "half a minute a size on a CPU"]
 fn every_subgroup_size_of_lavapipe_stays_within_the_bounds() {
-    for bits in [128, 256, 512] {
+    for bits in VECTORS {
         let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
         assert_succeeds(child("resources::examines_the_catalogue", Path::new("all"), &shell));
     }
