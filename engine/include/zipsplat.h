@@ -615,6 +615,12 @@ zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene 
 zs_status zs_scene_open(const char *path,
                         struct zs_scene **scene);
 
+// As zs_scene_open, which refuses a file with values that are NaN, infinite or out of range: here Gaussians with such values are
+// left out, and `dropped` gets their number. `dropped` may be NULL.
+zs_status zs_scene_open_dropping_invalid(const char *path,
+                                         uint64_t *dropped,
+                                         struct zs_scene **scene);
+
 // Fills `options` with the defaults. `size` is sizeof(zs_save_options).
 zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
 

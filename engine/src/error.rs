@@ -73,8 +73,11 @@ pub enum Error {
         /// The driver's result code, by name.
         result: String,
     },
-    /// The device was lost (reset, removed, or a kernel ran too long): create a new device and try again.
-    #[error("the Vulkan device was lost")]
+    /// The device was lost: what ran on it is gone, and it stays lost. Open it again and repeat.
+    #[error(
+        "the Vulkan device was lost (reset by its driver, or removed), and what ran on it with it: open it again and \
+         repeat; where it is lost again, update its driver or use another"
+    )]
     DeviceLost,
     /// The caller's progress callback asked to stop.
     #[error("cancelled")]

@@ -24,6 +24,7 @@ fn null_is_refused_everywhere() {
         unsafe { zs_scene_read(null(), null()) },
         unsafe { zs_scene_create(null(), null_mut()) },
         unsafe { zs_scene_open(null(), null_mut()) },
+        unsafe { zs_scene_open_dropping_invalid(null(), null_mut(), null_mut()) },
         unsafe { zs_save_options_default(null_mut(), 8) },
         unsafe { zs_scene_save(null(), null(), null()) },
         unsafe { zs_model_options_default(null_mut(), 32) },

@@ -212,6 +212,28 @@ fn scenes_come_back_from_arrays_and_files() {
 }
 
 #[test]
+fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.splat");
+    let row = |x: f32| {
+        let floats = [x, 0.0, 1.0, 0.1, 0.1, 0.1].map(f32::to_le_bytes);
+        [floats.as_flattened(), &[9; 8]].concat()
+    };
+    std::fs::write(&path, [row(1.0), row(f32::NAN), row(2.0), row(f32::INFINITY)].concat()).unwrap();
+    let text = c_string(path.to_str().unwrap());
+    let mut scene = std::ptr::null_mut();
+    // SAFETY: a string, and where to put it.
+    let refused = unsafe { zs_scene_open(text.as_ptr(), &mut scene) };
+    fails(refused, zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
+    let mut dropped = 7;
+    // SAFETY: a string, and where to put count and scene.
+    let open = |out| unsafe { zs_scene_open_dropping_invalid(text.as_ptr(), &mut dropped, out) };
+    let scene = Object::new(zs_scene_destroy, open);
+    assert_eq!(read(&scene).means, [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]);
+    assert_eq!(dropped, 2);
+}
+
+#[test]
 fn a_model_computes_in_the_precision_that_was_asked_for() {
     let context = context();
     let photos = photos(2);

@@ -10,7 +10,7 @@ use zipsplat::{
     types::{
         Image, Intrinsics,
         poses::{Poses, read_cameras, read_poses},
-        read_scene,
+        read_scene, read_scene_unchecked,
     },
     weights::Checkpoint,
 };
@@ -29,8 +29,12 @@ fn stored(name: &str, bytes: &[u8]) -> PathBuf {
 
 /// A scene of the format of `extension`.
 pub fn scene(extension: &str, bytes: &[u8]) {
-    if let Ok(scene) = read_scene(stored(&format!("scene.{extension}"), bytes)) {
+    let path = stored(&format!("scene.{extension}"), bytes);
+    if let Ok(scene) = read_scene(&path) {
         scene.validate().expect("what is read is valid");
+    }
+    if let Ok(mut scene) = read_scene_unchecked(&path) {
+        scene.drop_invalid().and_then(|_| scene.validate()).expect("what is left is valid");
     }
 }
 

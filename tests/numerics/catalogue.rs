@@ -35,7 +35,7 @@ fn areas_are_told_apart_and_explained() {
     }
 }
 
-fn zipsplat(line: &str) -> (u8, String, String) {
+pub fn zipsplat(line: &str) -> (u8, String, String) {
     let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
     let (mut out, mut err) = (Vec::new(), Vec::new());
     let cancelled = AtomicBool::new(false);

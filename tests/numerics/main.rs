@@ -2,30 +2,69 @@
 //!
 //! What takes long is ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs it.
 
+mod cache;
 mod catalogue;
+mod faults;
 mod hostile;
+mod invalid;
+mod memory;
 mod metamorphic;
+mod processes;
 mod resources;
 mod splatting;
 mod views;
 
 use std::{ops::ControlFlow, sync::OnceLock};
 use zipsplat::{
+    gpu::Element,
+    ops::Arithmetic,
     reconstruct::{Model, Request},
     types::{Image, Scene},
     weights::Checkpoint,
 };
-use zipsplat_tests::{architectures, device::device};
+use zipsplat_tests::{architectures, compare::Tolerance, device::device, networks::fast_arithmetics};
 
 /// The smallest network, with generated weights.
 fn micro() -> Checkpoint {
     Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network")
 }
 
-/// [`micro`] on the tests' device.
+/// [`micro`] in one arithmetic.
+struct Mode {
+    arithmetic: Arithmetic,
+    model: Model,
+}
+
+impl Mode {
+    /// What a field of its Gaussians may deviate by from truth.
+    fn tolerance(&self, field: &str) -> Tolerance {
+        match self.arithmetic.element {
+            Element::F32 => Tolerance::of_field(field),
+            _ => Tolerance::gaussians_in(self.arithmetic),
+        }
+    }
+
+    fn reconstruct(&self, images: &[Image], request: &Request) -> Scene {
+        reconstruct(&self.model, images, request)
+    }
+}
+
+/// [`micro`] on the tests' device in every arithmetic that it has: first f32, then those with narrower factors, on matrix
+/// units and on lanes.
+fn modes() -> &'static [Mode] {
+    static MODES: OnceLock<Vec<Mode>> = OnceLock::new();
+    MODES.get_or_init(|| {
+        let load = |arithmetic| {
+            let model = Model::load_with(device(), &micro(), arithmetic, |_| ControlFlow::Continue(()));
+            Mode { arithmetic, model: model.expect("it fits") }
+        };
+        std::iter::once(Arithmetic::EXACT).chain(fast_arithmetics()).map(load).collect()
+    })
+}
+
+/// [`micro`] in f32.
 fn model() -> &'static Model {
-    static MODEL: OnceLock<Model> = OnceLock::new();
-    MODEL.get_or_init(|| Model::load(device(), &micro(), |_| ControlFlow::Continue(())).expect("it fits"))
+    &modes()[0].model
 }
 
 fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {

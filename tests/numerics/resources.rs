@@ -1,10 +1,13 @@
 //! Disks that fill up, processes that are killed or that share a device, and memory that must not grow.
 
-use crate::{micro, noise, reconstruct};
+use crate::{
+    micro, noise,
+    processes::{assert_succeeds, child, target},
+    reconstruct,
+};
 use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
     time::Duration,
 };
 use zipsplat::{
@@ -14,35 +17,12 @@ use zipsplat::{
     types::{Image, Scene, WriteOptions, read_scene, write_scene},
     weights::{Checkpoint, Dtype},
 };
-use zipsplat_tests::{architectures, scenes::random_scene};
-
-/// Tells a child process what to work on; without it the tests that are children have nothing to do.
-const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
-
-fn target() -> Option<PathBuf> {
-    std::env::var_os(TARGET).map(PathBuf::from)
-}
-
-/// This program again with only the test `name`, behind the same loader and below `shell`.
-fn child(name: &str, target: &Path, shell: &str) -> Command {
-    let line = std::fs::read("/proc/self/cmdline").expect("Linux");
-    let words: Vec<String> =
-        line.split(|byte| *byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect();
-    let program = std::env::args().next().expect("a program");
-    let place = words.iter().position(|word| *word == program).expect("the program is on its own command line");
-    let mut command = Command::new("bash");
-    command.args(["-c", &format!("{shell}\nexec \"$@\""), "bash"]).args(&words[..=place]);
-    command.args(["--exact", &format!("resources::{name}"), "--ignored", "--test-threads=1"]);
-    command.env(TARGET, target).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
-
-#[track_caller]
-fn assert_succeeds(mut command: Command) {
-    let out = command.output().expect("bash");
-    let text = String::from_utf8_lossy(&out.stdout);
-    assert!(out.status.success() && text.contains("1 passed"), "{text}{}", String::from_utf8_lossy(&out.stderr));
-}
+use zipsplat_tests::{
+    architectures,
+    compare::{Tolerance, assert_gaussians_within},
+    device::device,
+    scenes::random_scene,
+};
 
 const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
 
@@ -70,7 +50,7 @@ fn a_full_disk_leaves_what_was_there() {
     let before = contents(folder.path());
     assert_eq!(before.len(), 7);
     // No file may grow beyond 16 KiB, and writing on is an error rather than a signal.
-    assert_succeeds(child("writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
+    assert_succeeds(child("resources::writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
     assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
 }
 
@@ -101,7 +81,7 @@ fn a_killed_writer_leaves_a_whole_file() {
     let last_written = || folder.path().join(SCENES[4]).metadata().and_then(|found| found.modified()).unwrap();
     for delay in [1, 7, 19, 31] {
         let before = last_written();
-        let mut writer = child("writes_forever", folder.path(), "").spawn().unwrap();
+        let mut writer = child("resources::writes_forever", folder.path(), "").spawn().unwrap();
         while last_written() == before {
             assert_eq!(writer.try_wait().unwrap(), None, "the writer ended by itself");
             std::thread::sleep(Duration::from_millis(1));
@@ -142,7 +122,7 @@ fn reconstructed() -> Vec<u8> {
 fn two_processes_on_one_device_get_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let files = ["first", "second"].map(|name| folder.path().join(name));
-    let children = files.clone().map(|file| child("reconstructs", &file, "").spawn().unwrap());
+    let children = files.clone().map(|file| child("resources::reconstructs", &file, "").spawn().unwrap());
     let own = reconstructed();
     for child in children {
         let out = child.wait_with_output().unwrap();
@@ -168,13 +148,13 @@ fn resident_bytes() -> u64 {
 
 #[test]
 fn reconstructions_in_a_row_do_not_grow() {
-    assert_succeeds(child("reconstructs_and_renders_again_and_again", Path::new("25"), ""));
+    assert_succeeds(child("resources::reconstructs_and_renders_again_and_again", Path::new("25"), ""));
 }
 
 #[test]
 #[ignore = "a minute on a CPU"]
 fn a_thousand_reconstructions_do_not_grow() {
-    assert_succeeds(child("reconstructs_and_renders_again_and_again", Path::new("1000"), ""));
+    assert_succeeds(child("resources::reconstructs_and_renders_again_and_again", Path::new("1000"), ""));
 }
 
 #[test]
@@ -199,13 +179,55 @@ fn reconstructs_and_renders_again_and_again() {
     assert!(grown < 8 << 20, "{grown} bytes more after the second half of {rounds} rounds");
 }
 
-/// Other subgroup sizes are other orders of every sum.
+/// Vector widths of lavapipe, which are subgroups of 4, 8 and 16 and workgroups of as many.
+const VECTORS: [u32; 3] = [128, 256, 512];
+
+/// Other subgroups and workgroups are other orders of every sum: each scene is within the tolerance of their common truth.
+#[test]
+fn every_subgroup_size_gives_the_same_scene() {
+    if !device().limits().cpu {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let scene_of = |bits: u32| -> Vec<f32> {
+        let file = folder.path().join(bits.to_string());
+        let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
+        assert_succeeds(child("resources::reconstructs_every_token", &file, &shell));
+        let bytes = std::fs::read(file).unwrap();
+        bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+    };
+    let scenes = VECTORS.map(scene_of);
+    assert!(scenes.iter().any(|scene| *scene != scenes[0]), "one subgroup size was tested three times");
+    let width = architectures::golden("micro").gaussian_width();
+    for (scene, bits) in scenes.iter().zip(VECTORS) {
+        let tolerance = |field: &str| Tolerance::of_field(field).times(2.0);
+        assert_gaussians_within(&format!("{bits} bits"), scene, &scenes[0], width, tolerance);
+    }
+}
+
+/// Gaussians one after another, packed as the goldens have them.
+#[test]
+#[ignore = "child of every_subgroup_size_gives_the_same_scene"]
+fn reconstructs_every_token() {
+    let Some(file) = target() else { return };
+    let device = Device::open(&DeviceOptions::default()).unwrap();
+    let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+    let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &Request::default());
+    let k = scene.sh_coeffs_per_gaussian();
+    let gaussian = |i: usize| {
+        let head = scene.means[i].into_iter().chain(scene.scales[i]).chain(scene.quats[i]);
+        head.chain([scene.opacities[i]]).chain(scene.sh_coeffs[i * k..][..k].as_flattened().iter().copied())
+    };
+    let values = (0..scene.len()).flat_map(gaussian);
+    std::fs::write(file, values.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()).unwrap();
+}
+
 #[test]
 #[ignore = "half a minute a size on a CPU"]
 fn every_subgroup_size_of_lavapipe_stays_within_the_bounds() {
-    for bits in [128, 256, 512] {
+    for bits in VECTORS {
         let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
-        assert_succeeds(child("examines_the_catalogue", Path::new("all"), &shell));
+        assert_succeeds(child("resources::examines_the_catalogue", Path::new("all"), &shell));
     }
 }
 

@@ -1,12 +1,13 @@
 //! Photos of every kind, through the whole network.
 
-use crate::{model, noise, reconstruct};
+use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
 use std::{io::Cursor, path::Path};
 use zipsplat::{
     reconstruct::{Ratio, Request},
     types::{Image, Scene},
 };
+use zipsplat_tests::compare::assert_close;
 
 const SIDE: u32 = 56;
 
@@ -26,6 +27,16 @@ fn assert_sound(name: &str, scene: &Scene, tokens: usize) {
     assert!(scene.scales.as_flattened().iter().all(|s| (1e-6..=15.0).contains(s)), "{name}: scales");
 }
 
+fn gaussian_fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
+    [
+        ("means", scene.means.as_flattened()),
+        ("scales", scene.scales.as_flattened()),
+        ("quats", scene.quats.as_flattened()),
+        ("opacities", &scene.opacities),
+        ("sh_coeffs", scene.sh_coeffs.as_flattened()),
+    ]
+}
+
 #[test]
 fn uniform_identical_and_noisy_views() {
     let corrupted = || [noise(SIDE, SIDE, 1), noise(SIDE, SIDE, 2), plain(0), noise(SIDE, SIDE, 4)].to_vec();
@@ -41,12 +52,19 @@ fn uniform_identical_and_noisy_views() {
     for (name, images) in sets {
         let grid = (images[0].width / 14 * (images[0].height / 14)) as usize;
         let tokens = images.len() * grid;
-        assert_sound(name, &reconstruct(model(), &images, &Request::default()), tokens);
-        for ratio in [0.5, 1e-9] {
-            // Tokens of uniform views are nearly or entirely equal, and clusters empty.
-            let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
-            let kept = ((tokens as f64 * ratio) as usize).max(1);
-            assert_sound(name, &reconstruct(model(), &images, &request), kept);
+        let exact = reconstruct(model(), &images, &Request::default());
+        for mode in modes() {
+            let scene = mode.reconstruct(&images, &Request::default());
+            assert_sound(name, &scene, tokens);
+            for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
+                assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
+            }
+            for ratio in [0.5, 1e-9] {
+                // Tokens of uniform views are nearly or entirely equal, and clusters empty.
+                let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
+                let kept = ((tokens as f64 * ratio) as usize).max(1);
+                assert_sound(name, &mode.reconstruct(&images, &request), kept);
+            }
         }
     }
 }
@@ -54,7 +72,15 @@ fn uniform_identical_and_noisy_views() {
 #[test]
 fn the_most_views() {
     let images: Vec<Image> = (0..192).map(|i| noise(SIDE, SIDE, i)).collect();
-    assert_sound("192 views", &reconstruct(model(), &images, &Request::default()), 192 * 16);
+    let all = |mode: &Mode| mode.reconstruct(&images, &Request::default());
+    let exact = all(&modes()[0]);
+    assert_sound("192 views", &exact, 192 * 16);
+    for mode in &modes()[1..] {
+        let scene = all(mode);
+        for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
+            assert_close(&format!("192 views, {field}"), got, expected, mode.tolerance(field));
+        }
+    }
     let request = Request { ratio: Ratio::Auto, ..Request::default() };
     let scene = reconstruct(model(), &images, &request);
     assert_sound("192 views, clustered", &scene, scene.len() / model().architecture().gaussians_per_token);

@@ -41,7 +41,8 @@ pub struct Terminal<'a> {
 }
 
 /// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or
-/// argument that cannot be used, 4 no device or too little memory, 5 a device that computes wrongly, 130 cancelled.
+/// argument that cannot be used, 4 no device, a lost one or too little memory, 5 a device that computes wrongly, 130
+/// cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let options::Cli { global, command } = match options::Cli::try_parse_from(args) {
         Ok(cli) => cli,
@@ -79,7 +80,7 @@ fn exit_code(error: &Error) -> u8 {
             | ErrorKind::InvalidFilename => 3,
             _ => 1,
         },
-        Error::NoDevice(_) | Error::Memory { .. } => 4,
+        Error::NoDevice(_) | Error::DeviceLost | Error::Memory { .. } => 4,
         Error::Cancelled => 130,
         _ => 1,
     }

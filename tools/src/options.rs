@@ -2,13 +2,13 @@
 
 use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
-use std::{fmt, str::FromStr};
+use std::{fmt, path::Path, str::FromStr};
 use zipsplat::{
-    Result,
+    Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
-    types::Scene,
+    types::{Scene, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
 };
 
@@ -26,7 +26,7 @@ use zipsplat::{
 
 Exit codes:
   0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
-  4 no device or too little memory   5 a device that computes wrongly   130 cancelled"
+  4 no device, a lost one or too little memory   5 a device that computes wrongly   130 cancelled"
 )]
 pub struct Cli {
     #[command(flatten)]
@@ -41,6 +41,10 @@ pub struct Global {
     /// Vulkan device: its number in `zipsplat info` or a part of its name; none plans for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
+    /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
+    /// [default: all of it]
+    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    pub memory: Option<u64>,
     /// Print the result as JSON
     #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
@@ -98,6 +102,47 @@ pub struct Quality {
     size: Option<Size>,
     #[command(flatten)]
     pub arithmetic: ArithmeticOption,
+}
+
+/// How a scene is read.
+#[derive(Args)]
+pub struct SceneInput {
+    /// Gaussians in the scene's file with values that are NaN, infinite or out of range [default: refuse]
+    #[arg(long, value_enum, value_name = "WHAT")]
+    invalid: Option<Invalid>,
+}
+
+/// What becomes of Gaussians that cannot be drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Invalid {
+    /// The file is an error
+    Refuse,
+    /// They are left out and counted
+    Drop,
+}
+
+impl SceneInput {
+    /// Whether it says anything.
+    pub fn is_given(&self) -> bool {
+        self.invalid.is_some()
+    }
+
+    /// The scene of a file, and how many Gaussians of it were left out, which is noted.
+    pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
+        let (mut scene, _) = session.stage("read scene", |_| read_scene_unchecked(path))?;
+        if self.invalid != Some(Invalid::Drop) {
+            let refused =
+                |error| Error::format(path, None, format!("{error}; --invalid drop leaves such Gaussians out"));
+            scene.validate().map_err(refused)?;
+            return Ok((scene, 0));
+        }
+        let (all, dropped) = (scene.len(), scene.drop_invalid()?);
+        if dropped > 0 {
+            let why = "left out: with values that are NaN, infinite or out of range";
+            session.note(format!("{}: {dropped} of {all} Gaussians {why}", path.display()));
+        }
+        Ok((scene, dropped))
+    }
 }
 
 /// In which arithmetic.
@@ -199,6 +244,18 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
         "auto" => Ok(Ratio::Auto),
         number => number.parse().map(Ratio::Fixed).map_err(|_| "expected a number in (0, 1], or auto".into()),
     }
+}
+
+/// A number of bytes, or of 1024 to the power of 1, 2 or 3 of them.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
+        Some(number) if text.ends_with('K') => (number, 1 << 10),
+        Some(number) if text.ends_with('M') => (number, 1 << 20),
+        Some(number) => (number, 1 << 30),
+        None => (text, 1),
+    };
+    let bytes = number.parse().ok().and_then(|number: u64| number.checked_mul(unit));
+    bytes.ok_or_else(|| "expected a number of bytes, such as 800000000, 800M or 3G".into())
 }
 
 /// A length that something can be measured in.

@@ -52,7 +52,9 @@ impl<'a> Session<'a> {
 
     /// Opens the device that `--device` names, or the best one.
     pub fn device(&self) -> Result<Device> {
-        Device::open(&DeviceOptions { selector: self.global.device.clone(), ..DeviceOptions::default() })
+        let Global { device, memory, .. } = &self.global;
+        let (selector, max_memory_bytes) = (device.clone(), *memory);
+        Device::open(&DeviceOptions { selector, max_memory_bytes, ..DeviceOptions::default() })
     }
 
     /// Whether the user asked for no device: what needs one fails, a plan is made for an ordinary one.

@@ -7,7 +7,7 @@ use super::{
     },
     status::{Failure, guard, zs_status},
 };
-use crate::types::{Scene, WriteOptions, read_scene, write_scene};
+use crate::types::{Scene, WriteOptions, read_scene, read_scene_unchecked, write_scene};
 use std::ffi::c_char;
 
 /// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
@@ -180,6 +180,28 @@ const MAX_GAUSSIANS: usize = 1 << 28;
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
     let open = || Ok(zs_scene { scene: read_scene(unsafe { text(path, "path") }?)? });
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, open) }
+}
+
+/// As zs_scene_open, which refuses a file with values that are NaN, infinite or out of range: here Gaussians with such values are
+/// left out, and `dropped` gets their number. `dropped` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
+    path: *const c_char,
+    dropped: *mut u64,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
+    let open = || {
+        // SAFETY: a string or NULL.
+        let mut scene = read_scene_unchecked(unsafe { text(path, "path") }?)?;
+        let count = scene.drop_invalid()? as u64;
+        if !dropped.is_null() {
+            // SAFETY: not NULL, and the caller's to write.
+            unsafe { dropped.write(count) };
+        }
+        Ok(zs_scene { scene })
+    };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, open) }
 }

@@ -2,6 +2,7 @@
 
 use super::{
     device::Shared,
+    lost::is_under_way,
     memory::{Memory, Resident},
     plan::{Command, Dispatch, Groups, Home, Operation, Plan, Tensor},
     schedule::Piece,
@@ -259,6 +260,7 @@ pub(super) fn record_copies(
 
 /// Copies between two buffers, behind everything that was submitted before, and waits for it.
 pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
+    shared.check_lost()?;
     let raw = &shared.raw;
     let transfer = vk::PipelineStageFlags2::TRANSFER;
     let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.family);
@@ -267,25 +269,32 @@ pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
         let pool = raw.create_command_pool(&pool_info, None).map_err(|e| driver("vkCreateCommandPool", e))?;
         let submit = |fence| {
             let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
-            let commands = raw.allocate_command_buffers(&info)?[0];
-            raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())?;
+            let commands = raw.allocate_command_buffers(&info).map_err(|e| driver("vkAllocateCommandBuffers", e))?[0];
+            raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())
+                .map_err(|e| driver("vkBeginCommandBuffer", e))?;
             let access = vk::AccessFlags2::TRANSFER_READ | vk::AccessFlags2::TRANSFER_WRITE;
             memory_barrier(raw, commands, vk::PipelineStageFlags2::ALL_COMMANDS, transfer, access);
             raw.cmd_copy_buffer(commands, from, to, &[region]);
             memory_barrier(raw, commands, STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
-            raw.end_command_buffer(commands)?;
+            raw.end_command_buffer(commands).map_err(|e| driver("vkEndCommandBuffer", e))?;
             let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-            shared.queue.submit(raw, vk::SubmitInfo2::default().command_buffer_infos(&buffers), fence)?;
-            raw.wait_for_fences(&[fence], true, u64::MAX)
+            let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers);
+            let submitted = shared.queue.submit(raw, info, fence).map_err(|e| shared.failed("vkQueueSubmit2", e));
+            if !is_under_way(&submitted) {
+                return submitted;
+            }
+            raw.wait_for_fences(&[fence], true, u64::MAX).map_err(|e| shared.failed("vkWaitForFences", e))?;
+            shared.check_lost()
         };
         // A fence, not the whole queue: that may be an app's.
-        let result = raw.create_fence(&vk::FenceCreateInfo::default(), None).and_then(|fence| {
+        let fence = raw.create_fence(&vk::FenceCreateInfo::default(), None);
+        let result = fence.map_err(|e| driver("vkCreateFence", e)).and_then(|fence| {
             let result = submit(fence);
             raw.destroy_fence(fence, None);
             result
         });
         raw.destroy_command_pool(pool, None);
-        result.map_err(|e| driver("vkQueueSubmit2", e))
+        result
     }
 }
 

@@ -12,7 +12,10 @@ use ash::{ext, khr, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, atomic::AtomicU64},
+    sync::{
+        Arc, Mutex, MutexGuard,
+        atomic::{AtomicBool, AtomicU64},
+    },
 };
 
 /// Which device to use and how.
@@ -24,6 +27,8 @@ pub struct DeviceOptions {
     pub validation: bool,
     /// Binds at most so many bytes at once, as a device with a smaller limit would have it.
     pub max_binding_bytes: Option<u64>,
+    /// Uses at most so many bytes of the device's memory, and leaves the rest to others.
+    pub max_memory_bytes: Option<u64>,
     /// Moves bytes through staging memory also where the host sees the device's own, as a discrete GPU has it.
     pub staged: bool,
 }
@@ -32,7 +37,7 @@ impl Default for DeviceOptions {
     /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1.
     fn default() -> Self {
         let validation = std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1");
-        Self { selector: None, validation, max_binding_bytes: None, staged: false }
+        Self { selector: None, validation, max_binding_bytes: None, max_memory_bytes: None, staged: false }
     }
 }
 
@@ -54,6 +59,8 @@ pub(super) struct Shared {
     pub flops_per_ms: AtomicU64,
     /// See [`DeviceOptions::staged`].
     pub staged: bool,
+    /// See [`super::lost`].
+    pub lost: AtomicBool,
     subgroup_control: bool,
     pipelines: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
     layouts: Mutex<HashMap<&'static str, Layout>>,
@@ -81,11 +88,23 @@ pub(super) struct Pipeline {
     pub layout: vk::PipelineLayout,
 }
 
-#[derive(Clone, Copy)]
+/// Null where it was not made.
+#[derive(Clone, Copy, Default)]
 struct Layout {
     set: vk::DescriptorSetLayout,
     pipeline: vk::PipelineLayout,
     module: vk::ShaderModule,
+}
+
+impl Layout {
+    fn destroy(&self, raw: &ash::Device) {
+        // SAFETY: made on this device, and in no use any more.
+        unsafe {
+            raw.destroy_shader_module(self.module, None);
+            raw.destroy_pipeline_layout(self.pipeline, None);
+            raw.destroy_descriptor_set_layout(self.set, None);
+        }
+    }
 }
 
 impl Device {
@@ -131,6 +150,7 @@ impl Shared {
     fn open(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
         let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
+        limits.memory_bytes = limits.memory_bytes.min(options.max_memory_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let mut extensions = vec![khr::push_descriptor::NAME.as_ptr()];
@@ -206,6 +226,7 @@ impl Shared {
             allocated: AtomicU64::new(0),
             flops_per_ms: AtomicU64::new(first_guess(&limits)),
             staged,
+            lost: AtomicBool::new(false),
             subgroup_control,
             pipelines: Mutex::default(),
             layouts: Mutex::default(),
@@ -280,6 +301,17 @@ impl Shared {
         if let Some(known) = layouts.get(module.name) {
             return Ok(*known);
         }
+        let mut layout = Layout::default();
+        if let Err(error) = self.make_layout(module, &mut layout) {
+            layout.destroy(&self.raw);
+            return Err(error);
+        }
+        layouts.insert(module.name, layout);
+        Ok(layout)
+    }
+
+    /// Makes one handle after the other, up to the first that fails.
+    fn make_layout(&self, module: &'static Module, layout: &mut Layout) -> Result<()> {
         let bindings: Vec<_> = module
             .bindings
             .iter()
@@ -297,26 +329,23 @@ impl Shared {
         let failed = |call| move |e: vk::Result| Error::Driver { call, result: format!("{}: {e}", module.name) };
         let words = ash::util::read_spv(&mut std::io::Cursor::new(module.spirv))
             .map_err(|e| Error::Driver { call: "read_spv", result: format!("{}: {e}", module.name) })?;
-        // SAFETY: valid create infos; the handles are destroyed with the device.
-        let layout = unsafe {
-            let set = self
-                .raw
-                .create_descriptor_set_layout(&set_info, None)
-                .map_err(failed("vkCreateDescriptorSetLayout"))?;
-            let sets = [set];
-            let push =
-                [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(module.push_bytes)];
+        let push =
+            [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(module.push_bytes)];
+        let raw = &self.raw;
+        // SAFETY: valid create infos; the caller destroys the handles, here or with the device.
+        unsafe {
+            layout.set =
+                raw.create_descriptor_set_layout(&set_info, None).map_err(failed("vkCreateDescriptorSetLayout"))?;
+            let sets = [layout.set];
             let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
             if module.push_bytes > 0 {
                 info = info.push_constant_ranges(&push);
             }
-            let pipeline = self.raw.create_pipeline_layout(&info, None).map_err(failed("vkCreatePipelineLayout"))?;
+            layout.pipeline = raw.create_pipeline_layout(&info, None).map_err(failed("vkCreatePipelineLayout"))?;
             let info = vk::ShaderModuleCreateInfo::default().code(&words);
-            let shader = self.raw.create_shader_module(&info, None).map_err(failed("vkCreateShaderModule"))?;
-            Layout { set, pipeline, module: shader }
-        };
-        layouts.insert(module.name, layout);
-        Ok(layout)
+            layout.module = raw.create_shader_module(&info, None).map_err(failed("vkCreateShaderModule"))?;
+        }
+        Ok(())
     }
 
     fn label(&self, pipeline: vk::Pipeline, name: &str) {
@@ -336,9 +365,7 @@ impl Drop for Shared {
                 self.raw.destroy_pipeline(pipeline.raw, None);
             }
             for layout in lock(&self.layouts).values() {
-                self.raw.destroy_shader_module(layout.module, None);
-                self.raw.destroy_pipeline_layout(layout.pipeline, None);
-                self.raw.destroy_descriptor_set_layout(layout.set, None);
+                layout.destroy(&self.raw);
             }
             drop(lock(&self.allocator).take());
             if self.owned {

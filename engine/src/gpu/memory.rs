@@ -29,6 +29,8 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
+    /// Whether it counts as the device's memory: what the host sees and caches is the host's on discrete GPUs.
+    counted: bool,
     /// Host pointer where the memory is host visible and coherent.
     mapped: bool,
 }
@@ -46,9 +48,10 @@ impl Memory {
 
     fn at(device: &Device, what: &str, sizes: &[u64], location: MemoryLocation) -> Result<Self> {
         let shared = device.0.clone();
+        shared.check_lost()?;
         let needed: u64 = sizes.iter().sum();
         let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
-        if needed > available {
+        if needed > available && location == MemoryLocation::GpuOnly {
             return Err(Error::Memory { what: what.into(), needed, available });
         }
         let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
@@ -69,6 +72,7 @@ impl Memory {
     }
 
     pub fn write(&self, block: u32, offset: u64, bytes: &[u8]) -> Result<()> {
+        self.shared.check_lost()?;
         let target = &self.blocks[block as usize];
         if let Some(memory) = target.bytes_at(offset, bytes.len()) {
             // SAFETY: in bounds (checked there), mapped, and no submission is using the range: runs are exclusive.
@@ -88,6 +92,7 @@ impl Memory {
     }
 
     pub fn read(&self, block: u32, offset: u64, bytes: &mut [u8]) -> Result<()> {
+        self.shared.check_lost()?;
         let source = &self.blocks[block as usize];
         if let Some(memory) = source.bytes_at(offset, bytes.len()) {
             // SAFETY: as in `write`.
@@ -137,12 +142,16 @@ impl Block {
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        let too_little =
-            || Error::Memory { what: what.into(), needed: bytes, available: shared.limits.memory_bytes.min(bytes - 1) };
+        // Others use the memory too, and it may be in pieces: how much could be had, no driver says.
+        let refused = || {
+            let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
+            Error::Memory { what: format!("{what}, which the driver refused,"), needed: bytes, available }
+        };
         // SAFETY: a plain buffer; freed in `free`.
-        let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| too_little())?;
-        shared.allocated.fetch_add(bytes, Ordering::Relaxed);
-        let mut block = Self { buffer, allocation: None, bytes, mapped: false };
+        let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
+        let counted = location == MemoryLocation::GpuOnly;
+        shared.allocated.fetch_add(if counted { bytes } else { 0 }, Ordering::Relaxed);
+        let mut block = Self { buffer, allocation: None, bytes, counted, mapped: false };
         // SAFETY: the buffer was just made on this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
         let allocation = shared.allocator().allocate(&AllocationCreateDesc {
@@ -154,7 +163,7 @@ impl Block {
         });
         let Ok(allocation) = allocation else {
             block.free(shared);
-            return Err(too_little());
+            return Err(refused());
         };
         let coherent = allocation.memory_properties().contains(vk::MemoryPropertyFlags::HOST_COHERENT);
         let staged = shared.staged && location == MemoryLocation::GpuOnly;
@@ -178,7 +187,7 @@ impl Block {
     }
 
     fn free(self, shared: &Shared) {
-        shared.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
+        shared.allocated.fetch_sub(if self.counted { self.bytes } else { 0 }, Ordering::Relaxed);
         // SAFETY: users wait for their submissions before they drop their memory.
         unsafe { shared.raw.destroy_buffer(self.buffer, None) };
         if let Some(allocation) = self.allocation {

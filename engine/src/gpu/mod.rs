@@ -14,6 +14,7 @@ mod flight;
 mod instance;
 mod kernel;
 mod limits;
+mod lost;
 mod memory;
 mod plan;
 mod profile;

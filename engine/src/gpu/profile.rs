@@ -116,7 +116,7 @@ impl Run {
             let mut stamps = vec![0u64; 2 * pieces.len()];
             // SAFETY: the submission that wrote these queries is done.
             unsafe { raw.get_query_pool_results(queries, 0, &mut stamps, vk::QueryResultFlags::TYPE_64) }
-                .map_err(|e| driver("vkGetQueryPoolResults", e))?;
+                .map_err(|e| self.device.0.failed("vkGetQueryPoolResults", e))?;
             for (piece, t) in pieces.iter().zip(stamps.chunks_exact(2)) {
                 times[piece.command] += t[1].wrapping_sub(t[0]) as f64 * self.device.0.limits.timestamp_ns;
             }

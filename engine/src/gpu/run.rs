@@ -1,6 +1,7 @@
 //! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
 
 mod present;
+mod submit;
 
 pub use present::{ImagePlace, Point, Target};
 
@@ -108,9 +109,13 @@ impl Run {
         // SAFETY: valid create infos; destroyed in `drop`.
         let timeline =
             unsafe { raw.create_semaphore(&semaphore_info, None) }.map_err(|e| driver("vkCreateSemaphore", e))?;
-        // SAFETY: as above.
-        let pool =
-            unsafe { raw.create_command_pool(&pool_info, None) }.map_err(|e| driver("vkCreateCommandPool", e))?;
+        // SAFETY: as above; the semaphore is not in use yet.
+        let pool = unsafe {
+            raw.create_command_pool(&pool_info, None).map_err(|e| {
+                raw.destroy_semaphore(timeline, None);
+                driver("vkCreateCommandPool", e)
+            })
+        }?;
         let written = vec![false; plan.allocations.len()];
         Ok(Self {
             device: device.clone(),
@@ -293,8 +298,14 @@ impl Run {
         let first_command = cursor.command;
         let (pieces, cost) = cursor.next_pieces(&self.plan, self.budget());
         let commands = self.command_buffer()?;
-        self.record(commands, &pieces, None)?;
-        Ok(Batch { commands, cost, first_command })
+        match self.record(commands, &pieces, None) {
+            Ok(()) => Ok(Batch { commands, cost, first_command }),
+            Err(error) => {
+                // SAFETY: it was never submitted.
+                unsafe { self.device.0.raw.free_command_buffers(self.pool, &[commands]) };
+                Err(error)
+            }
+        }
     }
 
     pub(super) fn record(
@@ -320,45 +331,6 @@ impl Run {
     fn learn(&self, cost: u64, took: Duration, late: bool) {
         let (rate, patient) = (&self.device.0.flops_per_ms, self.device.limits().cpu);
         rate.store(learned(rate.load(Ordering::Relaxed), cost, took, late, patient), Ordering::Relaxed);
-    }
-
-    pub(super) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
-        let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
-        // SAFETY: the pool is used by this run only, which is borrowed by one thread at a time.
-        unsafe { self.device.0.raw.allocate_command_buffers(&info) }
-            .map(|buffers| buffers[0])
-            .map_err(|e| driver("vkAllocateCommandBuffers", e))
-    }
-
-    pub(super) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
-        self.signalled = self.timeline_value()?.max(self.signalled) + 1;
-        self.submit_as(commands, self.signalled)?;
-        Ok(self.signalled)
-    }
-
-    pub(super) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-        let signals = [vk::SemaphoreSubmitInfo::default()
-            .semaphore(self.timeline)
-            .value(value)
-            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
-        let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
-        // SAFETY: the command buffer is recorded and not under way.
-        unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
-            .map_err(|e| driver("vkQueueSubmit2", e))
-    }
-
-    pub(super) fn timeline_value(&self) -> Result<u64> {
-        // SAFETY: the semaphore is alive.
-        unsafe { self.device.0.raw.get_semaphore_counter_value(self.timeline) }
-            .map_err(|e| driver("vkGetSemaphoreCounterValue", e))
-    }
-
-    pub(super) fn wait(&self, value: u64) -> Result<()> {
-        let (semaphores, values) = ([self.timeline], [value]);
-        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        // SAFETY: the value was submitted for signalling.
-        unsafe { self.device.0.raw.wait_semaphores(&info, u64::MAX) }.map_err(|e| driver("vkWaitSemaphores", e))
     }
 
     fn discard_batches(&mut self) {

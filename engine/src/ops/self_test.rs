@@ -9,11 +9,13 @@ use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Recorder, Run},
     kernels::MODULES,
+    types::write_atomic,
 };
 use std::{
     fs,
     hash::{DefaultHasher, Hash, Hasher},
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 /// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same factors, so a linear
@@ -21,6 +23,9 @@ use std::{
 /// times the unit roundoff.
 const LINEAR_LIMIT: f64 = 1e-3;
 const ATTENTION_LIMIT: f64 = 40.0;
+
+/// A test without a result for longer than this, which it takes in seconds, has failed.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What the kernels of one device were found to do.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -97,12 +102,11 @@ impl SelfTest {
     /// [`Error::DeviceLost`]; other failures are those of its kernels.
     pub fn of(device: &Device) -> Result<Self> {
         let file = cache_file(device, "self-test");
-        let known = file.as_ref().and_then(|file| fs::read(file).ok());
-        if let Some(test) = known.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
-            return Ok(test);
-        }
         // A driver that ends this process, or hangs, is not asked again.
         let no_result = Self { deviations: vec![("the self-test".into(), None)] };
+        if let Some(test) = file.as_deref().and_then(|file| Self::kept(file, &no_result)) {
+            return Ok(test);
+        }
         no_result.keep(file.as_deref());
         let test = match Self::run(device) {
             Err(Error::DeviceLost) => return Err(Error::DeviceLost),
@@ -112,10 +116,18 @@ impl SelfTest {
         Ok(test)
     }
 
+    /// What was kept in a file, unless that is damaged, or another process may be at work on it.
+    fn kept(file: &Path, no_result: &Self) -> Option<Self> {
+        let test: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
+        let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);
+        (!test.deviations.is_empty() && (test != *no_result || age >= PATIENCE)).then_some(test)
+    }
+
+    /// A test that cannot be remembered is run again.
     fn keep(&self, file: Option<&Path>) {
         if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
-            // A test that cannot be remembered is run again.
-            let _ = file.parent().map(fs::create_dir_all).and_then(|_| fs::write(file, bytes).ok());
+            let folder = file.parent().map(fs::create_dir_all);
+            let _ = folder.and_then(Result::ok).map(|()| write_atomic(file, |out| out.write_all(&bytes)));
         }
     }
 
@@ -326,7 +338,8 @@ fn noise(seed: u64, rows: usize, width: usize, element: Element) -> Vec<f32> {
 
 /// Where what was found of a device, its driver and these kernels is kept, in a folder of the user's cache.
 pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
-    let folder = |name: &str, below: &str| std::env::var_os(name).map(|value| PathBuf::from(value).join(below));
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+    let folder = |name: &str, below: &str| set(name).map(|value| PathBuf::from(value).join(below));
     let cache = folder("ZIPSPLAT_CACHE", "")
         .or_else(|| folder("XDG_CACHE_HOME", "zipsplat"))
         .or_else(|| folder("LOCALAPPDATA", "zipsplat"))

@@ -24,7 +24,7 @@ pub use image::{Image, contact_sheet};
 pub use left_out::LeftOut;
 pub use ply::{read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
-pub use scene_file::{SceneFormat, WriteOptions, read_scene, write_scene};
+pub use scene_file::{SceneFormat, WriteOptions, read_scene, read_scene_unchecked, write_scene};
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, write_spz};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};

@@ -1,5 +1,7 @@
 //! The product: 3D Gaussians, one array a field.
 
+use std::path::Path;
+
 use crate::{Error, Result};
 
 /// N 3D Gaussians in the frame of the first view's camera (OpenCV axes).
@@ -100,6 +102,22 @@ impl Scene {
         kept
     }
 
+    /// Leaves out every Gaussian with a value that is not finite or not in its range, and says how many these were. The order
+    /// of the others stays.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the arrays do not fit each other.
+    pub fn drop_invalid(&mut self) -> Result<usize> {
+        self.check_lengths()?;
+        let before = self.len();
+        let valid = |i: &usize| VALUES.iter().all(|values| (values.hold)(self, *i));
+        let kept: Vec<usize> = (0..before).filter(valid).collect();
+        if kept.len() < before {
+            self.keep(&kept);
+        }
+        Ok(before - kept.len())
+    }
+
     /// Keeps the Gaussians of these indices, in their order.
     ///
     /// # Panics
@@ -118,6 +136,25 @@ impl Scene {
     /// # Errors
     /// [`Error::Argument`] with the number of bad Gaussians and the first of them.
     pub fn validate(&self) -> Result<()> {
+        self.check_lengths()?;
+        let n = self.len();
+        for Values { field, expected, hold } in VALUES {
+            let mut bad = (0..n).filter(|&i| !hold(self, i));
+            if let Some(first) = bad.next() {
+                let found = format!("{} of {n} Gaussians otherwise, the first is {first}", 1 + bad.count());
+                return Err(Error::argument(format!("scene {field}"), found, expected));
+            }
+        }
+        Ok(())
+    }
+
+    /// The scene, where a file at `path` holds one that is valid.
+    pub(super) fn validated(self, path: &Path) -> Result<Self> {
+        self.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
+        Ok(self)
+    }
+
+    fn check_lengths(&self) -> Result<()> {
         check_degree(self.sh_degree)?;
         let n = self.len();
         let lengths = [
@@ -131,20 +168,42 @@ impl Scene {
                 return Err(Error::argument(format!("scene {field}"), found, format!("{expected} for {n} means")));
             }
         }
-        let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
-        let all = |field: &str, expected: &str, good: &dyn Fn(usize) -> bool| {
-            let mut bad = (0..n).filter(|&i| !good(i));
-            let Some(first) = bad.next() else { return Ok(()) };
-            let found = format!("{} of {n} Gaussians otherwise, the first is {first}", 1 + bad.count());
-            Err(Error::argument(format!("scene {field}"), found, expected))
-        };
-        let k = self.sh_coeffs_per_gaussian();
-        all("means", "finite numbers", &|i| finite(&self.means[i]))?;
-        all("scales", "finite numbers, none negative", &|i| self.scales[i].iter().all(|s| s.is_finite() && *s >= 0.0))?;
-        all("quats", "finite numbers, not all zero", &|i| finite(&self.quats[i]) && self.quats[i] != [0.0; 4])?;
-        all("opacities", "0 to 1", &|i| (0.0..=1.0).contains(&self.opacities[i]))?;
-        all("sh_coeffs", "finite numbers", &|i| finite(self.sh_coeffs[i * k..][..k].as_flattened()))
+        Ok(())
     }
+}
+
+/// What a Gaussian's values of one field have to be.
+struct Values {
+    field: &'static str,
+    expected: &'static str,
+    hold: fn(&Scene, usize) -> bool,
+}
+
+const VALUES: [Values; 5] = [
+    Values { field: "means", expected: "finite numbers", hold: |scene, i| finite(&scene.means[i]) },
+    Values {
+        field: "scales",
+        expected: "finite numbers, none negative",
+        hold: |scene, i| scene.scales[i].iter().all(|s| s.is_finite() && *s >= 0.0),
+    },
+    Values {
+        field: "quats",
+        expected: "finite numbers, not all zero",
+        hold: |scene, i| finite(&scene.quats[i]) && scene.quats[i] != [0.0; 4],
+    },
+    Values { field: "opacities", expected: "0 to 1", hold: |scene, i| (0.0..=1.0).contains(&scene.opacities[i]) },
+    Values {
+        field: "sh_coeffs",
+        expected: "finite numbers",
+        hold: |scene, i| {
+            let k = scene.sh_coeffs_per_gaussian();
+            finite(scene.sh_coeffs[i * k..][..k].as_flattened())
+        },
+    },
+];
+
+fn finite(values: &[f32]) -> bool {
+    values.iter().all(|value| value.is_finite())
 }
 
 /// Coefficients a channel of spherical harmonics up to `degree`.

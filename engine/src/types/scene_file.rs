@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Scene, read_gltf, read_ply, read_splat, read_spz, write_gltf, write_ply, write_splat, write_spz};
+use super::{Scene, gltf, ply, splat, spz};
 use crate::{Error, Result};
 
 /// What a scene file is.
@@ -81,14 +81,23 @@ impl SceneFormat {
 /// x right, y down, z forward.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no scene or damaged.
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no scene or damaged, or holds values that are
+/// not finite or not in their range.
 pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
+    read_scene_unchecked(path.as_ref())?.validated(path.as_ref())
+}
+
+/// As [`read_scene`], with the values as they are, NaN among them: for [`Scene::drop_invalid`], or [`Scene::validate`].
+///
+/// # Errors
+/// As [`read_scene`], but for values.
+pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
     let path = path.as_ref();
     match SceneFormat::of_file(path)? {
-        Some(SceneFormat::Ply) => read_ply(path),
-        Some(SceneFormat::Spz) => read_spz(path),
-        Some(SceneFormat::Splat) => read_splat(path),
-        Some(SceneFormat::Gltf | SceneFormat::Glb) => read_gltf(path),
+        Some(SceneFormat::Ply) => ply::read_unchecked(path),
+        Some(SceneFormat::Spz) => spz::read_unchecked(path),
+        Some(SceneFormat::Splat) => splat::read_unchecked(path),
+        Some(SceneFormat::Gltf | SceneFormat::Glb) => gltf::read_unchecked(path),
         None => Err(Error::format(path, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))),
     }
 }
@@ -102,11 +111,11 @@ pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
     let path = path.as_ref();
     match SceneFormat::of_extension(path) {
-        Some(SceneFormat::Ply) => write_ply(scene, path),
-        Some(SceneFormat::Spz) => write_spz(scene, path, options.spz_version),
-        Some(SceneFormat::Splat) => write_splat(scene, path),
-        Some(SceneFormat::Gltf) => write_gltf(scene, path, false),
-        Some(SceneFormat::Glb) => write_gltf(scene, path, true),
+        Some(SceneFormat::Ply) => ply::write_ply(scene, path),
+        Some(SceneFormat::Spz) => spz::write_spz(scene, path, options.spz_version),
+        Some(SceneFormat::Splat) => splat::write_splat(scene, path),
+        Some(SceneFormat::Gltf) => gltf::write_gltf(scene, path, false),
+        Some(SceneFormat::Glb) => gltf::write_gltf(scene, path, true),
         None => Err(Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS)),
     }
 }

@@ -49,7 +49,11 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no whole number of Gaussians or one of them
 /// has values that are not finite, a negative standard deviation or no rotation.
 pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
-    let path = path.as_ref();
+    read_unchecked(path.as_ref())?.validated(path.as_ref())
+}
+
+/// As [`read_splat`], with the values as they are.
+pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
     let (rows, rest) = bytes.as_chunks::<ROW>();
     if !rest.is_empty() {
@@ -57,20 +61,13 @@ pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
         return Err(Error::format(path, Some((bytes.len() - rest.len()) as u64), reason));
     }
     let mut scene = Scene::default();
-    for (i, row) in rows.iter().enumerate() {
+    for row in rows {
         let floats: [f32; 6] =
             std::array::from_fn(|j| f32::from_le_bytes(std::array::from_fn(|byte| row[4 * j + byte])));
         let [x, y, z, sx, sy, sz] = floats;
-        let quat: [f32; 4] = std::array::from_fn(|j| (f32::from(row[28 + j]) - 128.0) / 128.0);
-        let (valid, turns) = (floats.iter().all(|value| value.is_finite()), quat != [0.0; 4]);
-        if !valid || !turns || [sx, sy, sz].iter().any(|&scale| scale < 0.0) {
-            let expected = "finite numbers, no negative scale and a rotation that is not 0";
-            let reason = format!("Gaussian {i}: found {floats:?} and rotation {quat:?}, expected {expected}");
-            return Err(Error::format(path, Some((ROW * i) as u64), reason));
-        }
         scene.means.push([x, y, z]);
         scene.scales.push([sx, sy, sz]);
-        scene.quats.push(quat);
+        scene.quats.push(std::array::from_fn(|j| (f32::from(row[28 + j]) - 128.0) / 128.0));
         scene.opacities.push(f32::from(row[27]) / 255.0);
         scene.sh_coeffs.push(std::array::from_fn(|c| (f32::from(row[24 + c]) / 255.0 - 0.5) / sh_constant()));
     }

@@ -75,6 +75,22 @@ fn far_from_the_origin() {
 }
 
 #[test]
+fn a_permutation_permutes() {
+    let (width, points, targets) = (36, 150, 301);
+    let (from, to) = (random(8, points * width), random(9, targets * width));
+    let rows = |values: &[f32], order: &[usize]| -> Vec<f32> {
+        order.iter().flat_map(|i| &values[i * width..][..width]).copied().collect()
+    };
+    let plain = nearest(&from, &to, width);
+    let order: Vec<usize> = (0..points).map(|i| i * 7 % points).collect();
+    let moved: Vec<u32> = order.iter().map(|i| plain[*i]).collect();
+    assert_same("points", &nearest(&rows(&from, &order), &to, width), &moved);
+    let order: Vec<usize> = (0..targets).map(|i| i * 11 % targets).collect();
+    let found = nearest(&from, &rows(&to, &order), width);
+    assert_same("targets", &found.iter().map(|i| order[*i as usize] as u32).collect::<Vec<_>>(), &plain);
+}
+
+#[test]
 fn points_beyond_the_most_workgroups() {
     let count = 65_536 * NEAREST_ROWS as usize + 1;
     assert_same("one target", &nearest(&vec![0.5; count * 4], &[0.25; 4], 4), &vec![0; count]);

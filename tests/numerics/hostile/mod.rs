@@ -17,7 +17,7 @@ use zipsplat::{
     types::{
         Image, Scene,
         poses::{Poses, read_cameras, read_poses},
-        read_points, read_scene,
+        read_points, read_scene, read_scene_unchecked,
     },
     weights::Checkpoint,
 };
@@ -53,7 +53,12 @@ fn sound_cameras(poses: &Poses) {
 }
 
 fn scene(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), Error> {
-    read_scene(stored(folder, name, bytes)).map(|scene| sound_scene(&scene))
+    let path = stored(folder, name, bytes);
+    if let Ok(mut scene) = read_scene_unchecked(&path) {
+        scene.drop_invalid().expect("arrays that fit each other");
+        sound_scene(&scene);
+    }
+    read_scene(path).map(|scene| sound_scene(&scene))
 }
 
 fn cameras(folder: &Path, bytes: &[u8]) -> Result<(), Error> {

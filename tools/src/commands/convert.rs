@@ -1,13 +1,13 @@
 //! `zipsplat convert`: checkpoints to safetensors, scenes to other formats.
 
-use crate::{outputs, session::Session, table::bytes};
+use crate::{options::SceneInput, outputs, session::Session, table::bytes};
 use clap::Args;
 use indicatif::HumanCount;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    types::{SceneFormat, WriteOptions, read_scene, write_scene},
+    types::{SceneFormat, WriteOptions, write_scene},
     weights::{Checkpoint, Dtype},
 };
 
@@ -27,6 +27,8 @@ pub struct Convert {
     input: String,
     /// File to write
     output: PathBuf,
+    #[command(flatten)]
+    scene_input: SceneInput,
     /// Numbers of a checkpoint: f32, f16 or bf16 [default: f32]
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
@@ -56,14 +58,14 @@ impl Convert {
         Self::refuse("--dtype", self.dtype.is_some(), "none for a scene")?;
         Self::refuse("--variant", self.variant.is_some(), "none for a scene")?;
         Self::refuse("--spz-version", self.spz_version.is_some() && output != SceneFormat::Spz, "an SPZ as output")?;
-        let (scene, _) = session.stage("read scene", |_| read_scene(&self.input))?;
+        let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
         if scene.sh_degree > 0 && !output.keeps_view_dependence() {
             session.note("a .splat keeps one colour a Gaussian: how it changes with the direction is left out");
         }
         let options = WriteOptions { spz_version: self.spz_version.unwrap_or(WriteOptions::default().spz_version) };
         session.stage("write scene", |_| write_scene(&self.output, &scene, &options))?;
         let written = self.written()?;
-        let json = json!({ "output": self.output, "gaussians": scene.len(), "bytes": written });
+        let json = json!({ "output": self.output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
         let text =
             format!("{}: {} Gaussians, {}", self.output.display(), HumanCount(scene.len() as u64), bytes(written));
         session.report(&json, text)
@@ -71,6 +73,7 @@ impl Convert {
 
     fn checkpoint(&self, session: &mut Session<'_>) -> Result<()> {
         Self::refuse("--spz-version", self.spz_version.is_some(), "none for a checkpoint")?;
+        Self::refuse("--invalid", self.scene_input.is_given(), "none for a checkpoint")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         let checkpoint = Checkpoint::parse(&self.input, self.variant.as_deref())?;
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;

@@ -4,6 +4,7 @@ use crate::{
     animation::{self, Animation},
     cameras::CameraArgs,
     explain::Explanation,
+    options::SceneInput,
     outputs::{self, DEPTH_LEVELS},
     pictures::{self, Sinks},
     session::Session,
@@ -19,7 +20,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     stages::render::{Depth, RenderRequest, Renderer},
-    types::{Camera, contact_sheet, read_scene},
+    types::{Camera, contact_sheet},
 };
 
 /// Pictures of a scene
@@ -39,6 +40,8 @@ use zipsplat::{
 pub struct Render {
     /// Scene: PLY, SPZ, .splat or glTF
     scene: PathBuf,
+    #[command(flatten)]
+    input: SceneInput,
     #[command(flatten)]
     path: CameraArgs,
     /// Colour behind the scene, each 0 to 1
@@ -99,7 +102,7 @@ fn parse_color(text: &str) -> Result<[f32; 3], String> {
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let mut sinks = self.sinks()?;
-        let (scene, _) = session.stage("read scene", |_| read_scene(&self.scene))?;
+        let (scene, dropped) = self.input.read(session, &self.scene)?;
         let (cameras, notes) = self.path.cameras(&scene)?;
         notes.iter().for_each(|note| session.note(note));
         for (i, camera) in cameras.iter().enumerate() {
@@ -127,7 +130,8 @@ impl Render {
             }
             _ => None,
         };
-        self.report(session, device.limits().name.clone(), scene.len(), &cameras, took, explanation)
+        let gaussians = [scene.len(), dropped];
+        self.report(session, device.limits().name.clone(), gaussians, &cameras, took, explanation)
     }
 
     fn request(&self) -> RenderRequest {
@@ -171,14 +175,14 @@ impl Render {
         &self,
         session: &mut Session<'_>,
         device: String,
-        gaussians: usize,
+        [gaussians, dropped]: [usize; 2],
         cameras: &[Camera],
         took: Duration,
         explanation: Option<Explanation>,
     ) -> Result<()> {
         let seconds = took.as_secs_f64();
         let mut json = json!({
-            "output": self.output, "video": self.video, "device": device, "gaussians": gaussians,
+            "output": self.output, "video": self.video, "device": device, "gaussians": gaussians, "dropped": dropped,
             "frames": cameras.len(), "seconds": seconds, "depth_levels_per_unit": self.depth.map(|_| DEPTH_LEVELS),
         });
         let names: Vec<String> =

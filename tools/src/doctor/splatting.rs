@@ -129,5 +129,16 @@ pub fn area() -> Area {
     let mut far_off = still();
     (far_off.intrinsics.cx, far_off.intrinsics.cy) = (-60.0, 400.0);
     add("principal point outside", (scene(200, 0, keep), far_off), false);
+    for degrees in [1.0f32, 179.0] {
+        // What the usual camera sees of the scene, through a narrower or wider lens.
+        let (half, mut lens) = ((0.5 * degrees).to_radians().tan(), still());
+        let f = f64::from(lens.intrinsics.width) / 2.0 / f64::from(half);
+        (lens.intrinsics.fx, lens.intrinsics.fy) = (f, f);
+        let seen = scene(60, 1, |_, m, s, _| {
+            (m[0], m[1]) = (2.0 * half * m[0], 2.0 * half * m[1]);
+            s.iter_mut().for_each(|s| *s *= 2.0 * half);
+        });
+        add(&format!("a field of view of {degrees}°"), (seen, lens), false);
+    }
     Area { kernel: "render", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }

@@ -3,7 +3,7 @@
 use super::{Run, arena_id};
 use crate::{
     Error, Result,
-    gpu::{Tensor, commands::driver},
+    gpu::{Tensor, commands::driver, lost::is_under_way},
 };
 use ash::vk::{self, Handle};
 
@@ -88,14 +88,15 @@ impl Run {
         if let Place::Image(ImagePlace { new_layout: 0 | 8, .. }) = target.place {
             return Err(Error::argument("new layout", "undefined or preinitialised", "a layout for use"));
         }
+        self.device.0.check_lost()?;
         self.settle()?;
         let commands = match self.presenting {
             Some(commands) => commands,
             None => *self.presenting.insert(self.command_buffer()?),
         };
         self.record_copy(commands, tensor, target.place)?;
-        self.signalled = self.timeline_value()?.max(self.signalled) + 1;
-        let own = Point { semaphore: self.timeline.as_raw(), value: self.signalled };
+        let value = self.timeline_value()?.max(self.signalled) + 1;
+        let own = Point { semaphore: self.timeline.as_raw(), value };
         let infos = |points: &[Point]| points.iter().map(submit_info).collect::<Vec<_>>();
         let (waits, signals) = (infos(&target.waits), infos(&[&target.signals[..], &[own]].concat()));
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
@@ -104,11 +105,12 @@ impl Run {
             .wait_semaphore_infos(&waits)
             .signal_semaphore_infos(&signals);
         // SAFETY: the command buffer is recorded and not under way; the target's maker vouches for its handles.
-        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) };
-        if submitted.is_err() {
-            self.signalled -= 1; // Nothing will give it.
+        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
+            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
+        if is_under_way(&submitted) {
+            self.signalled = value;
         }
-        submitted.map_err(|e| driver("vkQueueSubmit2", e))
+        submitted
     }
 
     fn record_copy(&self, commands: vk::CommandBuffer, tensor: Tensor, place: Place) -> Result<()> {

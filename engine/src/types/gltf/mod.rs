@@ -44,7 +44,11 @@ type Parsed<T> = std::result::Result<T, Fault>;
 /// [`Error::Io`] when a file cannot be read; [`Error::Format`] when it is damaged, shows no Gaussians, needs an extension
 /// that is not known (compressed Gaussians among them), or a node stretches its axes differently.
 pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
-    let path = path.as_ref();
+    read_unchecked(path.as_ref())?.validated(path.as_ref())
+}
+
+/// As [`read_gltf`], with the values as they are.
+pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
     let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
     let (json, binary) = unpack(&bytes).map_err(fail)?;
@@ -67,9 +71,7 @@ pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
     if parts.is_empty() {
         return Err(Error::format(path, None, format!("the default scene shows no primitive with {EXTENSION}")));
     }
-    let scene = joined(parts);
-    scene.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
-    Ok(scene)
+    Ok(joined(parts))
 }
 
 /// The Gaussians of a primitive in its own frame.

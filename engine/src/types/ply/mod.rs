@@ -86,13 +86,15 @@ fn ln(value: f32) -> f32 {
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is truncated, lacks a property, or holds values
 /// that are not finite once activated.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
-    let path = path.as_ref();
+    read_unchecked(path.as_ref())?.validated(path.as_ref())
+}
+
+/// As [`read_ply`], with the values as they are.
+pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
-    let scene = Table::parse(&bytes)
+    Table::parse(&bytes)
         .and_then(|table| decode(&table))
-        .map_err(|Fault { offset, reason }| Error::format(path, Some(offset as u64), reason))?;
-    scene.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
-    Ok(scene)
+        .map_err(|Fault { offset, reason }| Error::format(path, Some(offset as u64), reason))
 }
 
 fn decode(table: &Table) -> std::result::Result<Scene, Fault> {

@@ -55,12 +55,13 @@ pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is damaged, truncated, of another version or
 /// degree, or longer than its header says. Offsets count bytes of the inflated stream.
 pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
-    let path = path.as_ref();
+    read_unchecked(path.as_ref())?.validated(path.as_ref())
+}
+
+/// As [`read_spz`], with the values as they are.
+pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
-    let scene =
-        decode(&bytes).map_err(|Fault { offset, reason }| Error::format(path, offset.map(|at| at as u64), reason))?;
-    scene.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
-    Ok(scene)
+    decode(&bytes).map_err(|Fault { offset, reason }| Error::format(path, offset.map(|at| at as u64), reason))
 }
 
 /// What is wrong and where in the inflated stream.

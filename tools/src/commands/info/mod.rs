@@ -3,7 +3,7 @@
 mod plan;
 
 use crate::{
-    options::{Quality, Weights},
+    options::{Quality, SceneInput, Weights},
     session::Session,
     table::{Table, bytes},
 };
@@ -14,7 +14,7 @@ use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
     gpu::list_devices,
-    types::{Scene, SceneFormat, read_scene},
+    types::{Scene, SceneFormat},
     weights::Checkpoint,
 };
 
@@ -28,6 +28,8 @@ use zipsplat::{
 pub struct Info {
     /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
     file: Option<String>,
+    #[command(flatten)]
+    scene_input: SceneInput,
     /// Show where every tensor of a reconstruction will lie; needs no device, but then assumes an ordinary one
     #[arg(long, requires = "views", conflicts_with = "file")]
     plan: bool,
@@ -49,7 +51,7 @@ pub struct Info {
 impl Info {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match (&self.file, self.views) {
-            (Some(file), _) if is_scene(Path::new(file))? => scene(session, file),
+            (Some(file), _) if is_scene(Path::new(file))? => scene(session, file, &self.scene_input),
             (Some(file), _) => checkpoint(session, &self.weights.open_as(file)?),
             (None, Some(views)) => plan::show(session, self, views),
             (None, None) => devices(session),
@@ -128,10 +130,12 @@ fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> 
     session.report(&json, text)
 }
 
-fn scene(session: &mut Session<'_>, path: &str) -> Result<()> {
-    let (scene, _) = session.stage("read scene", |_| read_scene(path))?;
-    let bounds = bounds(&scene);
-    let json = json!({ "path": path, "gaussians": scene.len(), "sh_degree": scene.sh_degree, "bounds": bounds });
+fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()> {
+    let (scene, dropped) = input.read(session, Path::new(path))?;
+    let (bounds, count) = (bounds(&scene), scene.len());
+    let json = json!({
+        "path": path, "gaussians": count, "dropped": dropped, "sh_degree": scene.sh_degree, "bounds": bounds,
+    });
     let mut text = format!(
         "{path}: {} Gaussians, spherical harmonics of degree {}\n",
         HumanCount(scene.len() as u64),

@@ -1,0 +1,141 @@
+//! The result of the self-test that is kept between runs: whatever became of its file, the test is run again, never failed.
+
+use crate::processes::{assert_succeeds, child, target};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime},
+};
+use tempfile::TempDir;
+use zipsplat::{
+    Error,
+    gpu::Element,
+    ops::{Chosen, Precision, SelfTest},
+};
+use zipsplat_tests::device::device;
+
+/// A process that computes in f16, with this cache folder; it must find that refused where `expected` is so.
+fn process(cache: &Path, expected: &str) -> std::process::Command {
+    let mut command = child("cache::computes_in_f16", Path::new(expected), "");
+    // What is tested is not the kernels.
+    command.env("ZIPSPLAT_CACHE", cache).env("ZIPSPLAT_VALIDATION", "0");
+    command
+}
+
+#[test]
+#[ignore = "child of the other tests"]
+fn computes_in_f16() {
+    let Some(expected) = target() else { return };
+    match Chosen::of(device(), Some(Precision::Fast)) {
+        Ok(chosen) => {
+            assert_eq!((chosen.arithmetic.element, &chosen.notes[..]), (Element::F16, &[][..]));
+            assert_eq!(expected, Path::new("passed"));
+        }
+        Err(error) => assert!(matches!(error, Error::Argument { .. }) && expected == Path::new("refused"), "{error}"),
+    }
+}
+
+/// A cache with a good result, its only file, and that.
+fn cache() -> (TempDir, PathBuf, Vec<u8>) {
+    let folder = tempfile::tempdir().unwrap();
+    assert_succeeds(process(folder.path(), "passed"));
+    let mut files = fs::read_dir(folder.path().join("self-test")).unwrap();
+    let file = files.next().expect("the result is kept").unwrap().path();
+    assert!(files.next().is_none(), "only that");
+    let result = fs::read(&file).unwrap();
+    (folder, file, result)
+}
+
+fn parsed(bytes: &[u8]) -> SelfTest {
+    serde_json::from_slice(bytes).expect("a result")
+}
+
+#[test]
+fn a_damaged_result_is_found_anew() {
+    if !device().limits().half_storage {
+        return;
+    }
+    let (folder, file, good) = cache();
+    let empty = br#"{"deviations":[]}"#;
+    for damaged in [&b""[..], &good[..good.len() / 2], b"{}", b"\xff\x00", b"[1e999]", empty] {
+        fs::write(&file, damaged).unwrap();
+        assert_succeeds(process(folder.path(), "passed"));
+        assert_eq!(parsed(&fs::read(&file).unwrap()), parsed(&good), "after {:?}", String::from_utf8_lossy(damaged));
+    }
+    // Where it cannot be kept either.
+    fs::remove_file(&file).unwrap();
+    fs::create_dir(&file).unwrap();
+    assert_succeeds(process(folder.path(), "passed"));
+    assert!(file.is_dir());
+}
+
+#[test]
+fn folders_that_cannot_be_written_to() {
+    if !device().limits().half_storage {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (taken, locked) = (folder.path().join("taken"), folder.path().join("locked"));
+    fs::write(&taken, "a file").unwrap();
+    fs::create_dir(&locked).unwrap();
+    let mut permissions = locked.metadata().unwrap().permissions();
+    permissions.set_readonly(true);
+    fs::set_permissions(&locked, permissions).unwrap();
+    // For root every folder can be written to, but not this one.
+    for cache in [&taken, &locked, Path::new("/proc/nothing")] {
+        assert_succeeds(process(cache, "passed"));
+    }
+    for home in [Some("/no/such/home"), Some(""), None] {
+        let mut process = process(Path::new(""), "passed");
+        ["ZIPSPLAT_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"].iter().for_each(|name| {
+            process.env_remove(name);
+        });
+        process.envs(home.map(|home| ("HOME", home))).current_dir(folder.path());
+        assert_succeeds(process);
+    }
+    assert_eq!(fs::read(&taken).unwrap(), b"a file");
+    assert_eq!(folder.path().read_dir().unwrap().count(), 2, "something was put into the current folder");
+}
+
+#[test]
+fn processes_at_once_leave_one_result() {
+    if !device().limits().half_storage {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let processes = [0; 3].map(|_| process(folder.path(), "passed").spawn().unwrap());
+    for process in processes {
+        let out = process.wait_with_output().unwrap();
+        // One that came later must not take the others' work for a failure.
+        assert!(
+            out.status.success(),
+            "{}{}",
+            String::from_utf8_lossy(&out.stdout),
+            String::from_utf8_lossy(&out.stderr)
+        );
+    }
+    let files: Vec<_> =
+        fs::read_dir(folder.path().join("self-test")).unwrap().map(|file| file.unwrap().path()).collect();
+    assert_eq!(files.len(), 1, "{files:?}");
+    assert!(parsed(&fs::read(&files[0]).unwrap()).deviations.len() > 1);
+}
+
+#[test]
+fn a_test_that_never_ended_is_not_tried_again() {
+    if !device().limits().half_storage {
+        return;
+    }
+    let (folder, file, good) = cache();
+    let begun = SelfTest { deviations: vec![("the self-test".into(), None)] };
+    let write = |age: Duration| {
+        fs::write(&file, serde_json::to_vec(&begun).unwrap()).unwrap();
+        fs::File::options().write(true).open(&file).unwrap().set_modified(SystemTime::now() - age).unwrap();
+    };
+    write(Duration::from_secs(3600));
+    assert_succeeds(process(folder.path(), "refused"));
+    assert_eq!(parsed(&fs::read(&file).unwrap()), begun);
+    // Another process may be at it.
+    write(Duration::ZERO);
+    assert_succeeds(process(folder.path(), "passed"));
+    assert_eq!(parsed(&fs::read(&file).unwrap()), parsed(&good));
+}

@@ -1,0 +1,145 @@
+//! The command on devices that fail under it: one error that says what to do, and no part of a file.
+
+use super::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives};
+use crate::{catalogue::zipsplat, micro, noise, processes::target};
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    types::{Image, write_ply},
+    weights::Dtype,
+};
+use zipsplat_tests::scenes::random_scene;
+
+const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply";
+/// Pictures in flight, encoded and written meanwhile.
+const RENDER: &str = "render @/scene.ply --wiggle --frames 7 --size 40x30 -o @/out --video @/out.gif";
+
+/// Calls in which a device can be found to be lost.
+const WAITS: [&str; 3] = ["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreCounterValue"];
+
+/// Calls that take memory from the driver.
+const ALLOCATIONS: [&str; 3] = ["vkCreateBuffer", "vkAllocateMemory", "vkMapMemory"];
+
+/// Everything else that a driver may refuse.
+const OTHERS: [&str; 11] = [
+    "vkBindBufferMemory",
+    "vkCreateSemaphore",
+    "vkCreateCommandPool",
+    "vkAllocateCommandBuffers",
+    "vkBeginCommandBuffer",
+    "vkEndCommandBuffer",
+    "vkCreateShaderModule",
+    "vkCreateDescriptorSetLayout",
+    "vkCreatePipelineLayout",
+    "vkCreateComputePipelines",
+    "vkQueueSubmit2",
+];
+
+#[test]
+fn a_reconstruction_on_a_device_that_fails() {
+    assert_survives("faults::commands::reconstructions_fail");
+}
+
+#[test]
+#[ignore = "child of a_reconstruction_on_a_device_that_fails"]
+fn reconstructions_fail() {
+    let Some(folder) = target() else { return };
+    let case = Case::new(&folder, RECONSTRUCT);
+    case.fails_everywhere();
+    // In f16 kernels are tested before anything else, unless the result is known.
+    for function in ["vkQueueSubmit2", "vkWaitSemaphores"] {
+        let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fast"));
+        for call in case.calls(function) {
+            let _ = std::fs::remove_dir_all(std::env::var("ZIPSPLAT_CACHE").unwrap());
+            case.fails(function, call, DEVICE_LOST, 4, LOST);
+        }
+    }
+}
+
+#[test]
+fn pictures_on_a_device_that_fails() {
+    assert_survives("faults::commands::pictures_fail");
+}
+
+#[test]
+#[ignore = "child of pictures_on_a_device_that_fails"]
+fn pictures_fail() {
+    let Some(folder) = target() else { return };
+    Case::new(&folder, RENDER).fails_everywhere();
+}
+
+/// Words of the error of a device that was lost: what happened, and what to do.
+const LOST: &[&str] = &["the Vulkan device was lost", "again"];
+
+/// A command line in a folder.
+struct Case {
+    folder: PathBuf,
+    line: String,
+    faults: Faults,
+}
+
+impl Case {
+    fn new(folder: &Path, line: &str) -> Self {
+        if !folder.join("photos").exists() {
+            std::fs::create_dir(folder.join("photos")).unwrap();
+            (0..2).for_each(|i| noise(40, 30, i).save_png(folder.join(format!("photos/{i}.png"))).unwrap());
+            micro().save(folder.join("micro.safetensors"), Dtype::F32).unwrap();
+            write_ply(&random_scene(300, 1, 0.1), folder.join("scene.ply")).unwrap();
+        }
+        let line = line.replace('@', &folder.display().to_string());
+        Self { folder: folder.to_owned(), line, faults: Faults::new() }
+    }
+
+    fn fails_everywhere(&self) {
+        for function in WAITS {
+            self.calls(function).into_iter().for_each(|call| self.fails(function, call, DEVICE_LOST, 4, LOST));
+        }
+        for function in ALLOCATIONS {
+            let words = &["bytes", "the driver refused"];
+            self.calls(function)
+                .into_iter()
+                .for_each(|call| self.fails(function, call, OUT_OF_DEVICE_MEMORY, 4, words));
+        }
+        for function in OTHERS {
+            let words = &[function, "host memory"];
+            self.calls(function).into_iter().for_each(|call| self.fails(function, call, OUT_OF_HOST_MEMORY, 1, words));
+        }
+    }
+
+    /// The first, a middle and the last call of a function by the command on a sound device.
+    fn calls(&self, function: &str) -> Vec<u32> {
+        self.faults.set(function, 0, 0);
+        let (code, _, err) = zipsplat(&self.line);
+        assert_eq!(code, 0, "{err}");
+        self.clear();
+        self.faults.calls(3)
+    }
+
+    /// Holds that the command ends so where a function answers with `result` from a call on.
+    fn fails(&self, function: &str, call: u32, result: i32, code: u8, words: &[&str]) {
+        self.faults.set(function, call, result);
+        let (found, out, err) = zipsplat(&self.line);
+        let context = format!("{function}, call {call}, {result}: {err}");
+        assert_eq!((found, out.as_str()), (code, ""), "{context}");
+        let errors: Vec<&str> = err.lines().filter(|line| !line.starts_with("note: ")).collect();
+        assert!(errors.len() == 1 && words.iter().all(|word| errors[0].contains(word)), "{context}");
+        for path in self.written() {
+            Image::open(&path).unwrap_or_else(|error| panic!("{context}: part of a picture: {error}"));
+        }
+        self.clear();
+    }
+
+    /// What the command wrote, hidden files too; only pictures of a path come one by one.
+    fn written(&self) -> Vec<PathBuf> {
+        let entries = |folder: &Path| -> Vec<PathBuf> {
+            folder.read_dir().into_iter().flatten().map(|entry| entry.unwrap().path()).collect()
+        };
+        let known = ["photos", "micro.safetensors", "scene.ply", "out"].map(|name| self.folder.join(name));
+        let mut new: Vec<PathBuf> = entries(&self.folder).into_iter().filter(|path| !known.contains(path)).collect();
+        new.extend(entries(&self.folder.join("out")));
+        new
+    }
+
+    fn clear(&self) {
+        self.written().into_iter().for_each(|path| std::fs::remove_file(path).unwrap());
+    }
+}

@@ -1,0 +1,143 @@
+//! The library on devices that fail under it: every call says so from then on, everything can be destroyed, and a device
+//! that is opened anew works as before.
+
+use super::{DEVICE_LOST, Faults, OUT_OF_HOST_MEMORY, assert_survives};
+use crate::{micro, noise, processes::target};
+use std::ops::ControlFlow;
+use zipsplat::{
+    Error, Result,
+    gpu::{Device, DeviceOptions},
+    reconstruct::{Model, Request},
+    stages::render::{Frame, RenderRequest, Renderer},
+    types::{Image, Scene},
+};
+use zipsplat_tests::scenes::{camera, random_scene};
+
+#[test]
+fn a_lost_device_stays_lost_and_another_works() {
+    assert_survives("faults::contexts::losing_devices");
+}
+
+/// As a discrete GPU has it, too: bytes then come and go through submissions of their own.
+#[test]
+#[ignore = "child of a_lost_device_stays_lost_and_another_works"]
+fn losing_devices() {
+    if target().is_none() {
+        return;
+    }
+    for staged in [false, true] {
+        let work = Work::new(staged);
+        let mut functions = vec!["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreCounterValue"];
+        functions.extend(staged.then_some("vkWaitForFences"));
+        for function in functions {
+            for call in work.calls(function) {
+                let error = work.fails(function, call, DEVICE_LOST, true);
+                assert!(matches!(error, Error::DeviceLost), "{function}, call {call}: {error}");
+            }
+        }
+        // Refused, but not lost: nothing waits for what was never submitted.
+        let refusals =
+            ["vkQueueSubmit2", "vkCreateFence", "vkCreateCommandPool", "vkAllocateMemory", "vkBeginCommandBuffer"];
+        for function in refusals.into_iter().filter(|function| staged || *function != "vkCreateFence") {
+            for call in work.calls(function) {
+                let error = work.fails(function, call, OUT_OF_HOST_MEMORY, false);
+                assert!(
+                    matches!(error, Error::Driver { .. } | Error::Memory { .. }),
+                    "{function}, call {call}: {error}"
+                );
+            }
+        }
+    }
+}
+
+/// A scene from two photos and pictures of another, on a device of its own.
+struct Work {
+    faults: Faults,
+    options: DeviceOptions,
+    images: [Image; 2],
+    scene: Scene,
+    truth: (Scene, Vec<Frame>),
+}
+
+/// Everything that was made on a device.
+#[derive(Default)]
+struct Made {
+    model: Option<Model>,
+    renderer: Option<Renderer>,
+    pictures: Vec<Frame>,
+    scene: Option<Scene>,
+}
+
+impl Work {
+    fn new(staged: bool) -> Self {
+        let options = DeviceOptions { staged, ..DeviceOptions::default() };
+        let images = [noise(28, 28, 1), noise(28, 28, 2)];
+        let scene = random_scene(100, 0, 0.1);
+        let mut work = Self { faults: Faults::new(), options, images, scene, truth: Default::default() };
+        work.faults.set("none", 0, 0);
+        work.truth = work.sound();
+        work
+    }
+
+    fn open(&self) -> Device {
+        Device::open(&self.options).expect("opening a device fails nowhere")
+    }
+
+    /// All of the work, up to what fails; what was made of it stays alive.
+    fn run(&self, device: &Device, made: &mut Made) -> Result<()> {
+        let model = made.model.insert(Model::load(device, &micro(), |_| ControlFlow::Continue(()))?);
+        made.scene = Some(model.reconstruct(&self.images, &Request::default(), |_| ControlFlow::Continue(()))?.scene);
+        let renderer = made.renderer.insert(Renderer::new(device));
+        renderer.load(&self.scene)?;
+        renderer.render_each(&[camera(20, 20); 4], &RenderRequest::default(), |_, frame| {
+            made.pictures.push(frame);
+            Ok(())
+        })
+    }
+
+    fn sound(&self) -> (Scene, Vec<Frame>) {
+        let mut made = Made::default();
+        self.run(&self.open(), &mut made).unwrap_or_else(|error| panic!("on a sound device: {error}"));
+        (made.scene.expect("a scene"), made.pictures)
+    }
+
+    /// Calls of a function by all of the work, from the first to the last.
+    fn calls(&self, function: &str) -> Vec<u32> {
+        self.faults.set(function, 0, 0);
+        assert!(self.sound() == self.truth, "other results after failures");
+        self.faults.calls(3)
+    }
+
+    /// The error where a function fails from a call on, after which the device is as good as lost, where it is.
+    fn fails(&self, function: &str, call: u32, result: i32, lost: bool) -> Error {
+        self.faults.set(function, call, result);
+        let (device, mut made) = (self.open(), Made::default());
+        let error = self.run(&device, &mut made).expect_err(function);
+        if lost {
+            let context = format!("after {function}, call {call}");
+            self.assert_lost(&device, &mut made, &context);
+        }
+        error
+    }
+
+    /// Every call that works with the device gives the same error.
+    fn assert_lost(&self, device: &Device, made: &mut Made, context: &str) {
+        let lost = |name: &str, result: Result<()>| match result {
+            Err(Error::DeviceLost) => {}
+            other => panic!("{context}, {name}: {other:?}"),
+        };
+        lost("loading a model", Model::load(device, &micro(), |_| ControlFlow::Continue(())).map(drop));
+        lost("loading a scene", Renderer::new(device).load(&self.scene));
+        if let Some(model) = &made.model {
+            let again = model.reconstruct(&self.images, &Request::default(), |_| ControlFlow::Continue(()));
+            lost("reconstructing", again.map(drop));
+        }
+        if let Some(renderer) = &mut made.renderer {
+            lost("loading the same scene", renderer.load(&self.scene));
+            let drawn = renderer.render_loaded(&[camera(20, 20)], &RenderRequest::default());
+            assert!(matches!(drawn, Err(Error::DeviceLost | Error::Argument { .. })), "{context}, drawing: {drawn:?}");
+        }
+        // What had been read before the loss is sound.
+        assert!(made.pictures.iter().all(|frame| *frame == self.truth.1[0]), "{context}: a picture of a lost device");
+    }
+}

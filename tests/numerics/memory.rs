@@ -1,0 +1,94 @@
+//! Memory that is just enough, and a byte less.
+
+use crate::{catalogue::zipsplat, micro, noise};
+use std::{ops::ControlFlow, path::Path};
+use zipsplat::{
+    Error,
+    gpu::{Device, DeviceOptions},
+    reconstruct::{Model, Ratio, Request},
+    types::write_ply,
+    weights::Dtype,
+};
+use zipsplat_tests::scenes::random_scene;
+
+#[test]
+fn a_plan_runs_in_its_peak_and_is_refused_below() {
+    let images = [noise(70, 56, 1), noise(70, 56, 2)];
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let open = |bytes, staged| {
+        let options = DeviceOptions { max_memory_bytes: Some(bytes), staged, ..DeviceOptions::default() };
+        Device::open(&options).unwrap()
+    };
+    let load = |device: &Device| Model::load(device, &micro(), |_| ControlFlow::Continue(()));
+    // Also where bytes pass through memory of the host, which is not the device's.
+    for staged in [false, true] {
+        let model = load(&open(u64::MAX, staged)).unwrap();
+        let (plan, _) = model.record(model.shape(&images, &request).unwrap(), false).unwrap();
+        let (arena, weights) = (plan.arena_bytes(), model.weight_bytes());
+        let exact = model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap();
+        assert_eq!(exact.peak_bytes, arena + weights);
+
+        let model = load(&open(exact.peak_bytes, staged)).unwrap();
+        let again = model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap();
+        assert!(again.scene == exact.scene, "another scene in no more memory than it takes");
+
+        let model = load(&open(exact.peak_bytes - 1, staged)).unwrap();
+        let begun = |_: zipsplat::gpu::Progress<'_>| panic!("something was submitted");
+        let error = model.reconstruct(&images, &request, begun).unwrap_err();
+        let Error::Memory { needed, available, .. } = error else { panic!("{error}") };
+        assert_eq!((needed, available), (arena, arena - 1));
+
+        let error = load(&open(weights - 1, staged)).map(drop).unwrap_err();
+        let Error::Memory { needed, available, .. } = error else { panic!("{error}") };
+        assert_eq!((needed, available), (weights, weights - 1));
+    }
+}
+
+/// Least memory that a command runs in, by adding what its errors say is missing.
+fn least_memory(line: &str, output: &Path) -> u64 {
+    let mut memory = 0;
+    for _ in 0..8 {
+        let (code, out, err) = zipsplat(&format!("{line} --memory {memory}"));
+        if code == 0 {
+            return memory;
+        }
+        assert_eq!((code, out.as_str(), output.exists()), (4, "", false), "{err}");
+        let number = |before: &str| {
+            let word = err.split(before).next()?.split_whitespace().last()?;
+            word.parse::<u64>().ok()
+        };
+        let numbers = number(" bytes, ").zip(number(" bytes are there"));
+        let (needed, available) = numbers.unwrap_or_else(|| panic!("without bytes: {err}"));
+        assert!(needed > available && available <= memory, "{err}");
+        memory += needed - available;
+    }
+    panic!("{line}: {memory} bytes are not enough, though errors said so");
+}
+
+#[test]
+fn commands_say_how_much_memory_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("photos")).unwrap();
+    noise(40, 30, 1).save_png(at("photos/1.png")).unwrap();
+    micro().save(at("micro.safetensors"), Dtype::F32).unwrap();
+    write_ply(&random_scene(500, 1, 0.1), at("scene.ply")).unwrap();
+    let lines = [
+        ("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply", "out.ply"),
+        ("render @/scene.ply --wiggle --frames 5 --size 90x60 -o @/out", "out"),
+    ];
+    for (line, output) in lines {
+        let line = line.replace('@', &folder.path().display().to_string());
+        let least = least_memory(&line, &at(output));
+        assert!(at(output).exists());
+        let (code, _, err) = zipsplat(&format!("{line} --memory {}", least - 1));
+        assert!(code == 4 && err.contains("bytes are there"), "{code} {err}");
+        // More than the device has is no promise.
+        let (code, _, err) = zipsplat(&format!("{line} --memory 16000000G"));
+        assert_eq!(code, 0, "{err}");
+    }
+    for wrong in ["1T", "-1", "K", "99999999999G", ""] {
+        assert_eq!(zipsplat(&format!("info --memory={wrong}")).0, 2, "{wrong}");
+    }
+    assert!(zipsplat(&format!("render {}/scene.ply --wiggle --memory 1K -o {0}/none", folder.path().display())).0 == 4);
+}
