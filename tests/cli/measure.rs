@@ -15,10 +15,37 @@ fn ordered(ms: &Value) -> bool {
     0.0 <= number("min") && number("min") <= number("median") && number("median") <= number("max")
 }
 
+/// Whether a row has a share of a measured limit just where it should, and one that can be.
+fn shared(share: &Value, expected: bool) -> bool {
+    // On a busy machine the limit may have been measured while others had it.
+    share.as_f64().map_or(share.is_null() && !expected, |share| expected && share > 0.0 && share < 20.0)
+}
+
+#[test]
+fn limits_are_measured_by_work_that_is_done() {
+    let rows = rows(&Folder::new(), "peak");
+    let matrices = device().limits().matrices;
+    let kinds = [matrices.f16, matrices.bf16, matrices.i8].iter().flatten().count();
+    let expected = [vec!["FMA"], vec!["matrices"; kinds], vec!["copy"]].concat();
+    assert_eq!(rows.len(), expected.len());
+    for (row, what) in rows.iter().zip(expected) {
+        assert!(row["what"].as_str().is_some_and(|name| name.starts_with(what)), "{row}");
+        assert!(
+            row["per_s"].as_f64().is_some_and(|rate| rate > 0.0 && rate.is_finite()) && ordered(&row["ms"]),
+            "{row}"
+        );
+        // Every value is exact, whatever the order of sums.
+        assert_eq!(row["difference"], 0.0, "{row}");
+    }
+    let text = Folder::new().run("bench peak --warmup 0 --repeats 1").success();
+    assert!(text.contains("FMA, f32") && text.contains("GFLOP/s") && text.contains("GB/s"), "{text}");
+}
+
 #[test]
 fn forward_adds_up() {
     let folder = Folder::new();
     let rows = rows(&folder, "forward --weights @/micro.safetensors --views 1,2 --ratio 1,0.5 --size 28x28");
+    assert!(rows.iter().all(|row| shared(&row["peak_share"], row["gflop"].as_f64() > Some(0.0))), "{rows:?}");
     let whole: Vec<_> = rows.iter().filter(|row| row["stage"] == "").collect();
     assert_eq!(whole.len(), 4, "one a shape");
     assert!(rows.iter().all(|row| ordered(&row["ms"])), "{rows:?}");
@@ -48,7 +75,10 @@ fn the_linear_layer_and_the_host_agree() {
         let most = if row["kernel"] == "exact" { 1e-5 } else { 1e-3 };
         assert!(row["difference"].as_f64().is_some_and(|difference| difference < most), "{row}");
         assert!(ordered(&row["device_ms"]) && ordered(&row["host_ms"]), "{row}");
+        assert!(shared(&row["peak_share"], true), "{row}");
     }
+    let text = Folder::new().run("bench gemm --warmup 0 --repeats 1").success();
+    assert!(text.contains("of peak") && text.contains(" %"), "{text}");
 }
 
 #[test]
@@ -84,7 +114,14 @@ fn pytorch_stands_beside_ours() {
     let line =
         "bench forward --weights @/micro.safetensors --views 1,2 --size 28x28 --warmup 0 --repeats 1 --pytorch @/";
     let text = folder.run(&format!("{line}python")).success();
-    for word in ["PyTorch 9.9 on a GPU", "3.000 (2.000..4.000)", "out of memory", "its time / ours"] {
+    for word in [
+        "peak: FMA, f32",
+        "of peak",
+        "PyTorch 9.9 on a GPU",
+        "3.000 (2.000..4.000)",
+        "out of memory",
+        "its time / ours",
+    ] {
         assert!(text.contains(word), "'{word}' is not in: {text}");
     }
     folder.run(&format!("{line}broken")).fails(3, &["--pytorch", "No module named torch"]);

@@ -19,6 +19,10 @@ mod cluster {
 mod gaussians {
     mod activate;
 }
+mod measure {
+    mod fma;
+    mod matrix;
+}
 mod ops {
     mod add;
     mod attention;

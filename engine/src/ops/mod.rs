@@ -5,6 +5,7 @@ mod attention;
 mod block;
 mod cross_block;
 mod linear;
+pub mod measure;
 mod norm;
 mod parameters;
 mod rows;

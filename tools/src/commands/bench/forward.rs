@@ -1,6 +1,10 @@
 //! `zipsplat bench forward`: photos of noise to Gaussians.
 
-use super::{Group, Repeats, Spread, group, pytorch, stage_of, timed_device};
+use super::{
+    Group, Repeats, Spread, group,
+    peak::{self, Rate},
+    percent, pytorch, stage_of, timed_device,
+};
 use crate::{
     noise::Noise,
     options::{ArithmeticOption, Size, Weights, parse_ratio},
@@ -66,6 +70,8 @@ struct Row {
     ms: Spread,
     gflop: f64,
     gflop_per_s: f64,
+    /// Of the measured rate of what multiplies matrices; absent where there is no arithmetic to speak of.
+    peak_share: Option<f64>,
     peak_bytes: u64,
     arena_bytes: u64,
 }
@@ -84,6 +90,8 @@ impl Forward {
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
+        let measure_peak = |stage: &Stage<'_>| peak::of_products(&device, arithmetic, peak::BRIEFLY, stage);
+        let (peak, _) = session.stage("peak", measure_peak)?;
         let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
         let mut noise = Noise(0);
         let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
@@ -92,8 +100,8 @@ impl Forward {
         for (views, request) in &requests {
             let name = format!("{views} views");
             let (measured, _) =
-                session.stage(&name, |stage| self.measure(&model, &images[..*views], request, stage))?;
-            text += &describe(&measured, precision.name(), &device.limits().name);
+                session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage))?;
+            text += &describe(&measured, precision.name(), &device.limits().name, &peak);
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         if let Some(python) = &self.pytorch {
@@ -132,6 +140,7 @@ impl Forward {
                 commands: 0,
                 ms,
                 gflop_per_s: ms.rate((1e9 * ours.gflop) as u64),
+                peak_share: None,
                 peak_bytes: theirs.peak_bytes.unwrap_or(0),
                 arena_bytes: 0,
                 ..ours.clone()
@@ -140,7 +149,14 @@ impl Forward {
         Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
     }
 
-    fn measure(&self, model: &Model, images: &[Image], request: &Request, stage: &Stage<'_>) -> Result<Vec<Row>> {
+    fn measure(
+        &self,
+        model: &Model,
+        images: &[Image],
+        request: &Request,
+        peak: &Rate,
+        stage: &Stage<'_>,
+    ) -> Result<Vec<Row>> {
         let shape = model.shape(images, request)?;
         let (plan, tensors) = model.record(shape, false)?;
         let (flops, commands, arena_bytes) = (plan.flops(), plan.len(), plan.arena_bytes());
@@ -170,6 +186,7 @@ impl Forward {
             ms: group.ms,
             gflop: group.flops as f64 / 1e9,
             gflop_per_s: group.ms.rate(group.flops),
+            peak_share: peak.share(group.ms.rate(group.flops)),
             peak_bytes: model.weight_bytes() + arena_bytes,
             arena_bytes,
         };
@@ -193,9 +210,9 @@ fn only(profile: &Profile, stage: &str) -> Profile {
     Profile { rows: profile.rows.iter().filter(|row| stage_of(row) == stage).cloned().collect() }
 }
 
-fn describe(rows: &[Row], precision: &str, device: &str) -> String {
+fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String {
     let Some(total) = rows.first() else { return String::new() };
-    let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s"];
+    let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s", "of peak"];
     let mut table = Table::new(2, &headings);
     for row in rows {
         let stage = match (row.stage.as_str(), row.kernel.as_str()) {
@@ -210,10 +227,11 @@ fn describe(rows: &[Row], precision: &str, device: &str) -> String {
             row.ms.to_string(),
             format!("{:.3}", row.gflop),
             format!("{:.1}", row.gflop_per_s),
+            percent(row.peak_share),
         ]);
     }
     format!(
-        "{} views, {} tokens, {precision} precision on {device}: {} at most, {} of it the arena\n{table}\n",
+        "{} views, {} tokens, {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
         total.views,
         total.tokens,
         bytes(total.peak_bytes),

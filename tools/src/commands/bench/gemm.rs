@@ -1,6 +1,10 @@
 //! `zipsplat bench gemm`: the linear layer's kernel beside a matrix product on the host.
 
-use super::{Repeats, Spread, timed_device};
+use super::{
+    Repeats, Spread,
+    peak::{self, Rate},
+    percent, timed_device,
+};
 use crate::{
     noise::Noise,
     session::{Session, Stage},
@@ -38,6 +42,8 @@ struct Row {
     columns: usize,
     device_ms: Spread,
     device_gflop_per_s: f64,
+    /// Of the measured rate of what multiplies: lanes, or matrix units.
+    peak_share: Option<f64>,
     host_ms: Spread,
     host_gflop_per_s: f64,
     /// Rate of the device over that of the host.
@@ -49,16 +55,17 @@ struct Row {
 impl Gemm {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let device = timed_device(session)?;
+        let (kernels, _) = session.stage("peak", |stage| kernels(&device, stage))?;
         let mut rows = Vec::new();
         for shape in SHAPES {
             let name = shape.map(|side| side.to_string()).join("x");
-            rows.extend(session.stage(&name, |stage| self.measure(&device, shape, stage))?.0);
+            rows.extend(session.stage(&name, |stage| self.measure(&device, &kernels, shape, stage))?.0);
         }
         let device_column = format!("{}: ms", device.limits().name);
         let host_column = format!("gemm, {} threads: ms", self.threads);
         let mut table = Table::new(
             2,
-            &["shape", "kernel", &device_column, "GFLOP/s", &host_column, "GFLOP/s", "ratio", "difference"],
+            &["shape", "kernel", &device_column, "GFLOP/s", "of peak", &host_column, "GFLOP/s", "ratio", "difference"],
         );
         for row in &rows {
             table.row([
@@ -66,6 +73,7 @@ impl Gemm {
                 row.kernel.to_owned(),
                 row.device_ms.to_string(),
                 format!("{:.1}", row.device_gflop_per_s),
+                percent(row.peak_share),
                 row.host_ms.to_string(),
                 format!("{:.1}", row.host_gflop_per_s),
                 format!("{:.2}", row.ratio),
@@ -76,7 +84,13 @@ impl Gemm {
     }
 
     /// Every kernel that the device has.
-    fn measure(&self, device: &Device, shape: [usize; 3], stage: &Stage<'_>) -> Result<Vec<Row>> {
+    fn measure(
+        &self,
+        device: &Device,
+        kernels: &[(&'static str, LinearKernel, Rate)],
+        shape: [usize; 3],
+        stage: &Stage<'_>,
+    ) -> Result<Vec<Row>> {
         let [rows, inner, columns] = shape;
         let mut noise = Noise(0);
         let (a, b) = (noise.values(rows * inner), noise.values(inner * columns));
@@ -92,8 +106,8 @@ impl Gemm {
         let host_ms = Spread::of(host_times.split_off(warmup as usize));
         let largest = on_host.iter().fold(0f32, |most, value| most.max(value.abs()));
         let flops = 2 * (rows * inner * columns) as u64;
-        let measure = |(name, kernel): (&'static str, LinearKernel)| {
-            let (times, on_device) = on_device(device, shape, kernel, (&a, &b), self.repeats, stage)?;
+        let measure = |(name, kernel, peak): &(&'static str, LinearKernel, Rate)| {
+            let (times, on_device) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
             let apart = on_host.iter().zip(&on_device).fold(0f32, |most, (x, y)| most.max((x - y).abs()));
             let device_ms = Spread::of(times);
             let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
@@ -104,30 +118,34 @@ impl Gemm {
                 columns,
                 device_ms,
                 device_gflop_per_s,
+                peak_share: peak.share(device_gflop_per_s),
                 host_ms,
                 host_gflop_per_s,
                 ratio: device_gflop_per_s / host_gflop_per_s,
                 difference: apart / largest,
             })
         };
-        kernels(device).into_iter().map(measure).collect()
+        kernels.iter().map(measure).collect()
     }
 }
 
-/// The kernels of linear layers that a device has.
-fn kernels(device: &Device) -> Vec<(&'static str, LinearKernel)> {
+/// The kernels of linear layers that a device has, with the limit of each.
+fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(&'static str, LinearKernel, Rate)>> {
     let limits = device.limits();
-    let mut kernels = vec![("exact", LinearKernel::Panels(Element::F32))];
+    let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
+    let mut kernels = vec![("exact", LinearKernel::Panels(Element::F32), lanes.clone())];
     if limits.half_storage {
-        kernels.extend([("f16", Element::F16), ("bf16", Element::Bf16)].map(|(n, e)| (n, LinearKernel::Panels(e))));
+        let halves = [("f16", Element::F16), ("bf16", Element::Bf16)];
+        kernels.extend(halves.map(|(name, factor)| (name, LinearKernel::Panels(factor), lanes.clone())));
     }
     let matrices = [("f16 matrices", Element::F16), ("bf16 matrices", Element::Bf16), ("i8 matrices", Element::I8)];
-    kernels.extend(
-        matrices
-            .into_iter()
-            .filter_map(|(name, factor)| Units::of(factor, limits).map(|units| (name, LinearKernel::Matrix(units)))),
-    );
-    kernels
+    for (name, factor) in matrices {
+        if let Some(units) = Units::of(factor, limits) {
+            let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;
+            kernels.push((name, LinearKernel::Matrix(units), peak));
+        }
+    }
+    Ok(kernels)
 }
 
 /// Device times and the product `[rows, columns]`.

@@ -4,6 +4,7 @@ mod effects;
 mod forward;
 mod gemm;
 mod gsplat;
+mod peak;
 mod python;
 mod pytorch;
 mod render;
@@ -18,11 +19,12 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the forward pass, of a matrix product, of drawing; what accuracy costs in time
+/// Times of the forward pass, of a matrix product, of drawing; a device's limits; what accuracy costs in time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
   zipsplat bench gemm
+  zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
   zipsplat bench tradeoff capture/ -o report/
 
@@ -37,6 +39,7 @@ pub struct Bench {
 enum What {
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
+    Peak(peak::Peak),
     Render(render::Render),
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
@@ -60,6 +63,7 @@ impl Bench {
         match &self.what {
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
+            What::Peak(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
             What::Tradeoff(bench) => bench.run(session),
         }
@@ -97,6 +101,11 @@ impl Spread {
     fn rate(&self, flops: u64) -> f64 {
         flops as f64 / (1e6 * self.median.max(1e-6))
     }
+}
+
+/// A share as tables have it; nothing where there is none.
+fn percent(share: Option<f64>) -> String {
+    share.map_or_else(String::new, |share| format!("{:.1} %", 100.0 * share))
 }
 
 impl fmt::Display for Spread {

@@ -1,6 +1,10 @@
 //! `zipsplat bench render`: drawing random scenes.
 
-use super::{Repeats, Spread, effects, group, gsplat, timed_device};
+use super::{
+    Repeats, Spread, effects, group, gsplat,
+    peak::{self, Rate},
+    percent, timed_device,
+};
 use crate::{
     noise::{self, Noise},
     options::Size,
@@ -16,18 +20,13 @@ use std::{
 };
 use zipsplat::{
     Result,
-    gpu::{Device, Profile, ProfileRow, Recorder, Run},
+    gpu::{Device, Profile, ProfileRow},
     stages::render::{RenderRequest, Renderer},
     types::Scene,
 };
 
 /// As many as a host has memory for.
 const MOST_GAUSSIANS: i64 = 50_000_000;
-/// Bytes that are copied to measure the memory's bandwidth: far more than caches hold, and one binding on every device.
-const COPIED: u64 = 96 << 20;
-/// Copies, of which the fastest counts.
-const COPIES: usize = 5;
-
 /// Time of a frame, by pass
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -92,21 +91,22 @@ impl Render {
             return effects::run(session, &device, &scene, size, &self.repeats);
         }
         self.gsplat.as_deref().map_or(Ok(()), gsplat::check)?;
-        let bandwidth = bandwidth(&device)?;
+        let bandwidth = session.stage("copies", |stage| peak::copies(&device, peak::BRIEFLY, stage))?.0;
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
             for &sh_degree in &self.sh {
                 let scene = Noise(1).scene(gaussians as usize, sh_degree);
                 for size in &self.size {
                     let name = format!("{gaussians} at {size}");
-                    let measured = session.stage(&name, |stage| self.measure(&device, &scene, *size, bandwidth, stage));
+                    let measured =
+                        session.stage(&name, |stage| self.measure(&device, &scene, *size, &bandwidth, stage));
                     rows.extend(measured?.0);
                 }
             }
         }
         let text = match self.csv {
             true => outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>()),
-            false => format!("{}, copies {:.1} GB/s\n{}", device.limits().name, bandwidth / 1e9, table(&rows)),
+            false => format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows)),
         };
         session.report(&rows, text)
     }
@@ -116,7 +116,7 @@ impl Render {
         device: &Device,
         scene: &Scene,
         size: Size,
-        bandwidth: f64,
+        bandwidth: &Rate,
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
         let (camera, request) = (noise::camera(size.0, size.1), RenderRequest::default());
@@ -157,7 +157,7 @@ impl Render {
             ms,
             frames_per_s: 1e3 / ms.median.max(1e-6),
             bytes,
-            bandwidth_share: bytes.map(|bytes| bytes as f64 / (1e-3 * ms.median.max(1e-6)) / bandwidth),
+            bandwidth_share: bytes.and_then(|bytes| bandwidth.share(bytes as f64 / (1e6 * ms.median.max(1e-6)))),
         };
         let passes = group(&profiles, pass);
         let commands = passes.iter().map(|pass| pass.count).sum();
@@ -189,23 +189,6 @@ fn bytes_where(profiles: &[Profile], wanted: impl Fn(&ProfileRow) -> bool) -> u6
     profiles.iter().take(1).flat_map(|profile| &profile.rows).filter(|row| wanted(row)).map(|row| row.bytes).sum()
 }
 
-/// Bytes a second, read and written, of a copy on the device.
-fn bandwidth(device: &Device) -> Result<f64> {
-    let len = COPIED.min(device.limits().max_binding_bytes) as usize;
-    let mut rec = Recorder::new(device.limits());
-    let (from, to) = (rec.tensor::<u8>("from", len), rec.tensor::<u8>("to", len));
-    rec.fill(from, 1);
-    rec.copy(from, to);
-    rec.output(to);
-    let mut run = Run::new(device, rec.finish()?)?;
-    let mut best = Duration::MAX;
-    for _ in 0..COPIES {
-        let profile = run.profile()?;
-        best = profile.rows.iter().filter(|row| row.kernel == "copy").map(|row| row.time).fold(best, Duration::min);
-    }
-    Ok(2.0 * len as f64 / best.as_secs_f64().max(1e-9))
-}
-
 fn table(rows: &[Row]) -> Table {
     let headings =
         ["pass", "Gaussians", "size", "degree", "commands", "ms: median (min..max)", "frames/s", "of bandwidth"];
@@ -223,7 +206,7 @@ fn table(rows: &[Row]) -> Table {
             row.commands.to_string(),
             row.ms.to_string(),
             format!("{:.1}", row.frames_per_s),
-            row.bandwidth_share.map_or_else(String::new, |share| format!("{:.1} %", 100.0 * share)),
+            percent(row.bandwidth_share),
         ]);
     }
     table

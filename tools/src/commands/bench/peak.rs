@@ -1,0 +1,235 @@
+//! `zipsplat bench peak`: what a device does at most, measured, for all other benchmarks to give their share of.
+
+use super::{Repeats, Spread, timed_device};
+use crate::{
+    session::{Session, Stage},
+    table::Table,
+};
+use clap::Args;
+use serde::Serialize;
+use std::{fmt, time::Duration};
+use zipsplat::{
+    Result,
+    gpu::{Device, Element, Recorder, Run, Tensor},
+    ops::{
+        Arithmetic, Units,
+        measure::{FmaChains, MatrixProducts},
+    },
+};
+use zipsplat_reference::measure::{fma::chains, matrix::products};
+
+/// Bytes that are copied to measure the memory's bandwidth: far more than caches hold. Less where a binding takes less.
+const COPIED: u64 = 512 << 20;
+/// Dispatches grow until they take so long, or up to twice as long.
+const LONG_ENOUGH: Duration = Duration::from_millis(20);
+/// Most iterations, so that sums stay exact; no device is that fast.
+const MOST_ITERATIONS: u32 = 1 << 18;
+/// Invocations that fill a device many times over, so that its last ones do not matter: of a GPU, of a CPU.
+const THREADS: [usize; 2] = [1 << 22, 1 << 14];
+/// The same of subgroups with matrices.
+const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
+/// Types that matrix units multiply.
+const FACTORS: [Element; 3] = [Element::F16, Element::Bf16, Element::I8];
+/// What passes for equal, relative to the largest value. Factors and sums are chosen to be exact.
+const EQUAL: f64 = 1e-3;
+/// What benchmarks measure these rates with, beside their own.
+pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
+
+/// The device's measured limits: multiplications and additions on lanes and on matrix units, and bandwidth
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat bench peak
+  zipsplat bench peak --json
+
+Arithmetic is done in registers, in dispatches of 20 to 40 ms, and its results are compared with f64; bandwidth is that of a
+copy, each byte once read and once written. Shares of these rates are what bench forward, gemm and render print.")]
+pub struct Peak {
+    #[command(flatten)]
+    repeats: Repeats,
+}
+
+/// A measured limit.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rate {
+    /// What is repeated.
+    pub what: String,
+    /// A second, at the median: GFLOP (of whole numbers, too), or GB read and written.
+    pub per_s: f64,
+    pub unit: &'static str,
+    /// Of one dispatch or copy.
+    ms: Spread,
+    /// Largest difference from the truth over the largest value.
+    difference: f64,
+}
+
+impl Peak {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let device = timed_device(session)?;
+        let mut rates = vec![session.stage("FMA", |stage| fma(&device, self.repeats, stage))?.0];
+        for units in FACTORS.into_iter().filter_map(|factor| Units::of(factor, device.limits())) {
+            rates.push(session.stage("matrices", |stage| matrices(&device, units, self.repeats, stage))?.0);
+        }
+        rates.push(session.stage("copies", |stage| copies(&device, self.repeats, stage))?.0);
+        let mut table = Table::new(1, &["limit", "rate", "", "ms: median (min..max)"]);
+        for rate in &rates {
+            table.row([rate.what.clone(), format!("{:.1}", rate.per_s), rate.unit.into(), rate.ms.to_string()]);
+        }
+        for rate in rates.iter().filter(|rate| rate.difference > EQUAL || rate.difference.is_nan()) {
+            session.note(format!("{} gave a wrong result: its rate means nothing", rate.what));
+            session.end_with(5);
+        }
+        session.report(&rates, format!("{}\n{table}", device.limits().name))
+    }
+}
+
+impl fmt::Display for Rate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {:.1} {}", self.what, self.per_s, self.unit)
+    }
+}
+
+impl Rate {
+    /// Share of this limit that a rate in the same unit is; nothing for nothing.
+    pub fn share(&self, per_s: f64) -> Option<f64> {
+        (per_s > 0.0).then(|| per_s / self.per_s)
+    }
+}
+
+/// The rate that limits matrix products of an arithmetic: that of its fastest matrix units, or else of lanes.
+pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
+    match arithmetic.quantised.or(arithmetic.linear) {
+        Some(units) => matrices(device, units, repeats, stage),
+        None => fma(device, repeats, stage),
+    }
+}
+
+/// f32 multiplications and additions on lanes.
+pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
+    // Factor 1, which no compiler knows, and a term that is added exactly.
+    let of = |iterations| FmaChains { threads: pick(THREADS, device), iterations, factor: 1.0, term: 0.0625 };
+    let record = |rec: &mut Recorder, iterations| (of(iterations).record(rec), Vec::new());
+    let (iterations, ms, found) = sustained(device, repeats, stage, record)?;
+    let of = of(iterations);
+    let steps = u64::from(iterations) * u64::from(FmaChains::STEPS);
+    let starts = |thread: u32| (0..FmaChains::CHAINS).map(move |chain| f64::from(thread + 16 * chain));
+    let truth: Vec<f64> =
+        (0..16).map(|thread| chains(starts(thread), steps, of.factor.into(), of.term.into())).collect();
+    Ok(Rate {
+        what: "FMA, f32".into(),
+        per_s: ms.rate(of.flops()),
+        unit: "GFLOP/s",
+        ms,
+        difference: difference(&found.into_iter().map(f32::from_bits).collect::<Vec<_>>(), &truth),
+    })
+}
+
+/// Products of matrices on matrix units.
+pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
+    let [m, n, k] = [units.shape.m, units.shape.n, units.shape.k].map(|side| side as usize);
+    // Small whole numbers, whose products and sums are exact in every type.
+    let whole = |len: usize| -> Vec<f32> { (0..len).map(|i| (i * i % 11 % 9) as f32 - 4.0).collect() };
+    let (a, b) = (whole(2 * m * k), whole(MatrixProducts::products(device.limits()) * k * n));
+    let of = |iterations| MatrixProducts { units, subgroups: pick(SUBGROUPS, device), iterations, swaps: 0 };
+    let record = |rec: &mut Recorder, iterations| {
+        let mut input = |values: &[f32]| {
+            let bytes = units.factor.encode(values);
+            (rec.constant::<u8>("factor", bytes.len()), bytes)
+        };
+        let (a, b) = (input(&a), input(&b));
+        (of(iterations).record(rec, a.0, b.0), vec![a, b])
+    };
+    let (iterations, ms, found) = sustained(device, repeats, stage, record)?;
+    let of = of(iterations);
+    let [a, b] = [a, b].map(|values| values.into_iter().map(f64::from).collect::<Vec<_>>());
+    let truth = products(&a, &b, [m, n, k], iterations, of.swaps);
+    Ok(Rate {
+        what: format!("matrices {m}x{n}x{k}, {:?}", units.factor).to_lowercase(),
+        per_s: ms.rate(of.flops(device.limits())),
+        unit: "GFLOP/s",
+        ms,
+        difference: difference(&of.sums(found), &truth),
+    })
+}
+
+/// Bytes read and written by a copy on the device.
+pub fn copies(device: &Device, Repeats { warmup, repeats }: Repeats, stage: &Stage<'_>) -> Result<Rate> {
+    let len = COPIED.min(device.limits().max_binding_bytes) as usize;
+    let mut rec = Recorder::new(device.limits());
+    let (from, to) = (rec.tensor::<u8>("from", len), rec.tensor::<u8>("to", len));
+    rec.fill(from, 0x0101_0101);
+    rec.copy(from, to);
+    rec.output(to);
+    let mut run = Run::new(device, rec.finish()?)?;
+    let mut times = Vec::new();
+    for i in 0..warmup + repeats {
+        stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
+        let profile = run.profile()?;
+        let copied: Duration = profile.rows.iter().filter(|row| row.kernel == "copy").map(|row| row.time).sum();
+        times.extend((i >= warmup).then_some(copied));
+    }
+    let ms = Spread::of(times);
+    let wrong = run.read::<u8>(to)?.iter().filter(|byte| **byte != 1).count();
+    let per_s = 2.0 * len as f64 / (1e6 * ms.median.max(1e-6));
+    Ok(Rate { what: "copy".into(), per_s, unit: "GB/s", ms, difference: wrong as f64 })
+}
+
+/// A plan's result, and its inputs with their contents.
+type Recorded = (Tensor, Vec<(Tensor, Vec<u8>)>);
+
+/// Times of a plan of one dispatch with as many iterations as take long enough: those, the times, and the result's words.
+fn sustained(
+    device: &Device,
+    Repeats { warmup, repeats }: Repeats,
+    stage: &Stage<'_>,
+    record: impl Fn(&mut Recorder, u32) -> Recorded,
+) -> Result<(u32, Spread, Vec<u32>)> {
+    let mut iterations = 1;
+    loop {
+        stage.reach(0.0)?;
+        let mut rec = Recorder::new(device.limits());
+        let (out, inputs) = record(&mut rec, iterations);
+        rec.output(out);
+        let mut run = Run::new(device, rec.finish()?)?;
+        for (tensor, bytes) in &inputs {
+            run.write(*tensor, bytes)?;
+        }
+        // A CPU compiles what it runs for the first time.
+        run.profile()?;
+        if run.profile()?.total("").0 < LONG_ENOUGH && iterations < MOST_ITERATIONS {
+            iterations *= 2;
+            continue;
+        }
+        let mut times = Vec::new();
+        for i in 0..warmup + repeats {
+            stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
+            let (time, _) = run.profile()?.total("");
+            times.extend((i >= warmup).then_some(time));
+        }
+        return Ok((iterations, Spread::of(times), run.read(out)?));
+    }
+}
+
+/// That of GPUs, or of CPUs.
+fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
+    if device.limits().cpu { cpu } else { gpu }
+}
+
+/// Largest difference of results, which repeat, from `truth`, over the largest of that. NaN where one is.
+fn difference(found: &[f32], truth: &[f64]) -> f64 {
+    let most = |most: f64, value: f64| if value > most || value.is_nan() { value } else { most };
+    let largest = truth.iter().map(|value| value.abs()).fold(0.0, most);
+    found.iter().zip(truth.iter().cycle()).map(|(x, y)| (f64::from(*x) - y).abs()).fold(0.0, most) / largest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_result_is_seen_wherever_it_is() {
+        let truth = [2.0, -4.0];
+        assert_eq!(difference(&[2.0, -4.0, 2.0, -4.0], &truth), 0.0);
+        assert_eq!(difference(&[2.0, -4.0, 2.0, -3.0], &truth), 0.25);
+        assert!(difference(&[f32::NAN, -4.0, 2.0, -4.0], &truth).is_nan());
+    }
+}
