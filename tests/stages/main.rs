@@ -1,6 +1,7 @@
 //! Stages against goldens, and the references themselves.
 
 mod cameras;
+mod flops;
 mod forward;
 mod images;
 mod poses;

@@ -1,0 +1,83 @@
+//! The arithmetic that plans state, by stage, against that of the PyTorch implementation (`tests/data/flops.md`).
+
+use zipsplat::{
+    gpu::{Limits, Profile, Recorder},
+    ops::Arithmetic,
+    reconstruct::{Network, Ratio, Selection, Shape},
+    weights::{Architecture, VARIANTS},
+};
+
+/// Columns of the tables behind `Gaussians`: their names, added up where we do not tell them apart; scope and kernel of ours.
+const COLUMNS: [(&[&str], &str, &str); 11] = [
+    (&["bb_linear"], "backbone/embed", "ops/linear"),
+    (&["bb_local_attn", "bb_global_attn"], "backbone/block", "ops/attention"),
+    (&["prepare"], "backbone/features", ""),
+    (&["kmeans"], "cluster", ""),
+    (&["ca_linear"], "fuse/cross", "ops/linear"),
+    (&["ca_attn"], "fuse/cross", "ops/attention"),
+    (&["sa_linear"], "fuse/self", "ops/linear"),
+    (&["sa_attn"], "fuse/self", "ops/attention"),
+    (&["color"], "gaussians/color", ""),
+    (&["head"], "gaussians/head", ""),
+    (&["**total**"], "", ""),
+];
+
+/// Rows of the table of one variant, each with the table's heading: numbers by column.
+fn table(variant: &str) -> Vec<Vec<(String, String)>> {
+    let text = include_str!("../data/flops.md");
+    let (_, table) = text.split_once(&format!("## {variant} (TFLOPs)")).expect("a table of each variant");
+    let cells =
+        |line: &str| -> Vec<String> { line.trim_matches('|').split('|').map(|c| c.trim().to_owned()).collect() };
+    let mut lines = table.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
+    let headings = cells(lines.next().expect("headings"));
+    lines.skip(1).map(|line| headings.iter().cloned().zip(cells(line)).collect()).collect()
+}
+
+fn number(row: &[(String, String)], column: &str) -> f64 {
+    let (_, cell) = row.iter().find(|(heading, _)| heading == column).unwrap_or_else(|| panic!("no column {column}"));
+    cell.replace([',', '*'], "").parse().unwrap_or_else(|_| panic!("{column}: {cell}"))
+}
+
+/// FLOPs of a plan's rows of a scope and kernel. All linear layers of the backbone but those of its features stand together.
+fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
+    let inside =
+        |found: &str| found.starts_with(scope) || scope == "backbone/embed" && found.starts_with("backbone/block");
+    let rows = profile.rows.iter().filter(|row| inside(&row.scope) && row.kernel.starts_with(kernel));
+    rows.map(|row| row.flops as f64).sum()
+}
+
+#[test]
+fn plans_state_the_arithmetic_of_the_reference() {
+    let limits = Limits::default();
+    let fast = Arithmetic::fast(&limits).expect("f16");
+    let mut compared = 0;
+    for variant in VARIANTS {
+        let architecture = Architecture::named(variant).expect("a variant");
+        for row in table(variant) {
+            let views = number(&row, "V") as usize;
+            let ratio = match row[1].1.parse() {
+                Ok(ratio) => Ratio::Fixed(ratio),
+                Err(_) => Ratio::Auto,
+            };
+            let chosen = (ratio, &Selection::KMEANS);
+            let shape = Shape::new(&architecture, views, [252; 2], chosen, false).expect("a shape");
+            assert_eq!(shape.tokens as f64, number(&row, "K tokens"), "{variant}, {views} views");
+            for arithmetic in [Arithmetic::EXACT, fast] {
+                let mut rec = Recorder::new(&limits);
+                Network::new(&architecture, &limits, arithmetic).record(&mut rec, shape);
+                let profile = Profile::outline(&rec.finish().expect("a plan"));
+                for (columns, scope, kernel) in COLUMNS {
+                    let expected: f64 = columns.iter().map(|column| 1e12 * number(&row, column)).sum();
+                    let found = counted(&profile, scope, kernel);
+                    let what = format!("{variant}, {views} views, {ratio:?}, {columns:?}");
+                    assert!(
+                        (found - expected).abs() <= 0.01 * expected,
+                        "{what}: {found:.4e}, expected {expected:.4e}"
+                    );
+                    compared += 1;
+                }
+            }
+        }
+    }
+    assert_eq!(compared, 4 * 18 * 2 * COLUMNS.len(), "six numbers of views at three ratios");
+}
