@@ -143,7 +143,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     let csv = std::fs::read_to_string(folder.path("report/tradeoff.csv")).expect("a table");
     assert_eq!(csv.lines().count(), 1 + points.len());
     let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
-    assert_eq!(html.matches("<svg").count(), 11);
+    assert_eq!(html.matches("<svg").count(), 11 + 8);
     // Two photos, and with k-means two ratios: data, nothing to be fetched.
     assert_eq!(html.matches("src=\"data:image/png;base64,").count(), 2 + 2 * arithmetics);
     assert!(!html.contains("src=\"http") && !html.contains("href"), "it needs other files");
@@ -159,6 +159,13 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         if !is_exact && point["select"] == "all" {
             assert!(number("psnr_to_exact") > 40.0, "{point}");
         }
+        // Roundings of 24 bits, and of 11, through three blocks.
+        let most = if is_exact { 1e-5 } else { 1e-2 };
+        for part in ["backbone", "fuse", "means", "scales", "quats", "opacities", "sh_coeffs"] {
+            let error = number(&format!("error_{part}"));
+            assert!(error > 0.0 && error < most, "{part}: {error} of {point}");
+        }
+        assert!(number("psnr_to_f64") > if is_exact { 80.0 } else { 40.0 }, "{point}");
         if number("views") == 3.0 {
             let told = crate::zipsplat(&format!("{command} --json")).json();
             assert_eq!(told["gaussians"], point["gaussians"], "{command}");

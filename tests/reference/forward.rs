@@ -107,7 +107,8 @@ fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Tap
         let learned = widen(model.scope("backbone.backbone").get("camera_token"));
         return learned_camera_tokens(&learned, model.architecture.width, views);
     };
-    let encoded = camera_tokens(&model.scope("backbone.cam_enc"), priors);
+    let (blocks, heads) = (model.architecture.camera_blocks, model.architecture.camera_heads);
+    let encoded = camera_tokens(&model.scope("backbone.cam_enc"), priors, blocks, heads);
     taps.insert("bb/cam_token".into(), encoded.clone());
     encoded
 }
@@ -123,17 +124,17 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     for (l, layer) in tokens.layers.iter().enumerate() {
         let queries = gather_rows(layer, width, nearest);
         let weights = model.scope(&format!("cross_attention.{l}"));
-        let delta = cross_attention(&weights, &queries, layer, architecture.heads);
+        let delta = cross_attention(&weights, &queries, layer, architecture.fusion_heads);
         scene = add(&scene, &delta);
         taps.insert(format!("ca{l}_delta"), delta);
         taps.insert(format!("scene_ca{l}"), scene.clone());
-        let options = Options { heads: architecture.heads, eps: EPS, sequences: 1, positions: None };
+        let options = Options { heads: architecture.fusion_heads, eps: EPS, sequences: 1, positions: None };
         scene = block(&model.scope(&format!("self_attention.{l}")), &scene, options);
         taps.insert(format!("scene_sa{l}"), scene.clone());
     }
     let queries = gather_rows(&tokens.colour, colour_width, nearest);
-    let delta =
-        cross_attention(&model.scope("color_cross_attention"), &queries, &tokens.colour, (colour_width / 64).max(1));
+    let weights = model.scope("color_cross_attention");
+    let delta = cross_attention(&weights, &queries, &tokens.colour, architecture.colour_heads);
     let colour = add(&queries, &delta);
     let raw = head(&model.scope("gaussian_head.gaussian_head"), &scene, width, &colour, colour_width);
     let packed = 11 + 3 * (architecture.sh_degree + 1).pow(2);

@@ -1,4 +1,4 @@
-//! A model of the goldens: its architecture, read from `<config>.manifest.json`, and its generated weights.
+//! A model: its architecture and its weights, those of the goldens read from `<config>.manifest.json` and generated.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ pub struct Architecture {
     pub width: usize,
     /// Number of backbone blocks.
     pub depth: usize,
-    /// Attention heads of the backbone and of the fusion.
+    /// Attention heads of the backbone.
     pub heads: usize,
     /// First block that may be global; camera tokens enter here.
     pub alt_start: usize,
@@ -24,8 +24,16 @@ pub struct Architecture {
     pub rope_start: usize,
     /// Blocks whose results are features, ascending.
     pub out_layers: Vec<usize>,
+    /// Blocks of the camera encoder.
+    pub camera_blocks: usize,
+    /// Attention heads of the camera encoder.
+    pub camera_heads: usize,
+    /// Attention heads of the fusion.
+    pub fusion_heads: usize,
     /// Width of a colour token.
     pub colour_width: usize,
+    /// Attention heads of the colour cross-attention.
+    pub colour_heads: usize,
     /// G, Gaussians of a token.
     pub gaussians: usize,
     /// SH degree of a Gaussian.
@@ -38,6 +46,7 @@ impl Architecture {
         let number = |value: &Value| value.as_u64().expect("a whole number") as usize;
         let params = manifest["params"].as_object().expect("parameters");
         let width = number(&params["backbone.backbone.cls_token"][2]);
+        let colour_width = number(&conf["color_skip_dim"]);
         let depth = (0..).take_while(|i| params.contains_key(&format!("backbone.backbone.blocks.{i}.ls1.gamma")));
         // Written in no checkpoint: a property of the named vision transformer.
         let (alt_start, rope_start) = match conf["vit_name"].as_str().expect("vit_name") {
@@ -57,7 +66,11 @@ impl Architecture {
             alt_start,
             rope_start,
             out_layers: conf["out_layers"].as_array().expect("out_layers").iter().map(number).collect(),
-            colour_width: number(&conf["color_skip_dim"]),
+            camera_blocks: 4,
+            camera_heads: 16,
+            fusion_heads: width / 64,
+            colour_width,
+            colour_heads: (colour_width / 64).max(1),
             gaussians: number(&conf["gaussians_per_token"]),
             sh_degree: number(&conf["sh_degree"]),
         }

@@ -207,7 +207,8 @@ impl Stage<'_> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    fn check(&self) -> Result<()> {
+    /// [`Error::Cancelled`] where the command should stop.
+    pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 }

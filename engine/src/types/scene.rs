@@ -81,6 +81,11 @@ impl Scene {
     /// Keeps of every `group` consecutive Gaussians, such as those of a token, the `count` that show most: by opacity times
     /// the product of the two largest scales, and of equal ones the first. The order stays.
     pub fn keep_most_visible(&mut self, group: usize, count: usize) {
+        self.keep(&self.most_visible(group, count));
+    }
+
+    /// What [`Scene::keep_most_visible`] keeps, in ascending order.
+    pub fn most_visible(&self, group: usize, count: usize) -> Vec<usize> {
         let area = |[x, y, z]: [f32; 3]| (x * y).max(y * z).max(x * z);
         let visible: Vec<f32> = self.opacities.iter().zip(&self.scales).map(|(o, scales)| o * area(*scales)).collect();
         let mut kept = Vec::new();
@@ -92,6 +97,14 @@ impl Scene {
             order.sort_unstable();
             kept.extend(order);
         }
+        kept
+    }
+
+    /// Keeps the Gaussians of these indices, in their order.
+    ///
+    /// # Panics
+    /// Where one is out of range.
+    pub fn keep(&mut self, kept: &[usize]) {
         let k = self.sh_coeffs_per_gaussian();
         self.sh_coeffs = kept.iter().flat_map(|i| &self.sh_coeffs[i * k..][..k]).copied().collect();
         self.means = kept.iter().map(|i| self.means[*i]).collect();

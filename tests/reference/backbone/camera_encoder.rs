@@ -12,13 +12,12 @@ pub struct Prior {
     pub pose: [f64; 12],
 }
 
-/// One token a view; the views are one sequence.
-pub fn camera_tokens(weights: &Scope, priors: &[Prior]) -> Vec<f64> {
-    const BLOCKS: usize = 4;
-    let options = Options { heads: 16, eps: EPS, sequences: 1, positions: None };
+/// One token a view, by `blocks` blocks with `heads` heads; the views are one sequence.
+pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: usize) -> Vec<f64> {
+    let options = Options { heads, eps: EPS, sequences: 1, positions: None };
     let encoded: Vec<f64> = priors.iter().flat_map(encode).collect();
     let mut x = weights.layer_norm("token_norm", &mlp(&weights.scope("pose_branch"), &encoded), EPS);
-    for i in 0..BLOCKS {
+    for i in 0..blocks {
         x = block(&weights.scope(&format!("trunk.{i}")), &x, options);
     }
     weights.layer_norm("trunk_norm", &x, EPS)

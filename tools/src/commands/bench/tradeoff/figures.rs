@@ -92,6 +92,31 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     ]
 }
 
+/// The same for deviations from f64; none where nothing was compared with it.
+pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
+    let all = points.iter().map(|p| p.keep).max().unwrap_or(0);
+    let own = name(&Selection::KMEANS);
+    let compared = |p: &&Point| p.keep == all && (p.select == "all" || p.select == own) && p.psnr_to_f64.is_some();
+    let compared: Vec<&Point> = points.iter().filter(compared).collect();
+    if compared.is_empty() {
+        return Vec::new();
+    }
+    let plot = |y: Axis<'_>, of: fn(&Point) -> Option<f64>| {
+        by(&compared, log("share of tokens"), y, |_| true, photos, |p| (p.ratio, of(p).unwrap_or(f64::NAN)))
+    };
+    let error = |of: fn(&Point) -> Option<f64>| plot(log("rms of the difference / rms of the truth"), of);
+    vec![
+        ("Backbone: tokens of all output layers", error(|p| p.error_backbone)),
+        ("Fusion: scene tokens", error(|p| p.error_fuse)),
+        ("Gaussians: means", error(|p| p.error_means)),
+        ("Gaussians: scales", error(|p| p.error_scales)),
+        ("Gaussians: rotations", error(|p| p.error_quats)),
+        ("Gaussians: opacities", error(|p| p.error_opacities)),
+        ("Gaussians: colours", error(|p| p.error_sh_coeffs)),
+        ("Pictures", plot(linear("PSNR to those of f64, dB"), |p| p.psnr_to_f64)),
+    ]
+}
+
 fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }

@@ -28,6 +28,18 @@ pub struct Point {
     pub ssim: f64,
     /// Of the pictures against those of `exact` with the same other settings; absent for `exact`.
     pub psnr_to_exact: Option<f64>,
+    /// Of the pictures against those of the Gaussians that f64 gives for the same tokens; this and all errors are absent where
+    /// f64 would take too long.
+    pub psnr_to_f64: Option<f64>,
+    /// Deviations from f64 of what each stage gives, of the Gaussians before any are left out: the rms of the difference over
+    /// that of the truth.
+    pub error_backbone: Option<f64>,
+    pub error_fuse: Option<f64>,
+    pub error_means: Option<f64>,
+    pub error_scales: Option<f64>,
+    pub error_quats: Option<f64>,
+    pub error_opacities: Option<f64>,
+    pub error_sh_coeffs: Option<f64>,
     /// Input views that a token stands for, mean; absent without k-means.
     pub views_per_cluster: Option<f64>,
     /// What shows the same.
@@ -81,6 +93,14 @@ pub(super) mod tests {
             psnr,
             ssim: 0.5,
             psnr_to_exact: None,
+            psnr_to_f64: Some(90.0),
+            error_backbone: Some(1e-7),
+            error_fuse: Some(1e-7),
+            error_means: Some(1e-6),
+            error_scales: Some(1e-6),
+            error_quats: Some(1e-6),
+            error_opacities: Some(1e-6),
+            error_sh_coeffs: None,
             views_per_cluster: Some(1.5),
             command: "zipsplat eval \"a b\" <&>".into(),
         }

@@ -3,16 +3,18 @@
 use super::{
     Tradeoff,
     point::{Point, name},
+    truth::{Compared, Errors, MOST_FLOPS, Truth},
 };
 use crate::{
     capture::{Capture, Score},
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
-    session::Session,
+    session::{Session, Stage},
 };
 use std::{
     collections::HashMap,
+    ops::ControlFlow,
     time::{Duration, Instant},
 };
 use zipsplat::{
@@ -20,7 +22,10 @@ use zipsplat::{
     gpu::{Device, StageTimes},
     ops::{Arithmetic, Precision},
     reconstruct::{Kept, Model, Ratio, Request, Selection, Shape},
-    stages::render::Renderer,
+    stages::{
+        cluster::{even_indices, random_indices},
+        render::Renderer,
+    },
     types::{Image, Scene, write_ply},
     weights::{Architecture, Checkpoint},
 };
@@ -48,6 +53,27 @@ struct Case<'a> {
     settings: String,
 }
 
+/// What a sweep is made with, and what it gave so far.
+struct Bench<'a> {
+    args: &'a Tradeoff,
+    /// Numbers of Gaussians of a token.
+    keep: Vec<usize>,
+    renderer: Renderer,
+    truth: Truth<'a>,
+    sweep: Sweep,
+}
+
+/// What a reconstruction gave.
+struct Forward {
+    scene: Scene,
+    /// Median.
+    ms: f64,
+    peak_bytes: u64,
+    views_per_cluster: Option<f64>,
+    /// Absent where f64 would take too long.
+    compared: Option<Compared>,
+}
+
 /// Whether every combination can be reconstructed; needs no device.
 ///
 /// # Errors
@@ -73,23 +99,27 @@ pub fn run(
     arithmetics: &[(Precision, Arithmetic)],
     captures: &[Capture],
 ) -> Result<Sweep> {
-    let mut sweep = Sweep::default();
-    let mut renderer = Renderer::new(device);
     let all = checkpoint.architecture().gaussians_per_token;
-    let keep = args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]);
+    let mut bench = Bench {
+        args,
+        keep: args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]),
+        renderer: Renderer::new(device),
+        truth: Truth::new(checkpoint),
+        sweep: Sweep::default(),
+    };
     for (precision, arithmetic) in arithmetics {
         let (model, _) = session.load_model(device, checkpoint, *arithmetic)?;
         let cases = cases(args, &model, precision.name(), captures)?;
         for case in &cases {
             let label = format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings);
             session.stage(&label, |stage| {
-                let points = cases.len() * keep.len() * arithmetics.len();
-                stage.reach(sweep.points.len() as f64 / points as f64)?;
-                measure(args, &model, &mut renderer, case, &keep, &mut sweep)
+                let points = cases.len() * bench.keep.len() * arithmetics.len();
+                stage.reach(bench.sweep.points.len() as f64 / points as f64)?;
+                bench.measure(&model, case, stage)
             })?;
         }
     }
-    Ok(sweep)
+    Ok(bench.sweep)
 }
 
 /// The combinations, without those that differ only in what does not matter.
@@ -119,52 +149,71 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
     Ok(cases)
 }
 
-fn measure(
-    args: &Tradeoff,
-    model: &Model,
-    renderer: &mut Renderer,
-    case: &Case<'_>,
-    keep: &[usize],
-    sweep: &mut Sweep,
-) -> Result<()> {
-    let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
-    let (plan, tensors) = model.record(shape, false)?;
-    let peak_bytes = plan.arena_bytes() + model.weight_bytes();
-    let mut run = model.run(plan)?;
-    let mut times = Vec::new();
-    let mut stages = StageTimes::default();
-    for i in 0..args.warmup + args.repeats {
-        model.write_inputs(&mut run, &tensors, shape, &images, &case.request)?;
-        let start = Instant::now();
-        stages = run.execute_with(|_| std::ops::ControlFlow::Continue(()))?;
-        if i >= args.warmup {
-            times.push(start.elapsed());
+impl Bench<'_> {
+    fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<()> {
+        let forward = self.forward(model, case, stage)?;
+        let all = model.architecture().gaussians_per_token;
+        let keep: Vec<usize> = self.keep.iter().copied().filter(|keep| *keep <= all).collect();
+        for keep in keep {
+            stage.check()?;
+            let point = self.point(model, case, &forward, keep)?;
+            self.sweep.points.push(point);
         }
+        Ok(())
     }
-    if shape.kept == Kept::All && case.precision == "exact" {
-        sweep.stages.push((capture.inputs.len(), stages));
+
+    /// Photos to Gaussians.
+    fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
+        let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
+        let (plan, tensors) = model.record(shape, false)?;
+        let (peak_bytes, flops) = (plan.arena_bytes() + model.weight_bytes(), plan.flops());
+        let mut run = model.run(plan)?;
+        let (mut times, mut stages) = (Vec::new(), StageTimes::default());
+        for i in 0..self.args.warmup + self.args.repeats {
+            model.write_inputs(&mut run, &tensors, shape, &images, &case.request)?;
+            let start = Instant::now();
+            stages = run.execute_with(|_| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue))?;
+            if i >= self.args.warmup {
+                times.push(start.elapsed());
+            }
+        }
+        if shape.kept == Kept::All && case.precision == Precision::Exact.name() {
+            self.sweep.stages.push((capture.inputs.len(), stages));
+        }
+        let (chosen, views_per_cluster) = chosen(model, case, &images)?;
+        stage.check()?;
+        let compared = match flops <= MOST_FLOPS {
+            true => Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?),
+            false => None,
+        };
+        let scene = tensors.read(&run, model.architecture().sh_degree as u32)?;
+        Ok(Forward { scene, ms: Spread::of(times).median, peak_bytes, views_per_cluster, compared })
     }
-    let views_per_cluster = views_per_cluster(model, case, &images)?;
-    let whole = tensors.read(&run, model.architecture().sh_degree as u32)?;
-    for &keep in keep.iter().filter(|keep| **keep <= model.architecture().gaussians_per_token) {
-        let mut scene = whole.clone();
-        scene.keep_most_visible(model.architecture().gaussians_per_token, keep);
-        let drawn = compare(renderer, &scene, capture)?;
+
+    /// The same with so many Gaussians kept of each token.
+    fn point(&mut self, model: &Model, case: &Case<'_>, forward: &Forward, keep: usize) -> Result<Point> {
+        let (capture, shape, all) = (case.capture, case.shape, model.architecture().gaussians_per_token);
+        let mut scene = forward.scene.clone();
+        scene.keep_most_visible(all, keep);
+        let drawn = compare(&mut self.renderer, &scene, capture)?;
+        let against = |compared| psnr_to_f64(&mut self.renderer, compared, (all, keep), capture);
+        let psnr_to_f64 = forward.compared.as_ref().map(against).transpose()?;
+        let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
         let key = (capture.inputs.len(), case.settings.clone(), keep);
         let pixels = drawn.pictures.concat();
-        let psnr_to_exact = sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
+        let psnr_to_exact = self.sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
         if case.precision == Precision::Exact.name() {
-            sweep.drawn_exactly.insert(key, pixels);
+            self.sweep.drawn_exactly.insert(key, pixels);
         }
-        if keep == model.architecture().gaussians_per_token
-            && capture.inputs.len() == args.views.iter().copied().max().unwrap_or(0)
+        if keep == all
+            && capture.inputs.len() == self.args.views.iter().copied().max().unwrap_or(0)
             && matches!(case.request.selection, Selection::KMEANS)
         {
             let Image { width, height, .. } = capture.targets[0].image;
             let label = format!("{}, r = {:.2}", case.precision, ratio(shape));
-            sweep.pictures.push((label, Image::from_rgb_f32(width, height, &drawn.pictures[0])?));
+            self.sweep.pictures.push((label, Image::from_rgb_f32(width, height, &drawn.pictures[0])?));
         }
-        sweep.points.push(Point {
+        Ok(Point {
             views: capture.inputs.len(),
             precision: case.precision.to_owned(),
             ratio: ratio(shape),
@@ -172,18 +221,25 @@ fn measure(
             keep,
             tokens: shape.tokens,
             gaussians: scene.len(),
-            forward_ms: Spread::of(times.iter().copied()).median,
+            forward_ms: forward.ms,
             render_ms: Spread::of(drawn.times).median,
-            peak_bytes,
+            peak_bytes: forward.peak_bytes,
             file_bytes: file_bytes(&scene)?,
             psnr: drawn.score.psnr,
             ssim: drawn.score.ssim,
             psnr_to_exact,
-            views_per_cluster,
-            command: command(args, case, keep),
-        });
+            psnr_to_f64,
+            error_backbone: error(|errors| errors.backbone),
+            error_fuse: error(|errors| errors.fuse),
+            error_means: error(|errors| errors.means),
+            error_scales: error(|errors| errors.scales),
+            error_quats: error(|errors| errors.quats),
+            error_opacities: error(|errors| errors.opacities),
+            error_sh_coeffs: error(|errors| errors.sh_coeffs),
+            views_per_cluster: forward.views_per_cluster,
+            command: command(self.args, case, keep),
+        })
     }
-    Ok(())
 }
 
 fn ratio(shape: Shape) -> f64 {
@@ -219,16 +275,47 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
     Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
 }
 
-/// Mean over clusters of the number of views that their tokens come from; nothing where nothing is clustered. A run of its
-/// own: what is observed takes memory and time that a reconstruction does not.
-fn views_per_cluster(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<Option<f64>> {
-    let Kept::Kmeans(_) = case.shape.kept else { return Ok(None) };
+/// PSNR of pictures of a reconstruction's Gaussians against those of f64, of which the same are kept.
+fn psnr_to_f64(
+    renderer: &mut Renderer,
+    compared: &Compared,
+    (group, keep): (usize, usize),
+    capture: &Capture,
+) -> Result<f64> {
+    let kept = compared.scene.most_visible(group, keep);
+    let mut draw = |scene: &Scene| -> Result<Vec<f32>> {
+        let mut scene = scene.clone();
+        scene.keep(&kept);
+        renderer.load(&scene)?;
+        Ok(capture.targets.iter().map(|view| view.draw(renderer)).collect::<Result<Vec<_>>>()?.concat())
+    };
+    Ok(psnr(&draw(&compared.scene)?, &draw(&compared.truth)?))
+}
+
+/// The tokens that a model chooses, and with k-means the mean over clusters of the number of views that their tokens come from.
+fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
+    let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
+    match (case.shape.kept, &case.request.selection) {
+        (Kept::Kmeans(_), _) => clusters(model, case, images).map(|(nearest, views)| (nearest, Some(views))),
+        (_, Selection::Given(indices)) => Ok((indices.clone(), None)),
+        (Kept::Indices, Selection::Random(seed)) => Ok((random_indices(all, count, *seed), None)),
+        (Kept::Indices, _) => Ok((even_indices(all, count), None)),
+        (Kept::All, _) => Ok(((0..all as u32).collect(), None)),
+    }
+}
+
+/// The tokens that k-means chooses and the mean number of views of a cluster. A run of its own: what is observed takes memory
+/// and time that a reconstruction does not.
+fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, f64)> {
     let (plan, tensors) = model.record(case.shape, true)?;
     let mut run = model.run(plan)?;
     model.write_inputs(&mut run, &tensors, case.shape, images, &case.request)?;
     run.execute()?;
-    let assigned = run.observed().iter().find(|(name, _)| name == "assign").map(|(_, tensor)| *tensor);
-    let cluster_of_token: Vec<u32> = run.read(assigned.expect("clustering observes it"))?;
+    let observed = |name: &str| -> Result<Vec<u32>> {
+        let found = run.observed().iter().find(|(other, _)| other == name).map(|(_, tensor)| *tensor);
+        run.read(found.expect("clustering observes it"))
+    };
+    let cluster_of_token = observed("assign")?;
     let mut seen: Vec<(u32, usize)> = cluster_of_token
         .iter()
         .enumerate()
@@ -238,7 +325,7 @@ fn views_per_cluster(model: &Model, case: &Case<'_>, images: &[Image]) -> Result
     seen.dedup();
     let pairs = seen.len();
     seen.dedup_by_key(|(cluster, _)| *cluster);
-    Ok(Some(pairs as f64 / seen.len().max(1) as f64))
+    Ok((observed("nearest")?, pairs as f64 / seen.len().max(1) as f64))
 }
 
 fn command(args: &Tradeoff, case: &Case<'_>, keep: usize) -> String {

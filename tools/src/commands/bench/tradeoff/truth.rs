@@ -1,0 +1,200 @@
+//! How far a reconstruction is from the same computed in f64, stage by stage.
+//!
+//! The truth takes the tokens that the first precision chose, and so do all precisions that are compared with it: rounding may
+//! turn a near tie of k-means around, which is another choice and no error of arithmetic.
+
+use crate::capture::Capture;
+use std::{collections::HashMap, ops::Range};
+use zipsplat::{
+    Result,
+    gpu::Tensor,
+    reconstruct::{Model, Request, Selection},
+    types::{Camera, Image, Intrinsics, Scene},
+    weights::Checkpoint,
+};
+use zipsplat_reference::{
+    backbone::{camera_encoder::Prior, patch_embed::Images},
+    forward::{self, Taps, Tokens},
+    model::{Architecture, Model as Reference},
+};
+
+/// Reconstructions of at most so much arithmetic are computed in f64, which takes a CPU some seconds each.
+pub const MOST_FLOPS: u64 = 20_000_000_000;
+
+/// Deviations from f64: the rms of the difference over that of the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Errors {
+    /// Tokens of all output layers, as clustering and fusion take them.
+    pub backbone: f64,
+    /// Scene tokens behind the last block.
+    pub fuse: f64,
+    pub means: f64,
+    pub scales: f64,
+    pub quats: f64,
+    pub opacities: f64,
+    pub sh_coeffs: f64,
+}
+
+/// A reconstruction beside the truth, both of the same tokens.
+pub struct Compared {
+    pub errors: Errors,
+    pub scene: Scene,
+    pub truth: Scene,
+}
+
+/// A network in f64, and what it gave so far.
+pub struct Truth<'a> {
+    checkpoint: &'a Checkpoint,
+    /// Read when it is needed: a large network is never small enough.
+    reference: Option<Reference>,
+    /// By number of views.
+    tokens: HashMap<usize, Tokens>,
+    /// By number of views and settings.
+    known: HashMap<(usize, String), Known>,
+}
+
+/// What became of the tokens that the first precision chose.
+struct Known {
+    chosen: Vec<u32>,
+    /// Every tap behind clustering.
+    taps: Taps,
+}
+
+impl<'a> Truth<'a> {
+    /// Of the network that a checkpoint holds.
+    pub fn new(checkpoint: &'a Checkpoint) -> Self {
+        Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
+    }
+
+    /// Compares a model's reconstruction with the truth. `settings` are those that do not concern precision; `chosen` are the
+    /// tokens that this model chooses with them, which the first call of such settings decides for all others.
+    ///
+    /// # Errors
+    /// Where the checkpoint cannot be read or the reconstruction fails.
+    pub fn compare(
+        &mut self,
+        model: &Model,
+        capture: &Capture,
+        request: &Request,
+        settings: &str,
+        chosen: Vec<u32>,
+    ) -> Result<Compared> {
+        let images = capture.images();
+        let reference = match &mut self.reference {
+            Some(known) => known,
+            unknown => unknown.insert(reference(self.checkpoint)?),
+        };
+        let tokens = self.tokens.entry(images.len()).or_insert_with(|| {
+            let priors = request.cameras.as_deref().map(|cameras| cameras.iter().map(prior).collect::<Vec<_>>());
+            forward::tokens(reference, &channel_major(&images), priors.as_deref())
+        });
+        let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
+            let taps = forward::gaussians(reference, tokens, &chosen);
+            Known { chosen, taps }
+        });
+        let all = tokens.layers[0].len() / reference.architecture.width;
+        let selection = match known.chosen.len() < all {
+            true => Selection::Given(known.chosen.clone()),
+            false => request.selection.clone(),
+        };
+        let (taps, scene) = observe(model, &images, &Request { selection, ..request.clone() })?;
+        let packed = &known.taps["gauss"];
+        let truth: Vec<f32> = packed.iter().map(|value| *value as f32).collect();
+        let last = format!("scene_sa{}", tokens.layers.len() - 1);
+        let found_layers: Vec<f32> =
+            (0..tokens.layers.len()).flat_map(|j| &taps[&format!("prep/layer{j}")]).copied().collect();
+        let width = model.architecture().gaussian_width();
+        let field = |found: &[f32], columns: Range<usize>| {
+            relative(found, packed.chunks(width).flat_map(|row| &row[columns.clone()]))
+        };
+        let errors = Errors {
+            backbone: relative(&found_layers, tokens.layers.iter().flatten()),
+            fuse: relative(&taps[&last], &known.taps[&last]),
+            means: field(scene.means.as_flattened(), 0..3),
+            scales: field(scene.scales.as_flattened(), 3..6),
+            quats: field(scene.quats.as_flattened(), 6..10),
+            opacities: field(&scene.opacities, 10..11),
+            sh_coeffs: field(scene.sh_coeffs.as_flattened(), 11..width),
+        };
+        Ok(Compared { errors, truth: Scene::from_packed(&truth, scene.sh_degree)?, scene })
+    }
+}
+
+/// A reconstruction with all its intermediate tensors.
+fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMap<String, Vec<f32>>, Scene)> {
+    let shape = model.shape(images, request)?;
+    let (plan, tensors) = model.record(shape, true)?;
+    let mut run = model.run(plan)?;
+    model.write_inputs(&mut run, &tensors, shape, images, request)?;
+    run.execute()?;
+    let read = |(name, tensor): &(String, Tensor)| Ok((name.clone(), run.read(*tensor)?));
+    let taps = run.observed().iter().map(read).collect::<Result<_>>()?;
+    Ok((taps, tensors.read(&run, model.architecture().sh_degree as u32)?))
+}
+
+/// The rms of the difference over that of the truth; NaN where something is missing.
+fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 {
+    let (mut count, mut squares, mut apart) = (0, 0.0, 0.0);
+    for (found, truth) in found.iter().zip(truth) {
+        count += 1;
+        squares += truth * truth;
+        apart += (f64::from(*found) - truth).powi(2);
+    }
+    if count == found.len() { (apart / squares).sqrt() } else { f64::NAN }
+}
+
+/// A checkpoint's network as the reference has it.
+fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
+    let a = checkpoint.architecture();
+    let architecture = Architecture {
+        patch: a.patch,
+        width: a.width,
+        depth: a.depth,
+        heads: a.heads,
+        alt_start: a.alt_start,
+        rope_start: a.rope_start,
+        out_layers: a.out_layers.clone(),
+        camera_blocks: a.camera_depth,
+        camera_heads: a.camera_heads,
+        fusion_heads: a.fusion_heads,
+        colour_width: a.color_width,
+        colour_heads: a.color_heads,
+        gaussians: a.gaussians_per_token,
+        sh_degree: a.sh_degree,
+    };
+    let read = |(name, shape): &(String, Vec<usize>)| {
+        let mut values = vec![0.0; shape.iter().product()];
+        checkpoint.read_f32(name, &mut values)?;
+        Ok((name.clone(), (shape.clone(), values)))
+    };
+    Ok(Reference { architecture, weights: checkpoint.parameters().iter().map(read).collect::<Result<_>>()? })
+}
+
+/// What is known of a view, as the reference takes it.
+fn prior(Camera { intrinsics, pose }: &Camera) -> Prior {
+    let Intrinsics { width, height, fx, fy, cx, cy } = *intrinsics;
+    let mut rows = [0.0; 12];
+    rows[..9].copy_from_slice(&pose.rotation.transpose().to_cols_array());
+    rows[9..].copy_from_slice(&pose.translation.to_array());
+    Prior { camera: [width.into(), height.into(), fx, fy, cx, cy], pose: rows }
+}
+
+/// Pictures of one size as the reference takes them.
+fn channel_major(images: &[Image]) -> Images {
+    let [width, height] = images.first().map_or([0; 2], |image| [image.width, image.height].map(|side| side as usize));
+    let channels = images.iter().flat_map(|image| (0..3).flat_map(|channel| image.rgb[channel..].iter().step_by(3)));
+    let bytes: Vec<u8> = channels.copied().collect();
+    Images::from_u8(&bytes, &[images.len(), 3, height, width])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deviations_are_relative_and_of_everything() {
+        assert_eq!(relative(&[3.0, 5.0], &[3.0, 4.0]), 0.2);
+        assert!(relative(&[3.0, f32::NAN], &[3.0, 4.0]).is_nan());
+        assert!(relative(&[3.0, 4.0], &[3.0]).is_nan());
+    }
+}
