@@ -5,6 +5,7 @@ use super::{
     instance::Instance,
     limits::{Limits, Matrices, probe},
     queue::Queue,
+    schedule::first_guess,
 };
 use crate::{Error, Result};
 use ash::{ext, khr, vk};
@@ -196,7 +197,7 @@ impl Shared {
             queue,
             family,
             allocated: AtomicU64::new(0),
-            flops_per_ms: AtomicU64::new(if limits.cpu { 10_000_000 } else { 1_000_000_000 }),
+            flops_per_ms: AtomicU64::new(first_guess(&limits)),
             staged,
             subgroup_control,
             pipelines: Mutex::default(),

@@ -9,7 +9,7 @@ use super::{
     commands::{Bound, Encoder, driver},
     memory::Memory,
     plan::{Command, Home, Role},
-    schedule::{Cursor, Piece},
+    schedule::{Cursor, Piece, SUBMISSION, learned},
     twins::Twins,
 };
 use crate::{Error, Result};
@@ -22,8 +22,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
-const SUBMISSION: Duration = Duration::from_millis(100);
 /// Submissions under way at once.
 const IN_FLIGHT: usize = 2;
 
@@ -225,7 +223,7 @@ impl Run {
             }
             let Some(batch) = self.batches.get(index) else { break };
             let (buffer, first) = (batch.commands, batch.first_command);
-            under_way.push_back((self.submit(buffer)?, index));
+            under_way.push_back((self.submit(buffer)?, index, Instant::now()));
             if under_way.len() == IN_FLIGHT {
                 self.finish_one(&mut under_way, &mut clock)?;
             }
@@ -244,13 +242,14 @@ impl Run {
     }
 
     /// Waits for the oldest submission and books its time.
-    fn finish_one(&self, under_way: &mut VecDeque<(u64, usize)>, clock: &mut Clock) -> Result<()> {
-        let Some((value, index)) = under_way.pop_front() else { return Ok(()) };
+    fn finish_one(&self, under_way: &mut VecDeque<(u64, usize, Instant)>, clock: &mut Clock) -> Result<()> {
+        let Some((value, index, submitted)) = under_way.pop_front() else { return Ok(()) };
+        let late = self.timeline_value()? >= value;
         self.wait(value)?;
         let (took, batch) = (clock.last.elapsed(), &self.batches[index]);
+        self.learn(batch.cost, submitted.max(clock.last).elapsed(), late);
         clock.last = Instant::now();
         clock.done += batch.cost;
-        self.learn(batch.cost, took);
         clock.times.add(self.plan.stage(batch.first_command), took);
         Ok(())
     }
@@ -318,14 +317,9 @@ impl Run {
     }
 
     /// Moves the estimate of the device's speed towards what a submission took.
-    fn learn(&self, cost: u64, took: Duration) {
-        let ms = took.as_secs_f64() * 1e3;
-        if ms > 1.0 {
-            let rate = &self.device.0.flops_per_ms;
-            let known = rate.load(Ordering::Relaxed) as f64;
-            let seen = (cost as f64 / ms).clamp(known / 2.0, known * 2.0);
-            rate.store((0.5 * (known + seen)).max(1e5) as u64, Ordering::Relaxed);
-        }
+    fn learn(&self, cost: u64, took: Duration, late: bool) {
+        let (rate, patient) = (&self.device.0.flops_per_ms, self.device.limits().cpu);
+        rate.store(learned(rate.load(Ordering::Relaxed), cost, took, late, patient), Ordering::Relaxed);
     }
 
     pub(super) fn command_buffer(&self) -> Result<vk::CommandBuffer> {

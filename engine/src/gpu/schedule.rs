@@ -1,12 +1,46 @@
 //! Cuts a plan into submissions of about equal cost, so that no driver takes one for a hang.
 
-use super::plan::{Command, Groups, Operation, Plan};
+use super::{
+    Limits,
+    plan::{Command, Groups, Operation, Plan},
+};
+use std::time::Duration;
+
+/// What one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
+pub(super) const SUBMISSION: Duration = Duration::from_millis(100);
 
 /// Arithmetic that takes as long as moving a byte, roughly, on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
 /// Most pieces of one submission.
 pub(super) const MAX_PIECES: usize = 1024;
+
+/// Arithmetic per millisecond that a device is taken for before anything was measured: less than all but the slowest of its
+/// kind do, so that the first submissions are no longer than others.
+pub(super) fn first_guess(limits: &Limits) -> u64 {
+    match (limits.cpu, limits.discrete) {
+        (true, _) => 10_000_000,
+        (_, true) => 1_000_000_000,
+        _ => 100_000_000,
+    }
+}
+
+/// What a device is taken for, `known` before, after a submission of this cost. `late` says that it may have ended before the
+/// host saw it: it then took no longer than `took`. `patient` devices, CPUs, compile kernels inside of their first
+/// submissions and reset nothing.
+pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {
+    let (known, ms) = (known as f64, 1e3 * took.as_secs_f64());
+    // A submission costs something itself, so that one below a millisecond tells only that the device is no slower.
+    let seen = cost as f64 / ms.max(1.0);
+    if seen < known && (late || ms < 1.0) {
+        return known as u64;
+    }
+    let next = match took > 2 * SUBMISSION && !patient {
+        true => seen.clamp(known / 8.0, known),
+        false => 0.5 * (known + seen.clamp(known / 2.0, known * 2.0)),
+    };
+    next.max(1e5) as u64
+}
 
 /// Part of a command: all of it, or some of a long dispatch's workgroups.
 #[derive(Clone, Copy, Debug)]
@@ -94,6 +128,41 @@ mod tests {
         gpu::{Limits, Recorder},
         kernels::ops::Add,
     };
+
+    /// Times of full submissions on a device of such a speed, one after the other.
+    fn submissions(flops_per_ms: f64, limits: &Limits) -> Vec<Duration> {
+        let mut known = first_guess(limits);
+        let mut submit = |_| {
+            let cost = known * SUBMISSION.as_millis() as u64;
+            let took = Duration::from_secs_f64(cost as f64 / flops_per_ms / 1e3);
+            known = learned(known, cost, took, false, limits.cpu);
+            took
+        };
+        (0..30).map(&mut submit).collect()
+    }
+
+    #[test]
+    fn submissions_settle_at_their_length() {
+        let kind = |cpu, discrete| Limits { cpu, discrete, ..Limits::default() };
+        // A CPU under load, an integrated and an old discrete GPU at a few percent of what they can, and the largest.
+        for (flops_per_ms, limits) in [(2e6, kind(true, false)), (2e7, kind(false, false)), (1e8, kind(false, true))] {
+            let times = submissions(flops_per_ms, &limits);
+            assert!(times[0] <= Duration::from_secs(1), "{flops_per_ms}: first {:?}", times[0]);
+            assert!(times[10..].iter().all(|took| *took <= 2 * SUBMISSION), "{flops_per_ms}: {times:?}");
+            assert!(limits.cpu || times[3] <= 2 * SUBMISSION, "{flops_per_ms}: {times:?}");
+        }
+        let times = submissions(5e11, &kind(false, true));
+        assert!(times[29] > SUBMISSION / 2 && times[29] <= 2 * SUBMISSION, "{times:?}");
+    }
+
+    #[test]
+    fn what_says_nothing_of_the_speed_changes_nothing() {
+        let known = 1_000_000;
+        // A plan of little work, and one that ended while the host compiled the next kernels.
+        assert_eq!(learned(known, 10, Duration::from_micros(50), false, false), known);
+        assert_eq!(learned(known, 10, Duration::from_secs(3), true, false), known);
+        assert!(learned(known, 10 * known, Duration::from_micros(50), true, false) > known);
+    }
 
     /// Every workgroup of every command is in exactly one piece, whatever the budget.
     #[test]
