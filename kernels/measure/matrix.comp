@@ -1,13 +1,14 @@
-// Multiplies matrices in registers, to measure how fast a device can: sums += a * b, then a *= scale, over and over.
+// Multiplies matrices in registers, to measure how fast a device can: sums += a * b, over and over.
 //
-// A    [MATRIX_M, MATRIX_K] FACTOR
+// A    [2, MATRIX_M, MATRIX_K] FACTOR, of which the first is multiplied
 // B    [PRODUCTS, MATRIX_K, MATRIX_N] FACTOR
-// Out  [subgroups, MATRIX_M, MATRIX_N] f32, or i32 of integers: the sum over all products after the last iteration
+// Out  [subgroups, MATRIX_M, MATRIX_N] f32, of 8-bit integers i32: the sum over all products after the last iteration
 //
-// One subgroup owns PRODUCTS matrices of sums, which do not wait for each other. A differs from one iteration to the next as
-// far as a compiler can know, so that no product can be left out. Each subgroup computes the same.
+// One subgroup owns PRODUCTS matrices of sums, which do not wait for each other. Behind iteration i both matrices of A are
+// exchanged where bit i % 32 of `swaps` is set, so that no compiler can take a product out of the loop. Each subgroup computes
+// the same.
 #version 460
-#pragma factor f16 i8
+#pragma factor f16 bf16 i8
 #extension GL_GOOGLE_include_directive : require
 #include "shared/matrices.glsl"
 #include "shared/index.glsl"
@@ -22,24 +23,28 @@ layout(set = 0, binding = 2) writeonly buffer Out { FACTOR_SUM result[]; };
 
 layout(push_constant) uniform Push {
     uint iterations;
-    float scale;
+    uint swaps;
 };
 
 void main() {
-    Left left;
+    Left left, other;
     coopMatLoad(left, a, 0, MATRIX_K / 8, ROW_MAJOR);
+    coopMatLoad(other, a, MATRIX_M * MATRIX_K / 8, MATRIX_K / 8, ROW_MAJOR);
     Right right[PRODUCTS];
     Sums sums[PRODUCTS];
     [[unroll]] for (uint p = 0; p < PRODUCTS; p++) {
         coopMatLoad(right[p], b, p * MATRIX_K * MATRIX_N / 8, MATRIX_N / 8, ROW_MAJOR);
         sums[p] = Sums(0);
     }
-    FACTOR_COMPONENT times = FACTOR_COMPONENT(scale);
     for (uint i = 0; i < iterations; i++) {
         [[unroll]] for (uint p = 0; p < PRODUCTS; p++) {
             sums[p] = coopMatMulAdd(left, right[p], sums[p]);
         }
-        left *= times;
+        if ((swaps >> i % 32 & 1u) != 0) {
+            Left before = left;
+            left = other;
+            other = before;
+        }
     }
     [[unroll]] for (uint p = 1; p < PRODUCTS; p++) {
         sums[0] += sums[p];

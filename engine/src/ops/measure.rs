@@ -2,6 +2,7 @@
 //!
 //! The recorder is not told how much it is, because it must not cut these dispatches: whoever measures gives them a length.
 
+use super::Units;
 use crate::{
     gpu::{Element, Limits, MatrixShape, Recorder, Tensor},
     kernels::measure as kernels,
@@ -48,19 +49,17 @@ impl FmaChains {
     }
 }
 
-/// Products of matrices on a device's matrix units.
+/// Products of matrices on a device's matrix units, added up.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
-    /// Type of the factors: f16 with f32 sums, or 8-bit integers with 32-bit ones.
-    pub factor: Element,
-    /// Sides of the matrices.
-    pub shape: MatrixShape,
+    /// Matrix units; their tiles do not matter.
+    pub units: Units,
     /// Subgroups, a multiple of [`MatrixProducts::SUBGROUPS`]. Each computes the same.
     pub subgroups: usize,
     /// How often all products are added.
     pub iterations: u32,
-    /// What the left factor, which has to hold the product, is multiplied by between iterations.
-    pub scale: f32,
+    /// Bit `i % 32` exchanges the left factors behind iteration `i`.
+    pub swaps: u32,
 }
 
 impl MatrixProducts {
@@ -74,36 +73,39 @@ impl MatrixProducts {
 
     /// Multiplications and additions.
     pub fn flops(&self, limits: &Limits) -> u64 {
-        let MatrixShape { m, n, k } = self.shape;
+        let MatrixShape { m, n, k } = self.units.shape;
         let products = (self.subgroups * Self::products(limits)) as u64 * u64::from(self.iterations);
         2 * products * u64::from(m * n * k)
     }
 
-    /// `[subgroups, m, n]` sums of `scale^i a b[p]` over iterations `i` and products `p`, of `a` `[m, k]` and `b`
-    /// `[products, k, n]`.
+    /// `[subgroups, m, n]`, see [`MatrixProducts::sums`]: the sum of `a[s] b[p]` over iterations and products `p`, of `a`
+    /// `[2, m, k]`, whose first is the left factor until they are exchanged, and `b` `[products, k, n]`.
     pub fn record(&self, rec: &mut Recorder, a: Tensor, b: Tensor) -> Tensor {
-        let MatrixShape { m, n, k } = self.shape;
-        let out = rec.tensor::<f32>("out", self.subgroups * (m * n) as usize);
+        let MatrixShape { m, n, k } = self.units.shape;
+        let out = rec.tensor::<u32>("out", self.subgroups * (m * n) as usize);
         let kernel = kernels::Matrix {
             a,
             b,
             out,
             iterations: self.iterations,
-            scale: self.scale,
+            swaps: self.swaps,
             subgroups: Self::SUBGROUPS as u32,
             matrix_m: m,
             matrix_n: n,
             matrix_k: k,
             products: Self::products(rec.limits()) as u32,
-            factor: self.factor,
+            factor: self.units.factor,
         };
         rec.dispatch_groups(kernel, self.subgroups / Self::SUBGROUPS);
         out
     }
 
-    /// The numbers that words of its result are.
-    pub fn sums(&self, words: &[u32]) -> Vec<f32> {
-        let number = |word: &u32| if self.factor == Element::I8 { *word as i32 as f32 } else { f32::from_bits(*word) };
-        words.iter().map(number).collect()
+    /// The numbers that the words of a result stand for: f32, or where factors are 8-bit integers whole numbers.
+    pub fn sums(&self, words: Vec<u32>) -> Vec<f32> {
+        let number = |word: u32| match self.units.factor {
+            Element::I8 => word as i32 as f32,
+            _ => f32::from_bits(word),
+        };
+        words.into_iter().map(number).collect()
     }
 }

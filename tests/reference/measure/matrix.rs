@@ -1,10 +1,18 @@
 //! Sums of matrix products.
 
-/// The sum of `scale^i a b` `[m, n]` over `i` below `iterations` and the matrices of `b` `[products, k, n]`, with `a [m, k]`.
-pub fn products(a: &[f64], b: &[f64], [m, n, k]: [usize; 3], iterations: u32, scale: f64) -> Vec<f64> {
-    let weight: f64 = (0..iterations).map(|i| scale.powf(f64::from(i))).sum();
+/// The sum over `iterations` and the matrices of `b` `[products, k, n]` of `a b` `[m, n]`. `a` is the first of `[2, m, k]` and
+/// then, behind every iteration whose bit of `swaps`, modulo 32, is set, the other.
+pub fn products(a: &[f64], b: &[f64], [m, n, k]: [usize; 3], iterations: u32, swaps: u32) -> Vec<f64> {
+    let (mut weights, mut current) = ([0.0; 2], 0);
+    for i in 0..iterations {
+        weights[current] += 1.0;
+        if swaps >> (i % 32) & 1 == 1 {
+            current = 1 - current;
+        }
+    }
+    let left: Vec<f64> = (0..m * k).map(|i| weights[0] * a[i] + weights[1] * a[m * k + i]).collect();
     let entry = |row: usize, column: usize| -> f64 {
-        b.chunks(k * n).map(|b| (0..k).map(|t| a[row * k + t] * b[t * n + column]).sum::<f64>()).sum()
+        b.chunks(k * n).map(|b| (0..k).map(|t| left[row * k + t] * b[t * n + column]).sum::<f64>()).sum()
     };
-    (0..m * n).map(|i| weight * entry(i / n, i % n)).collect()
+    (0..m * n).map(|i| entry(i / n, i % n)).collect()
 }

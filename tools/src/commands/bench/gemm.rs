@@ -134,15 +134,15 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(&'static str, Line
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
     let mut kernels = vec![("exact", LinearKernel::Panels(Element::F32), lanes.clone())];
-    let half = [("f16", Element::F16), ("bf16", Element::Bf16)];
-    for (name, element) in half.into_iter().filter(|_| limits.half_storage) {
-        kernels.push((name, LinearKernel::Panels(element), lanes.clone()));
+    if limits.half_storage {
+        let halves = [("f16", Element::F16), ("bf16", Element::Bf16)];
+        kernels.extend(halves.map(|(name, factor)| (name, LinearKernel::Panels(factor), lanes.clone())));
     }
-    for (name, factor) in
-        [("f16 matrices", Element::F16), ("bf16 matrices", Element::Bf16), ("i8 matrices", Element::I8)]
-    {
+    let matrices = [("f16 matrices", Element::F16), ("bf16 matrices", Element::Bf16), ("i8 matrices", Element::I8)];
+    for (name, factor) in matrices {
         if let Some(units) = Units::of(factor, limits) {
-            kernels.push((name, LinearKernel::Matrix(units), peak::matrices(device, units, peak::BRIEFLY, stage)?));
+            let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;
+            kernels.push((name, LinearKernel::Matrix(units), peak));
         }
     }
     Ok(kernels)

@@ -16,10 +16,7 @@ use zipsplat::{
         measure::{FmaChains, MatrixProducts},
     },
 };
-use zipsplat_reference::{
-    measure::{fma::chains, matrix::products},
-    widen,
-};
+use zipsplat_reference::measure::{fma::chains, matrix::products};
 
 /// Bytes that are copied to measure the memory's bandwidth: far more than caches hold. Less where a binding takes less.
 const COPIED: u64 = 512 << 20;
@@ -31,6 +28,8 @@ const MOST_ITERATIONS: u32 = 1 << 18;
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
 /// The same of subgroups with matrices.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
+/// Types that matrix units multiply.
+const FACTORS: [Element; 3] = [Element::F16, Element::Bf16, Element::I8];
 /// What passes for equal, relative to the largest value. Factors and sums are chosen to be exact.
 const EQUAL: f64 = 1e-3;
 /// What benchmarks measure these rates with, beside their own.
@@ -54,7 +53,7 @@ pub struct Peak {
 pub struct Rate {
     /// What is repeated.
     pub what: String,
-    /// A second, at the median: GFLOP, or GB read and written.
+    /// A second, at the median: GFLOP (of whole numbers, too), or GB read and written.
     pub per_s: f64,
     pub unit: &'static str,
     /// Of one dispatch or copy.
@@ -67,7 +66,7 @@ impl Peak {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let device = timed_device(session)?;
         let mut rates = vec![session.stage("FMA", |stage| fma(&device, self.repeats, stage))?.0];
-        for units in [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, device.limits())) {
+        for units in FACTORS.into_iter().filter_map(|factor| Units::of(factor, device.limits())) {
             rates.push(session.stage("matrices", |stage| matrices(&device, units, self.repeats, stage))?.0);
         }
         rates.push(session.stage("copies", |stage| copies(&device, self.repeats, stage))?.0);
@@ -96,7 +95,7 @@ impl Rate {
     }
 }
 
-/// The rate that limits matrix products of an arithmetic: that of matrix units where it uses them, else of lanes.
+/// The rate that limits matrix products of an arithmetic: that of its fastest matrix units, or else of lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     match arithmetic.quantised.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
@@ -120,27 +119,20 @@ pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate>
         per_s: ms.rate(of.flops()),
         unit: "GFLOP/s",
         ms,
-        difference: difference(bytemuck::cast_slice(&found), &truth),
+        difference: difference(&found.into_iter().map(f32::from_bits).collect::<Vec<_>>(), &truth),
     })
 }
 
-/// Products on matrix units, of f16 with f32 sums or of 8-bit integers. Those of bf16 are as fast as those of f16.
+/// Products of matrices on matrix units.
 pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
-    let factor = if units.factor == Element::I8 { Element::I8 } else { Element::F16 };
     let [m, n, k] = [units.shape.m, units.shape.n, units.shape.k].map(|side| side as usize);
-    // Whole numbers in -4..4, whose products and sums are exact.
+    // Small whole numbers, whose products and sums are exact in every type.
     let whole = |len: usize| -> Vec<f32> { (0..len).map(|i| (i * i % 11 % 9) as f32 - 4.0).collect() };
-    let (a, b) = (whole(m * k), whole(MatrixProducts::products(device.limits()) * k * n));
-    let of = |iterations| MatrixProducts {
-        factor,
-        shape: units.shape,
-        subgroups: pick(SUBGROUPS, device),
-        iterations,
-        scale: 1.0,
-    };
+    let (a, b) = (whole(2 * m * k), whole(MatrixProducts::products(device.limits()) * k * n));
+    let of = |iterations| MatrixProducts { units, subgroups: pick(SUBGROUPS, device), iterations, swaps: 0 };
     let record = |rec: &mut Recorder, iterations| {
         let mut input = |values: &[f32]| {
-            let bytes = factor.encode(values);
+            let bytes = units.factor.encode(values);
             (rec.constant::<u8>("factor", bytes.len()), bytes)
         };
         let (a, b) = (input(&a), input(&b));
@@ -148,13 +140,14 @@ pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'
     };
     let (iterations, ms, found) = sustained(device, repeats, stage, record)?;
     let of = of(iterations);
-    let truth = products(&widen(&a), &widen(&b), [m, n, k], iterations, of.scale.into());
+    let [a, b] = [a, b].map(|values| values.into_iter().map(f64::from).collect::<Vec<_>>());
+    let truth = products(&a, &b, [m, n, k], iterations, of.swaps);
     Ok(Rate {
-        what: format!("matrices {m}x{n}x{k}, {}", if factor == Element::I8 { "i8 to i32" } else { "f16 to f32" }),
+        what: format!("matrices {m}x{n}x{k}, {:?}", units.factor).to_lowercase(),
         per_s: ms.rate(of.flops(device.limits())),
         unit: "GFLOP/s",
         ms,
-        difference: difference(&of.sums(&found), &truth),
+        difference: difference(&of.sums(found), &truth),
     })
 }
 
