@@ -99,7 +99,7 @@ impl SelfTest {
     /// The result for a device, out of the user's cache where it was found before.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`]; other failures are those of its kernels.
+    /// [`Error::DeviceLost`], [`Error::Memory`]; other failures are those of its kernels.
     pub fn of(device: &Device) -> Result<Self> {
         let file = cache_file(device, "self-test");
         // A driver that ends this process, or hangs, is not asked again.
@@ -110,6 +110,11 @@ impl SelfTest {
         no_result.keep(file.as_deref());
         let test = match Self::run(device) {
             Err(Error::DeviceLost) => return Err(Error::DeviceLost),
+            Err(error @ Error::Memory { .. }) => {
+                // Another time there may be enough.
+                let _ = file.map(fs::remove_file);
+                return Err(error);
+            }
             result => result.unwrap_or(no_result),
         };
         test.keep(file.as_deref());

@@ -46,13 +46,17 @@ fn reconstructions_fail() {
     let case = Case::new(&folder, RECONSTRUCT);
     case.fails_everywhere();
     // In f16 kernels are tested before anything else, unless the result is known.
-    for function in ["vkQueueSubmit2", "vkWaitSemaphores"] {
-        let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fast"));
-        for call in case.calls(function) {
-            let _ = std::fs::remove_dir_all(std::env::var("ZIPSPLAT_CACHE").unwrap());
-            case.fails(function, call, DEVICE_LOST, 4, LOST);
-        }
+    let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fast"));
+    let forget = || drop(std::fs::remove_dir_all(std::env::var("ZIPSPLAT_CACHE").unwrap()));
+    forget();
+    for call in case.calls("vkQueueSubmit2").into_iter().take(2) {
+        forget();
+        case.fails("vkQueueSubmit2", call, DEVICE_LOST, 4, LOST);
     }
+    // Too little memory for the test is no failure of the kernels: with enough it is done after all.
+    forget();
+    case.fails("vkAllocateMemory", 1, OUT_OF_DEVICE_MEMORY, 4, &["the driver refused"]);
+    case.calls("vkAllocateMemory");
 }
 
 #[test]
@@ -119,6 +123,11 @@ impl Case {
         self.faults.set(function, call, result);
         let (found, out, err) = zipsplat(&self.line);
         let context = format!("{function}, call {call}, {result}: {err}");
+        if found == 0 {
+            // Work is cut by the time that it takes, so a last call may be missing.
+            assert!(self.faults.made() < call, "{context}: it was not told");
+            return self.clear();
+        }
         assert_eq!((found, out.as_str()), (code, ""), "{context}");
         let errors: Vec<&str> = err.lines().filter(|line| !line.starts_with("note: ")).collect();
         assert!(errors.len() == 1 && words.iter().all(|word| errors[0].contains(word)), "{context}");

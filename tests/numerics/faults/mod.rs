@@ -29,8 +29,8 @@ fn assert_survives(name: &str) {
     let printing =
         "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\nkhronos_validation.log_filename = stdout\n";
     std::fs::write(at("settings.txt"), settings + printing).unwrap();
-    // Nothing here takes longer than seconds: what does hangs.
-    let mut command = child(name, work.path(), "set -- timeout --kill-after=5 200 \"$@\"");
+    // Nothing here takes longer than a minute: what does hangs.
+    let mut command = child(name, work.path(), "set -- timeout --kill-after=5 600 \"$@\"");
     let layers = match std::env::var("VK_LAYER_PATH") {
         Ok(path) => ("VK_LAYER_PATH", format!("{path}:{}", own.path().display())),
         Err(_) => ("VK_ADD_LAYER_PATH", own.path().display().to_string()),
@@ -76,11 +76,16 @@ impl Faults {
         std::fs::write(&self.0, format!("{function} {first} {result}")).unwrap();
     }
 
-    /// Calls of the function by the last device that was destroyed: up to `count` of them, the first and the last among them.
-    fn calls(&self, count: u32) -> Vec<u32> {
+    /// How often the last device that was destroyed was called.
+    fn made(&self) -> u32 {
         let text = std::fs::read_to_string(&self.0).unwrap();
-        let last: u32 = text.split(' ').nth(1).and_then(|last| last.parse().ok()).expect("what the layer wrote");
-        assert!(last > 0, "never called: {text}");
+        text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")
+    }
+
+    /// Up to `count` of these calls, the first and the last among them.
+    fn calls(&self, count: u32) -> Vec<u32> {
+        let last = self.made();
+        assert!(last > 0, "never called");
         let mut calls: Vec<u32> = (0..count).map(|i| 1 + i * (last - 1) / (count - 1)).collect();
         calls.dedup();
         calls
