@@ -7,6 +7,7 @@ use super::{
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Recorder, Run},
+    types::write_atomic,
 };
 use std::{fs, ops::ControlFlow};
 
@@ -67,11 +68,9 @@ impl Tuning {
     pub fn keep(&self, device: &Device) -> Result<()> {
         let file = cache_file(device, "tuning");
         let file = file.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE or HOME"))?;
-        let partial = file.with_extension(format!("{}.partial", std::process::id()));
-        let folder = file.parent().map_or(Ok(()), fs::create_dir_all);
+        file.parent().map_or(Ok(()), fs::create_dir_all).map_err(|e| Error::io(&file, e))?;
         let bytes = serde_json::to_vec(self).unwrap_or_default();
-        let written = folder.and_then(|()| fs::write(&partial, bytes)).and_then(|()| fs::rename(&partial, &file));
-        written.map_err(|e| Error::io(&file, e))
+        write_atomic(&file, |out| out.write_all(&bytes))
     }
 
     /// Measures every tile of every matrix kernel. `progress` gets what comes next and the share that is done, and may stop.
