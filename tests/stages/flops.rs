@@ -49,7 +49,8 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
 #[test]
 fn plans_state_the_arithmetic_of_the_reference() {
     let limits = Limits::default();
-    let fast = Arithmetic::of(Precision::Fast, &limits).expect("f16");
+    let arithmetics =
+        Precision::ALL.map(|precision| Arithmetic::of(precision, &limits).expect("an ordinary GPU has all"));
     let mut compared = 0;
     for variant in VARIANTS {
         let architecture = Architecture::named(variant).expect("a variant");
@@ -62,7 +63,7 @@ fn plans_state_the_arithmetic_of_the_reference() {
             let chosen = (ratio, &Selection::KMEANS);
             let shape = Shape::new(&architecture, views, [252; 2], chosen, false).expect("a shape");
             assert_eq!(shape.tokens as f64, number(&row, "K tokens"), "{variant}, {views} views");
-            for arithmetic in [Arithmetic::EXACT, fast] {
+            for arithmetic in arithmetics {
                 let mut rec = Recorder::new(&limits);
                 Network::new(&architecture, &limits, arithmetic).record(&mut rec, shape);
                 let profile = Profile::outline(&rec.finish().expect("a plan"));
@@ -79,5 +80,5 @@ fn plans_state_the_arithmetic_of_the_reference() {
             }
         }
     }
-    assert_eq!(compared, 4 * 18 * 2 * COLUMNS.len(), "six numbers of views at three ratios");
+    assert_eq!(compared, 4 * 18 * arithmetics.len() * COLUMNS.len(), "six numbers of views at three ratios");
 }
