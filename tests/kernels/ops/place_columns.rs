@@ -23,6 +23,20 @@ fn equals_joined_rows() {
 }
 
 #[test]
+fn what_a_type_cannot_hold_saturates() {
+    let values = [f32::MAX, -f32::MAX, 3.39e38, -7e4, 65519.0, 1e-3];
+    for output in elements() {
+        let mut case = Case::new();
+        let parts = [(case.input(&values[..3]), 3), (case.input(&values[3..]), 3)];
+        let out = ops::join_columns(&mut case.rec, 1, parts, output);
+        case.rec.output(out);
+        let got = case.result_of(output, out);
+        assert_same(&format!("{output:?}"), &got, &stored(output, values.to_vec()));
+        assert!(got.iter().all(|x| x.is_finite()), "{output:?}: {got:?}");
+    }
+}
+
+#[test]
 fn leaves_other_columns_alone() {
     let source = random(3, 6);
     let mut case = Case::new();

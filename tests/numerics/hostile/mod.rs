@@ -8,6 +8,8 @@ use crate::Random;
 use mutate::mutated;
 use seeds::LENS;
 use std::{
+    collections::BTreeSet,
+    io::Read,
     panic::{AssertUnwindSafe, catch_unwind},
     path::Path,
     time::{Duration, Instant},
@@ -21,7 +23,7 @@ use zipsplat::{
     },
     weights::Checkpoint,
 };
-use zipsplat_tests::architectures::pico;
+use zipsplat_tests::{architectures::pico, golden};
 
 /// A format: sound files, and what reads one from a folder.
 struct Parser {
@@ -143,6 +145,25 @@ fn parsers() -> Vec<Parser> {
 /// No small file may take longer, also on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// Whether a file was read rather than refused, as one that cannot be used; or what is wrong with its parser.
+fn judged(parser: &Parser, folder: &Path, bytes: &[u8]) -> Result<bool, String> {
+    let start = Instant::now();
+    let result = catch_unwind(AssertUnwindSafe(|| (parser.read)(folder, bytes)));
+    if start.elapsed() > PATIENCE {
+        return Err(format!("took {:?}", start.elapsed()));
+    }
+    match result {
+        Ok(Ok(())) => Ok(true),
+        Ok(Err(Error::Format { .. } | Error::Io { .. } | Error::Weights { .. } | Error::Argument { .. })) => Ok(false),
+        Ok(Err(error)) => Err(format!("an error of another kind: {error}")),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("?");
+            Err(format!("panicked: {text}"))
+        }
+    }
+}
+
 /// Reads `rounds` damaged files a parser; `seed` chooses which.
 fn fuzz(rounds: u64, seed: u64) {
     let mut problems = Vec::new();
@@ -154,23 +175,11 @@ fn fuzz(rounds: u64, seed: u64) {
             let original = &parser.seeds[random.below(parser.seeds.len())];
             let other = &parser.seeds[random.below(parser.seeds.len())];
             let bytes = (parser.wrap)(&mutated(original, other, &mut random));
-            let start = Instant::now();
-            let result = catch_unwind(AssertUnwindSafe(|| (parser.read)(folder.path(), &bytes)));
             let place = format!("{}, seed {seed}, round {round}, {} bytes", parser.name, bytes.len());
-            match result {
-                Ok(Ok(())) => read += 1,
-                Ok(Err(Error::Format { .. } | Error::Io { .. } | Error::Weights { .. } | Error::Argument { .. })) => {
-                    refused += 1;
-                }
-                Ok(Err(error)) => problems.push(format!("{place}: an error of another kind: {error}")),
-                Err(panic) => {
-                    let text = panic.downcast_ref::<String>().map(String::as_str);
-                    let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("?");
-                    problems.push(format!("{place}: panicked: {text}"));
-                }
-            }
-            if start.elapsed() > PATIENCE {
-                problems.push(format!("{place}: took {:?}", start.elapsed()));
+            match judged(&parser, folder.path(), &bytes) {
+                Ok(true) => read += 1,
+                Ok(false) => refused += 1,
+                Err(problem) => problems.push(format!("{place}: {problem}")),
             }
         }
         assert!(refused > 0, "{}: nothing was refused, so nothing was damaged ({read} read)", parser.name);
@@ -203,4 +212,27 @@ fn damaged_files_are_refused_or_read_soundly() {
 fn many_damaged_files() {
     let number = |name: &str, default| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
     fuzz(number("ZIPSPLAT_FUZZ_ROUNDS", 20_000), number("ZIPSPLAT_FUZZ_SEED", 1) << 32);
+}
+
+/// Files that took cargo-fuzz to new places in a parser (`tests/fuzz`), by the name of the parser.
+#[test]
+fn what_a_fuzzer_found_is_refused_or_read_soundly() {
+    let file = std::fs::File::open(golden::find("hostile.zip").expect("it is committed")).unwrap();
+    let mut archive = zip::ZipArchive::new(file).unwrap();
+    let parsers = parsers();
+    let folder = tempfile::tempdir().unwrap();
+    let (mut problems, mut seen) = (Vec::new(), BTreeSet::new());
+    for i in 0..archive.len() {
+        let mut entry = archive.by_index(i).unwrap();
+        let (name, mut bytes) = (entry.name().to_owned(), Vec::new());
+        entry.read_to_end(&mut bytes).unwrap();
+        let parser = name.split_once('/').and_then(|(kind, _)| parsers.iter().find(|parser| parser.name == kind));
+        let parser = parser.unwrap_or_else(|| panic!("{name}: no parser has this name"));
+        seen.insert(parser.name);
+        problems.extend(
+            judged(parser, folder.path(), &(parser.wrap)(&bytes)).err().map(|problem| format!("{name}: {problem}")),
+        );
+    }
+    assert!(seen.len() >= 14, "only {seen:?}");
+    assert!(problems.is_empty(), "{} problems:\n{}", problems.len(), problems.join("\n"));
 }
