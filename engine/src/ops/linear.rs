@@ -35,7 +35,7 @@ pub enum LinearKernel {
     /// ops/linear: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
     Panels(Element),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
-    /// behind them, at [`scales_at`]; inputs are f16 and become such integers row by row.
+    /// behind them, `[columns]` f32 from a multiple of 256 bytes on; inputs are f16 and become such integers row by row.
     Matrix(Units),
 }
 
