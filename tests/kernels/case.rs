@@ -80,7 +80,7 @@ impl Case {
 
 /// Number types that the device's kernels take.
 pub fn elements() -> Vec<Element> {
-    let half = device().limits().half_storage.then_some([Element::F16, Element::Bf16]);
+    let half = device().limits().half_storage.then_some(Element::HALVES);
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
@@ -88,14 +88,14 @@ pub fn elements() -> Vec<Element> {
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let panels = elements().into_iter().map(LinearKernel::Panels);
     let matrices = |factor| Units::of(factor, device().limits()).map(LinearKernel::Matrix);
-    panels.chain([Element::F16, Element::Bf16, Element::I8].into_iter().filter_map(matrices)).collect()
+    panels.chain(Element::FACTORS.into_iter().filter_map(matrices)).collect()
 }
 
 /// Kernels of attention that the device has.
 pub fn attention_kernels() -> Vec<AttentionKernel> {
     let lanes = elements().into_iter().map(AttentionKernel::Lanes);
     let matrices = |factor| Units::of(factor, device().limits()).map(AttentionKernel::Matrix);
-    lanes.chain([Element::F16, Element::Bf16].into_iter().filter_map(matrices)).collect()
+    lanes.chain(Element::HALVES.into_iter().filter_map(matrices)).collect()
 }
 
 /// Values as they are once they are stored in this type.

@@ -71,7 +71,7 @@ fn a_tile_changes_no_bit_of_a_linear_layer() {
     let limits = device().limits();
     let values = crate::case::random(1, rows * inner.max(columns) + inner * columns);
     let (x, weight) = values.split_at(rows * inner);
-    for units in [Element::F16, Element::Bf16, Element::I8].into_iter().filter_map(|f| Units::of(f, limits)) {
+    for units in Element::FACTORS.into_iter().filter_map(|f| Units::of(f, limits)) {
         let product = |index: usize| -> Vec<u32> {
             let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
             let packed = pack_matrix(kernel, &weight[..inner * columns], inner, columns);

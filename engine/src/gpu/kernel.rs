@@ -2,6 +2,7 @@
 
 use super::Tensor;
 use half::{bf16, f16};
+use std::hash::{Hash, Hasher};
 
 /// A kernel's code and interface.
 #[derive(Debug)]
@@ -20,6 +21,13 @@ pub struct Module {
     pub local_size: LocalSize,
     /// What the device must have beside the basics.
     pub needs: Needs,
+}
+
+impl Hash for Module {
+    /// Of its code.
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.spirv.hash(state);
+    }
 }
 
 /// What a kernel asks of a device beside the basics.
@@ -84,6 +92,21 @@ pub enum Element {
 }
 
 impl Element {
+    /// Types of 16 bits.
+    pub const HALVES: [Self; 2] = [Self::F16, Self::Bf16];
+    /// Types of factors that matrix units multiply.
+    pub const FACTORS: [Self; 3] = [Self::F16, Self::Bf16, Self::I8];
+
+    /// As in the names of kernels.
+    pub fn name(self) -> &'static str {
+        match self {
+            Element::F32 => "f32",
+            Element::F16 => "f16",
+            Element::Bf16 => "bf16",
+            Element::I8 => "i8",
+        }
+    }
+
     /// Bytes of one value.
     pub fn bytes(self) -> usize {
         match self {

@@ -3,6 +3,7 @@
 mod arithmetic;
 mod attention;
 mod block;
+mod cache;
 mod cross_block;
 mod linear;
 pub mod measure;

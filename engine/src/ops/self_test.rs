@@ -2,21 +2,17 @@
 
 use super::{
     Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, Tuning,
-    Units, pack_matrix,
+    Units,
+    cache::cache_file,
+    pack_matrix,
     tile::{AttentionTile, LinearTile, Tiles},
 };
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Recorder, Run},
-    kernels::MODULES,
     types::write_atomic,
 };
-use std::{
-    fs,
-    hash::{DefaultHasher, Hash, Hasher},
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::{fs, path::Path, time::Duration};
 
 /// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same factors, so a linear
 /// layer differs by the order of its sums, attention by the rounding of queries, weights and results, which is this many
@@ -146,14 +142,14 @@ impl SelfTest {
         if !limits.half_storage {
             return Ok(test);
         }
-        for element in [Element::F16, Element::Bf16] {
+        for element in Element::HALVES {
             test.linear(device, LinearKernel::Panels(element), [35, 40])?;
             test.attention(device, AttentionKernel::Lanes(element), 35)?;
         }
-        for factor in [Element::F16, Element::Bf16, Element::I8] {
+        for factor in Element::FACTORS {
             let Some(units) = Units::of(factor, limits) else { continue };
             let tiles = LinearTile::candidates(limits, units);
-            test.none_fits(linear_name(LinearKernel::Matrix(units)), tiles.is_empty());
+            test.none_fits(&linear_name(LinearKernel::Matrix(units)), tiles.is_empty());
             for (index, tile) in tiles.iter().enumerate() {
                 if !tile.is_experimental() {
                     test.tile(device, units, *tile, index)?;
@@ -163,7 +159,7 @@ impl SelfTest {
                 continue;
             }
             let widest = AttentionTile::candidates(limits, units, WIDEST_HEAD);
-            test.none_fits(attention_name(AttentionKernel::Matrix(units)), widest.is_empty());
+            test.none_fits(&attention_name(AttentionKernel::Matrix(units)), widest.is_empty());
             let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
             for (index, tile) in tiles.iter().enumerate() {
                 let tiles = Tiles::always(index);
@@ -194,13 +190,12 @@ impl SelfTest {
     fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
         let element = wanted.element;
         let lanes = [linear_name(LinearKernel::Panels(element)), attention_name(AttentionKernel::Lanes(element))];
-        let passed = |units: &Units| self.passed(linear_name(LinearKernel::Matrix(*units)));
+        let passed = |units: &Units| self.passed(&linear_name(LinearKernel::Matrix(*units)));
         let quantised = wanted.quantised.filter(passed);
-        let usable =
-            lanes.into_iter().all(|name| self.passed(name)) && quantised.is_some() == wanted.quantised.is_some();
+        let usable = lanes.iter().all(|name| self.passed(name)) && quantised.is_some() == wanted.quantised.is_some();
         usable.then_some(Arithmetic {
             linear: wanted.linear.filter(passed),
-            attention: wanted.attention.filter(|units| self.passed(attention_name(AttentionKernel::Matrix(*units)))),
+            attention: wanted.attention.filter(|units| self.passed(&attention_name(AttentionKernel::Matrix(*units)))),
             ..wanted
         })
     }
@@ -258,7 +253,7 @@ impl SelfTest {
         activations.extend(columns.is_multiple_of(8).then_some(Activation::SwiGlu));
         for what in activations {
             let (exact, fast) = (run(LinearKernel::Panels(Element::F32), what)?, run(kernel, what)?);
-            self.compare(linear_name(kernel), LINEAR_LIMIT, &exact, &fast);
+            self.compare(&linear_name(kernel), LINEAR_LIMIT, &exact, &fast);
         }
         Ok(())
     }
@@ -290,30 +285,23 @@ impl SelfTest {
         };
         let (exact, fast) = (run(AttentionKernel::Lanes(Element::F32))?, run(kernel)?);
         let limit = ATTENTION_LIMIT * element.roundoff();
-        self.compare(attention_name(kernel), limit, &exact, &fast);
+        self.compare(&attention_name(kernel), limit, &exact, &fast);
         Ok(())
     }
 }
 
-/// Names of kernels that give f32, or their own type.
-fn linear_name(kernel: LinearKernel) -> &'static str {
+/// Name of the kernel that gives f32.
+fn linear_name(kernel: LinearKernel) -> String {
     match kernel {
-        LinearKernel::Panels(Element::F16) => "ops/linear_f16_f32",
-        LinearKernel::Panels(Element::Bf16) => "ops/linear_bf16_f32",
-        LinearKernel::Panels(_) => "ops/linear",
-        LinearKernel::Matrix(Units { factor: Element::Bf16, .. }) => "ops/linear_matrix_bf16_f32",
-        LinearKernel::Matrix(Units { factor: Element::I8, .. }) => "ops/linear_matrix_i8_f32",
-        LinearKernel::Matrix(..) => "ops/linear_matrix_f16_f32",
+        LinearKernel::Panels(element) => format!("ops/linear_{}_f32", element.name()),
+        LinearKernel::Matrix(Units { factor, .. }) => format!("ops/linear_matrix_{}_f32", factor.name()),
     }
 }
 
-fn attention_name(kernel: AttentionKernel) -> &'static str {
+fn attention_name(kernel: AttentionKernel) -> String {
     match kernel {
-        AttentionKernel::Lanes(Element::F16) => "ops/attention_f16",
-        AttentionKernel::Lanes(Element::Bf16) => "ops/attention_bf16",
-        AttentionKernel::Lanes(_) => "ops/attention",
-        AttentionKernel::Matrix(Units { factor: Element::Bf16, .. }) => "ops/attention_matrix_bf16",
-        AttentionKernel::Matrix(..) => "ops/attention_matrix_f16",
+        AttentionKernel::Lanes(element) => format!("ops/attention_{}", element.name()),
+        AttentionKernel::Matrix(Units { factor, .. }) => format!("ops/attention_matrix_{}", factor.name()),
     }
 }
 
@@ -339,20 +327,6 @@ fn noise(seed: u64, rows: usize, width: usize, element: Element) -> Vec<f32> {
         }
         _ => element.decode(&element.encode(&values)),
     }
-}
-
-/// Where what was found of a device, its driver and these kernels is kept, in a folder of the user's cache.
-pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
-    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
-    let folder = |name: &str, below: &str| set(name).map(|value| PathBuf::from(value).join(below));
-    let cache = folder("ZIPSPLAT_CACHE", "")
-        .or_else(|| folder("XDG_CACHE_HOME", "zipsplat"))
-        .or_else(|| folder("LOCALAPPDATA", "zipsplat"))
-        .or_else(|| folder("HOME", ".cache/zipsplat"))?;
-    let mut kernels = DefaultHasher::new();
-    MODULES.iter().filter(|module| module.needs.half_storage).for_each(|module| module.spirv.hash(&mut kernels));
-    let subgroup = device.limits().subgroup_size;
-    Some(cache.join(format!("{kind}/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
 }
 
 #[cfg(test)]

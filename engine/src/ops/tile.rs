@@ -19,7 +19,7 @@ impl Tiles {
     }
 
     /// The candidate at an index for one class of sizes and those above.
-    pub(super) fn from(&mut self, class: usize, index: usize) {
+    pub(super) fn set_from(&mut self, class: usize, index: usize) {
         self.0[class..].fill(Some(index as u8));
     }
 
@@ -109,7 +109,7 @@ impl LinearTile {
 
 impl SubgroupTile {
     fn candidates(limits: &Limits, units: Units) -> impl Iterator<Item = Self> {
-        let (shape, bytes_of_k, cpu) = (units.shape, units.factor.bytes() as u32, limits.cpu);
+        let (shape, factor_bytes, cpu) = (units.shape, units.factor.bytes() as u32, limits.cpu);
         // Subgroups along rows and columns; rows and columns of each; bytes of a row that pass through shared memory.
         const GPU: &[([u32; 2], [u32; 2], u32)] = &[
             ([2, 2], [64, 64], 64),
@@ -124,7 +124,7 @@ impl SubgroupTile {
         let tile = move |&(subgroups, [rows, columns], bytes): &([u32; 2], [u32; 2], u32)| Self {
             subgroups,
             repeats: [rows.div_ceil(shape.m), columns.div_ceil(shape.n)],
-            k: if cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / bytes_of_k) },
+            k: if cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / factor_bytes) },
         };
         let layouts = if cpu { CPU } else { GPU };
         layouts.iter().map(tile).filter(move |tile| tile.fits(limits, units))
@@ -258,8 +258,8 @@ mod tests {
     fn classes_are_four_times_apart() {
         let mut tiles = Tiles::default();
         assert_eq!(tiles.of(0), None);
-        tiles.from(0, 3);
-        tiles.from(2, 5);
+        tiles.set_from(0, 3);
+        tiles.set_from(2, 5);
         let found = |values| tiles.of(values).expect("set from the smallest on");
         assert_eq!([0, 1, 1 << 14, 1 << 16, 1 << 17, 1 << 18, 1 << 30].map(found), [3, 3, 3, 3, 5, 5, 5]);
     }
@@ -268,7 +268,7 @@ mod tests {
     fn a_size_that_is_measured_lies_in_its_class() {
         for class in 0..Tiles::CLASSES {
             let mut tiles = Tiles::default();
-            tiles.from(class, 1);
+            tiles.set_from(class, 1);
             assert_eq!(tiles.of(Tiles::values(class)), Some(1));
             // The smallest class has all that is smaller, too.
             assert_eq!(tiles.of(Tiles::values(class) / 4), (class == 0).then_some(1));

@@ -2,7 +2,7 @@
 
 use super::{
     Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, SelfTest,
-    Tiles, Units, pack_matrix, self_test::cache_file,
+    Tiles, Units, cache::cache_file, pack_matrix,
 };
 use crate::{
     Error, Result,
@@ -78,23 +78,23 @@ impl Tuning {
     /// # Errors
     /// A failure of the device; [`Error::Cancelled`].
     pub fn measure(device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
-        let all = |kernel| move |units| (kernel, units);
         let units = |factors: &'static [Element]| factors.iter().filter_map(|f| Units::of(*f, device.limits()));
-        let linear = units(&[Element::F16, Element::Bf16, Element::I8]).map(all(Tuned::Linear));
-        let attention = units(&[Element::F16, Element::Bf16]).map(all(Tuned::Attention));
+        let linear = units(&Element::FACTORS).map(|units| (Tuned::Linear, units));
+        let attention = units(&Element::HALVES).map(|units| (Tuned::Attention, units));
         let jobs: Vec<_> = linear.chain(attention).collect();
         let mut tuning = Self::default();
         for (job, (kernel, units)) in jobs.iter().enumerate() {
+            let tiles = kernel.usable(device, *units)?;
             for class in 0..Tiles::CLASSES {
                 let done = (job as f64 + class as f64 / Tiles::CLASSES as f64) / jobs.len() as f64;
                 let next = |tile: &str| progress(tile, done);
-                match Measured::of(device, *kernel, *units, Tiles::values(class), next) {
-                    Ok(measured) => tuning.measured.push(measured),
+                let measured = match kernel.measure(device, *units, &tiles, Tiles::values(class), next) {
                     Err(Error::Memory { .. }) => break,
-                    Err(other) => return Err(other),
-                }
-                let slow = |measured: &Measured| measured.tiles.iter().any(|(_, ms)| *ms > LONGEST);
-                if tuning.measured.last().is_some_and(slow) {
+                    measured => measured?,
+                };
+                let slow = measured.tiles.iter().any(|(_, ms)| *ms > LONGEST);
+                tuning.measured.push(measured);
+                if slow {
                     break;
                 }
             }
@@ -106,14 +106,14 @@ impl Tuning {
     pub fn applied(&self, arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
         let tuned = |kernel: Tuned| {
             move |units: Units| {
-                let names = kernel.tiles(units, limits);
+                let names = kernel.names(units, limits);
                 let mut tiles = Tiles::default();
                 for class in 0..Tiles::CLASSES {
                     let is_it =
                         |m: &&Measured| (m.kernel, m.factor, m.values) == (kernel, units.factor, Tiles::values(class));
                     let best = self.measured.iter().find(is_it).and_then(Measured::best);
                     if let Some(index) = best.and_then(|best| names.iter().position(|name| name == best)) {
-                        tiles.from(class, index);
+                        tiles.set_from(class, index);
                     }
                 }
                 Units { tiles, ..units }
@@ -128,47 +128,65 @@ impl Tuning {
     }
 }
 
-impl Measured {
-    /// Measures every tile of a kernel for results of `values`.
-    fn of(
-        device: &Device,
-        kernel: Tuned,
-        units: Units,
-        values: usize,
-        mut next: impl FnMut(&str) -> ControlFlow<()>,
-    ) -> Result<Self> {
-        let mut tiles = Vec::new();
-        for (index, name) in kernel.tiles(units, device.limits()).into_iter().enumerate() {
-            if next(&format!("{kernel:?} {:?} {name}", units.factor).to_lowercase()).is_break() {
-                return Err(Error::Cancelled);
-            }
-            let candidate = LinearTile::candidates(device.limits(), units).get(index).copied();
-            let experimental = candidate.filter(|tile| kernel == Tuned::Linear && tile.is_experimental());
-            if let Some(tile) = experimental
-                && !SelfTest::passes_with(device, units, tile, index)?
-            {
-                continue;
-            }
-            let units = Units { tiles: Tiles::always(index), ..units };
-            let run = match kernel {
-                Tuned::Linear => linear_run(device, units, values / COLUMNS),
-                Tuned::Attention => attention_run(device, units, values / COLUMNS),
-            };
-            tiles.push((name, median(run?)?));
-        }
-        Ok(Self { kernel, factor: units.factor, values, tiles })
-    }
-}
-
 impl Tuned {
     /// Names of its candidates.
-    fn tiles(self, units: Units, limits: &Limits) -> Vec<String> {
+    fn names(self, units: Units, limits: &Limits) -> Vec<String> {
         let channels = AttentionTile::TUNED_CHANNELS;
         match self {
             Tuned::Linear => LinearTile::candidates(limits, units).iter().map(ToString::to_string).collect(),
             Tuned::Attention => {
                 AttentionTile::candidates(limits, units, channels).iter().map(ToString::to_string).collect()
             }
+        }
+    }
+
+    /// Its candidates by index and name, without those that compute wrongly: the self-test has passed on all others.
+    fn usable(self, device: &Device, units: Units) -> Result<Vec<(usize, String)>> {
+        let mut tiles: Vec<_> = self.names(units, device.limits()).into_iter().enumerate().collect();
+        if self == Tuned::Linear {
+            for (index, tile) in LinearTile::candidates(device.limits(), units).into_iter().enumerate() {
+                let fails = || match SelfTest::passes_with(device, units, tile, index) {
+                    Err(Error::DeviceLost) => Err(Error::DeviceLost),
+                    // A driver may refuse what it offers: then it is only this tile that cannot be used.
+                    result => Ok(!result.unwrap_or(false)),
+                };
+                if tile.is_experimental() && fails()? {
+                    tiles.retain(|(other, _)| *other != index);
+                }
+            }
+        }
+        Ok(tiles)
+    }
+
+    /// Measures tiles for results of `values`.
+    fn measure(
+        self,
+        device: &Device,
+        units: Units,
+        tiles: &[(usize, String)],
+        values: usize,
+        mut next: impl FnMut(&str) -> ControlFlow<()>,
+    ) -> Result<Measured> {
+        let mut times = Vec::new();
+        for (index, name) in tiles {
+            if next(&format!("{} {} {name}", self.name(), units.factor.name())).is_break() {
+                return Err(Error::Cancelled);
+            }
+            let units = Units { tiles: Tiles::always(*index), ..units };
+            let run = match self {
+                Tuned::Linear => linear_run(device, units, values / COLUMNS),
+                Tuned::Attention => attention_run(device, units, values / COLUMNS),
+            };
+            times.push((name.clone(), median(run?)?));
+        }
+        Ok(Measured { kernel: self, factor: units.factor, values, tiles: times })
+    }
+
+    /// `linear` or `attention`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Tuned::Linear => "linear",
+            Tuned::Attention => "attention",
         }
     }
 }

@@ -14,7 +14,7 @@ use zipsplat_tests::{
 #[test]
 fn every_product_is_added() {
     let limits = device().limits();
-    let factors = [Element::F16, Element::Bf16, Element::I8];
+    let factors = Element::FACTORS;
     for units in factors.into_iter().filter_map(|factor| Units::of(factor, limits)) {
         for (groups, iterations, swaps) in [(1, 0, 0), (1, 1, 1), (3, 2, 1), (2, 70, 0x8000_0005), (300, 1000, 0)] {
             check(MatrixProducts { units, subgroups: groups * MatrixProducts::SUBGROUPS, iterations, swaps });

@@ -47,11 +47,10 @@ impl Tune {
         let mut table = Table::new(3, &["kernel", "factors", "tile", "values", "ms", ""]);
         for measured in &tuning.measured {
             for (tile, ms) in &measured.tiles {
-                let (kernel, factor) = (format!("{:?}", measured.kernel), format!("{:?}", measured.factor));
                 let best = if measured.best() == Some(tile) { "fastest" } else { "" };
                 table.row([
-                    kernel.to_lowercase(),
-                    factor.to_lowercase(),
+                    measured.kernel.name().into(),
+                    measured.factor.name().into(),
                     tile.clone(),
                     measured.values.to_string(),
                     format!("{ms:.3}"),

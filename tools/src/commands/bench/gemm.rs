@@ -36,7 +36,7 @@ pub struct Gemm {
 #[derive(Serialize)]
 struct Row {
     /// `exact`, or what computes it in `fast`.
-    kernel: &'static str,
+    kernel: String,
     rows: usize,
     inner: usize,
     columns: usize,
@@ -70,7 +70,7 @@ impl Gemm {
         for row in &rows {
             table.row([
                 format!("{}x{}x{}", row.rows, row.inner, row.columns),
-                row.kernel.to_owned(),
+                row.kernel.clone(),
                 row.device_ms.to_string(),
                 format!("{:.1}", row.device_gflop_per_s),
                 percent(row.peak_share),
@@ -87,7 +87,7 @@ impl Gemm {
     fn measure(
         &self,
         device: &Device,
-        kernels: &[(&'static str, LinearKernel, Rate)],
+        kernels: &[(String, LinearKernel, Rate)],
         shape: [usize; 3],
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
@@ -106,13 +106,13 @@ impl Gemm {
         let host_ms = Spread::of(host_times.split_off(warmup as usize));
         let largest = on_host.iter().fold(0f32, |most, value| most.max(value.abs()));
         let flops = 2 * (rows * inner * columns) as u64;
-        let measure = |(name, kernel, peak): &(&'static str, LinearKernel, Rate)| {
+        let measure = |(name, kernel, peak): &(String, LinearKernel, Rate)| {
             let (times, on_device) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
             let apart = on_host.iter().zip(&on_device).fold(0f32, |most, (x, y)| most.max((x - y).abs()));
             let device_ms = Spread::of(times);
             let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
             Ok(Row {
-                kernel: name,
+                kernel: name.clone(),
                 rows,
                 inner,
                 columns,
@@ -130,20 +130,16 @@ impl Gemm {
 }
 
 /// The kernels of linear layers that a device has, with the limit of each.
-fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(&'static str, LinearKernel, Rate)>> {
+fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKernel, Rate)>> {
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
-    let mut kernels = vec![("exact", LinearKernel::Panels(Element::F32), lanes.clone())];
-    if limits.half_storage {
-        let halves = [("f16", Element::F16), ("bf16", Element::Bf16)];
-        kernels.extend(halves.map(|(name, factor)| (name, LinearKernel::Panels(factor), lanes.clone())));
+    let mut kernels = vec![("exact".to_owned(), LinearKernel::Panels(Element::F32), lanes.clone())];
+    for element in Element::HALVES.into_iter().filter(|_| limits.half_storage) {
+        kernels.push((element.name().into(), LinearKernel::Panels(element), lanes.clone()));
     }
-    let matrices = [("f16 matrices", Element::F16), ("bf16 matrices", Element::Bf16), ("i8 matrices", Element::I8)];
-    for (name, factor) in matrices {
-        if let Some(units) = Units::of(factor, limits) {
-            let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;
-            kernels.push((name, LinearKernel::Matrix(units), peak));
-        }
+    for units in Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, limits)) {
+        let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;
+        kernels.push((format!("{} matrices", units.factor.name()), LinearKernel::Matrix(units), peak));
     }
     Ok(kernels)
 }

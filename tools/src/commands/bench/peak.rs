@@ -28,8 +28,6 @@ const MOST_ITERATIONS: u32 = 1 << 18;
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
 /// The same of subgroups with matrices.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
-/// Types that matrix units multiply.
-const FACTORS: [Element; 3] = [Element::F16, Element::Bf16, Element::I8];
 /// What passes for equal, relative to the largest value. Factors and sums are chosen to be exact.
 const EQUAL: f64 = 1e-3;
 /// What benchmarks measure these rates with, beside their own.
@@ -66,7 +64,7 @@ impl Peak {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let device = timed_device(session)?;
         let mut rates = vec![session.stage("FMA", |stage| fma(&device, self.repeats, stage))?.0];
-        for units in FACTORS.into_iter().filter_map(|factor| Units::of(factor, device.limits())) {
+        for units in Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, device.limits())) {
             rates.push(session.stage("matrices", |stage| matrices(&device, units, self.repeats, stage))?.0);
         }
         rates.push(session.stage("copies", |stage| copies(&device, self.repeats, stage))?.0);
@@ -143,7 +141,7 @@ pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'
     let [a, b] = [a, b].map(|values| values.into_iter().map(f64::from).collect::<Vec<_>>());
     let truth = products(&a, &b, [m, n, k], iterations, of.swaps);
     Ok(Rate {
-        what: format!("matrices {m}x{n}x{k}, {:?}", units.factor).to_lowercase(),
+        what: format!("matrices {m}x{n}x{k}, {}", units.factor.name()),
         per_s: ms.rate(of.flops(device.limits())),
         unit: "GFLOP/s",
         ms,
