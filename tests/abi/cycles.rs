@@ -7,8 +7,11 @@ use crate::{
 use std::path::PathBuf;
 use zipsplat::ffi::*;
 
-/// Megabytes that memory may grow by between two looks at it, once caches are full: what allocators keep.
-const MOST_GROWTH: f64 = 2.0;
+/// Stretches of cycles between which memory is looked at. Allocators and the driver's threads keep something now and then;
+/// what leaks grows in every one.
+const STRETCHES: usize = 4;
+/// Megabytes by which memory may grow in the stretch in which it grows least.
+const LEAST_GROWTH: f64 = 0.5;
 
 /// Create, reconstruct, draw, destroy; the order of destruction depends on `cycle`.
 fn cycle(cycle: usize) {
@@ -35,9 +38,8 @@ fn resident_bytes() -> u64 {
     4096 * pages
 }
 
-/// Megabytes by which memory grows over `cycles`, after the first have filled caches.
+/// Megabytes by which memory grows over `cycles`.
 fn growth(cycles: usize) -> f64 {
-    (0..6).for_each(cycle);
     let before = resident_bytes();
     (0..cycles).for_each(cycle);
     (resident_bytes() as f64 - before as f64) / 1e6
@@ -63,7 +65,10 @@ fn every_order_of_destruction_works() {
 #[ignore = "takes minutes"]
 fn memory_stays_flat_over_many_cycles() {
     let cycles = std::env::var("ZIPSPLAT_CYCLES").ok().and_then(|cycles| cycles.parse().ok()).unwrap_or(1000);
-    let halves = [growth(cycles / 2), growth(cycles / 2)];
-    eprintln!("grew by {:.1} MB, then by {:.1} MB over {} cycles each", halves[0], halves[1], cycles / 2);
-    assert!(halves[1] < MOST_GROWTH, "grew by {halves:?} MB over {} cycles each", cycles / 2);
+    let stretch = cycles / STRETCHES;
+    (0..6).for_each(cycle);
+    let growths = [(); STRETCHES].map(|()| growth(stretch));
+    eprintln!("grew by {growths:.1?} MB over {stretch} cycles each");
+    let least = growths.into_iter().fold(f64::INFINITY, f64::min);
+    assert!(least < LEAST_GROWTH, "grew by {growths:.1?} MB over {stretch} cycles each, expected less than {LEAST_GROWTH} in one");
 }
