@@ -275,6 +275,9 @@ typedef struct zs_context_options {
     // 1 to run under the Khronos validation layer with synchronisation validation, whose messages make calls fail with
     // ZS_ERROR_DRIVER: for development. Default 0, or 1 where the environment variable ZIPSPLAT_VALIDATION is 1.
     uint32_t validation;
+    // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
+    // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
+    uint64_t max_memory_bytes;
     // A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
     const char *device;
 } zs_context_options;

@@ -83,7 +83,7 @@ fn failures_leave_null_behind() {
 }
 
 fn context_options() -> zs_context_options {
-    let mut options = zs_context_options { struct_size: 0, validation: 0, device: null() };
+    let mut options = zs_context_options { struct_size: 0, validation: 0, max_memory_bytes: 0, device: null() };
     // SAFETY: a structure of that size.
     ok(unsafe { zs_context_options_default(&mut options, size_of::<zs_context_options>()) });
     options
@@ -91,7 +91,7 @@ fn context_options() -> zs_context_options {
 
 #[test]
 fn structures_of_other_sizes_are_refused() {
-    for size in [0, 1, 4, 12, 17, 24, u32::MAX as usize, usize::MAX] {
+    for size in [0, 1, 4, 12, 17, 32, u32::MAX as usize, usize::MAX] {
         let mut options = context_options();
         // SAFETY: nothing is written where the size is refused.
         let status = unsafe { zs_context_options_default(&mut options, size) };
@@ -119,6 +119,19 @@ fn devices_are_described() {
     let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
     assert_eq!(name, zipsplat_tests::device::device().limits().name);
     assert!(info.usable == 1 && info.memory_bytes > 0);
+}
+
+#[test]
+fn memory_can_be_limited() {
+    let options = zs_context_options { max_memory_bytes: 4096, ..context_options() };
+    // SAFETY: options that live as long as the call, and where to put it.
+    let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
+    let mut model = dangling_mut();
+    // SAFETY: a live context, bytes of that length, no options, and where to put it.
+    let status =
+        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), &mut model) };
+    fails(status, ZS_ERROR_OUT_OF_MEMORY, &["4096 bytes"]);
+    assert!(model.is_null());
 }
 
 unsafe extern "C" fn stop_at_third(calls: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {

@@ -26,7 +26,7 @@ macro_rules! numbers {
 fn structures() -> Vec<(String, usize)> {
     layout! {
         zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing }
-        zs_context_options { struct_size, validation, device }
+        zs_context_options { struct_size, validation, max_memory_bytes, device }
         zs_image { pixels, stride, width, height, format, reserved }
         zs_camera { width, height, fx, fy, cx, cy, rotation, translation }
         zs_scene_info { struct_size, sh_degree, count }

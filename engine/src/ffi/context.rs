@@ -63,6 +63,9 @@ pub struct zs_context_options {
     /// 1 to run under the Khronos validation layer with synchronisation validation, whose messages make calls fail with
     /// ZS_ERROR_DRIVER: for development. Default 0, or 1 where the environment variable ZIPSPLAT_VALIDATION is 1.
     pub validation: u32,
+    /// Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
+    /// ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
+    pub max_memory_bytes: u64,
     /// A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
     pub device: *const c_char,
 }
@@ -85,13 +88,13 @@ unsafe impl Versioned for zs_device_info {
     }
 }
 
-// SAFETY: repr(C), two u32 and a pointer: no padding.
+// SAFETY: repr(C), two u32, a u64 and a pointer: no padding but at the end, where pointers have 4 bytes.
 unsafe impl Versioned for zs_context_options {
     const NAME: &str = "zs_context_options";
-    const FIRST_SIZE: usize = 8 + POINTER;
+    const FIRST_SIZE: usize = 16 + POINTER;
     fn defaults() -> Self {
         let validation = DeviceOptions::default().validation.into();
-        Self { struct_size: size_of::<Self>() as u32, validation, device: std::ptr::null() }
+        Self { struct_size: size_of::<Self>() as u32, validation, max_memory_bytes: 0, device: std::ptr::null() }
     }
 }
 
@@ -144,7 +147,8 @@ pub unsafe extern "C" fn zs_context_create(
         // SAFETY: a string or NULL, as the header says.
         let selector = unsafe { optional_text(options.device, "device") }?.map(str::to_owned);
         let validation = options.validation != 0;
-        let options = DeviceOptions { selector, validation, ..DeviceOptions::default() };
+        let max_memory_bytes = Some(options.max_memory_bytes).filter(|bytes| *bytes > 0);
+        let options = DeviceOptions { selector, validation, max_memory_bytes, ..DeviceOptions::default() };
         Ok(zs_context { device: Device::open(&options)?, adopted: false })
     };
     // SAFETY: the caller's pointer.
