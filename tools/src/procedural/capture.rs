@@ -16,13 +16,13 @@ use super::tone::Development;
 use super::world::{Seen, World};
 
 /// Paths that are tried in one place before another is built.
-const PATHS: usize = 12;
+const PATHS: usize = 20;
 /// Views with less contrast (standard deviation of brightness, 0..1) are not worth taking.
 const LEAST_CONTRAST: f32 = 0.05;
 /// Mean brightness of a view.
 const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
-/// Field of view of the longer side, degrees.
-const FIELD_OF_VIEW: [f32; 2] = [35.0, 80.0];
+/// Field of view of the longer side, degrees; the narrow ones are more frequent, as with photos.
+const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 
 /// Four rays of a pixel: edges along rows and columns get four steps.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
@@ -117,10 +117,12 @@ impl Setup {
         // Drawn from the seed alone, so that what is hard to photograph is not rarer.
         let family = Rng::new(seed, u64::MAX).pick(&Family::ALL);
         let (world, stage) = family.build(Rng::new(seed, 2 * place + 1), photos);
+        // Drawn once, so that wide paths, which fail more often, are not rarer.
+        let path = rng.pick(stage.paths);
         for attempt in 0..PATHS {
             let span = 1.0 - 0.8 * attempt as f32 / PATHS as f32;
-            let path = rng.pick(stage.paths);
-            let half_angle = rng.range(FIELD_OF_VIEW[0], FIELD_OF_VIEW[1]).to_radians() / 2.0;
+            let [narrow, wide] = FIELD_OF_VIEW;
+            let half_angle = (narrow + (wide - narrow) * rng.unit().powi(2)).to_radians() / 2.0;
             let focal = 0.5 * options.width.max(options.height) as f32 / half_angle.tan();
             let lens = Lens { width: options.width as usize, height: options.height as usize, focal };
             let reach = (27.5f32.to_radians().tan() / half_angle.tan()).clamp(0.7, 1.4);

@@ -97,7 +97,7 @@ impl Stage {
         }
         let pairs = match kind {
             PathKind::Orbit => self.around(&times, rng.range(0.42, 1.0) * PI * span, distance, rng),
-            PathKind::Arc => self.around(&times, rng.range(0.2, 0.75) * span, distance, rng),
+            PathKind::Arc => self.around(&times, rng.range(0.3, 0.785) * span, distance, rng),
             PathKind::Walk => self.walk(&times, span, distance, rng),
             PathKind::Sweep => self.sweep(&times, span, distance, rng),
             PathKind::Handheld => self.handheld(views, span, distance, rng),
@@ -148,8 +148,8 @@ impl Stage {
     fn sweep(&self, times: &[f32], span: f32, distance: f32, rng: &mut Rng) -> Vec<(Vec3A, Vec3A)> {
         let (azimuth, elevation) = (self.any_azimuth(0.2, rng), rng.range(self.elevation[0], self.elevation[1]));
         let centre = self.target + distance * Self::direction(azimuth, elevation);
-        let side = 0.5 * span * distance * rng.range(0.25, 0.9) * Self::direction(azimuth + PI / 2.0, 0.0);
-        let rise = 0.5 * span * distance * rng.range(0.0, 0.35) * Vec3A::Z;
+        let side = 0.5 * span * distance * rng.range(0.5, 2.2) * Self::direction(azimuth + PI / 2.0, 0.0);
+        let rise = 0.5 * span * distance * rng.range(0.0, 0.5) * Vec3A::Z;
         // Rows, one above the other, there and back.
         let rows = if times.len() >= 6 { rng.count(1, 3) as f32 } else { 1.0 };
         let converge = rng.range(0.0, 1.0);
@@ -166,7 +166,7 @@ impl Stage {
     fn handheld(&self, views: usize, span: f32, distance: f32, rng: &mut Rng) -> Vec<(Vec3A, Vec3A)> {
         let (azimuth, elevation) = (self.any_azimuth(0.2, rng), rng.range(self.elevation[0], self.elevation[1]));
         let centre = self.target + distance * Self::direction(azimuth, elevation);
-        let reach = distance * span * rng.range(0.06, 0.22);
+        let reach = distance * span * rng.range(0.1, 0.35);
         let place = |rng: &mut Rng| {
             let direction = Self::direction(TAU * rng.unit(), rng.range(-0.6, 0.6));
             let aim = 0.12 * distance * Vec3A::new(rng.signed(), rng.signed(), 0.5 * rng.signed());

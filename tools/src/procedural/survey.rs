@@ -13,7 +13,7 @@ const LEAST_SURFACE: f32 = 0.55;
 const NEAREST: f32 = 0.22;
 
 /// Share of a view's surfaces that [`WITNESSES`] other views must see, each.
-pub const LEAST_OVERLAP: f32 = 0.45;
+pub const LEAST_OVERLAP: f32 = 0.35;
 /// How many others.
 pub const WITNESSES: usize = 2;
 
