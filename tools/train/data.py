@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 MAGIC, FORMAT = b"ZSSCENES", 1
 HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("scenes", "<u8"), ("vhw", "<u4", 3)])
@@ -127,20 +128,20 @@ class Pool:
                 raise RuntimeError(f"found {self.taken} scenes in the stream or a minute without one, expected {count}")
             self.waited += time.perf_counter() - started
 
-    def sample(self, scenes, views, targets, points, cells, patch):
+    def sample(self, scenes, views, targets, spread, points, cells, patch, loose=0.0):
         self.fill(self.block)
         while self.taken < self.capacity or self.drawn >= self.reuse * (self.taken - self.capacity):
             if self.take_in() == 0:
                 break
         self.drawn += scenes
         chosen = torch.randint(self.filled(), (scenes,), device=self.device)
-        return batch(*self.split(chosen, views, targets), points, cells, patch)
+        return batch(*self.split(chosen, views, targets, spread), points, cells, patch, loose)
 
-    def split(self, chosen, views, targets):
+    def split(self, chosen, views, targets, spread):
         """Rows, and for each of them its context views [B, V] and targets [B, C], at random.
 
-        Views that overlap with the first are likelier in the context, views that two of the context cover likelier
-        among the targets.
+        The context is spread over a scene's views with probability `spread`, as for an evaluation on captures. Otherwise
+        views that overlap with the first are likelier. Views that two of the context cover are likelier as targets.
         """
         rows = {name: value[chosen] for name, value in self.rows.items()}
         overlap = rows["overlap"]
@@ -149,10 +150,23 @@ class Pool:
         key += overlap.gather(2, first[:, None, None].expand(-1, overlap.shape[1], 1))[..., 0]
         key.scatter_(1, first[:, None], 9.0)
         context = key.argsort(1, descending=True)[:, :views]
+        apart = torch.rand(len(chosen), 1, device=self.device) < spread
+        context = torch.where(apart, farthest(rows["poses"][..., 3], first, views), context)
         seen = overlap.gather(2, context[:, None].expand(-1, overlap.shape[1], -1))
         cover = seen.topk(min(2, views), 2).values.mean(2)
         key = (torch.rand_like(cover) + 2 * cover).scatter(1, context, -9.0)
         return rows, context, key.argsort(1, descending=True)[:, :targets]
+
+
+def farthest(positions, first, count):
+    """Farthest-point sampling of [B, V, 3] from `first` [B]: indices [B, count]."""
+    chosen = [first]
+    distance = torch.full(positions.shape[:2], torch.inf, device=positions.device)
+    while len(chosen) < count:
+        last = pick(positions, chosen[-1][:, None])
+        distance = distance.minimum((positions - last).norm(dim=-1))
+        chosen.append(distance.argmax(1))
+    return torch.stack(chosen, 1)
 
 
 def fixed_split(rows, views, targets):
@@ -179,8 +193,11 @@ def inverse(poses):
     return result
 
 
-def batch(rows, context, targets, points, cells, patch):
-    """Moves scenes into the frame of their first context view, where the median distance of what is seen becomes 1."""
+def batch(rows, context, targets, points, cells, patch, loose=0.0):
+    """Moves scenes into the frame of their first context view, where the median distance of what is seen becomes 1.
+
+    With probability `loose` the other cameras of a scene stand anywhere, whatever the pictures say.
+    """
     poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
     poses[:, :, :3] = rows["poses"]
     relative = inverse(pick(poses, context[:, :1])) @ poses
@@ -190,6 +207,10 @@ def batch(rows, context, targets, points, cells, patch):
     scale = cloud.norm(dim=-1).nanmedian(1).values.nan_to_num(1.0).clamp_min(1e-3)[:, None, None]
     relative[..., :3, 3] /= scale
     cloud = cloud / scale
+    cameras = pick(relative, context)
+    if loose:
+        moved = torch.rand(len(cameras), 1, device=cameras.device) < loose
+        cameras[:, 1:] = torch.where(moved[..., None, None], anywhere(cameras[:, 1:]), cameras[:, 1:])
     # Sky gives no point: a surface's stands in, so that shapes stay fixed.
     seen = cloud.isfinite().all(-1)
     cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
@@ -198,17 +219,33 @@ def batch(rows, context, targets, points, cells, patch):
     bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
     return Batch(
         pick(rows["colours"], context).movedim(-1, 2).float() / 255,
-        pick(relative, context),
+        cameras,
         intrinsics,
         pick(rows["colours"], targets).float() / 255,
         pick(rows["depths"], targets).float() / scale[..., None],
         inverse(pick(relative, targets)),
         pick(rows["intrinsics"], targets),
         cloud,
-        unproject(bounded, intrinsics, pick(relative, context), centres.expand(len(depth), -1)).unflatten(
+        unproject(bounded, intrinsics, cameras, centres.expand(len(depth), -1)).unflatten(
             1, (-1, cells[0] * cells[1])
         ),
     )
+
+
+def anywhere(poses):
+    """As many poses that are turned about any axis, by any angle, and moved by some median distances."""
+    quats = torch.randn(*poses.shape[:-2], 4, device=poses.device)
+    axis, angle = F.normalize(quats[..., :3], dim=-1), torch.pi * torch.rand_like(quats[..., :1])
+    # Mostly around the vertical, as people go.
+    axis = F.normalize(axis * axis.new_tensor((0.4, 1.0, 0.4)), dim=-1)
+    x, y, z = (axis * angle).unbind(-1)
+    zero = torch.zeros_like(x)
+    turn = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    result = torch.zeros_like(poses)
+    result[..., 3, 3] = 1
+    result[..., :3, :3] = torch.linalg.matrix_exp(turn)
+    result[..., :3, 3] = torch.randn_like(axis) * 2 * torch.rand_like(angle)
+    return result
 
 
 @cache

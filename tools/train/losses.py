@@ -101,26 +101,60 @@ def anchor(means, anchors, tokens):
     return F.smooth_l1_loss(middles, signed_log(anchors), beta=0.1)
 
 
-def total(gaussians, tokens, pictures, batch, weights, sample=1024, perceptual=None):
-    """The weighted sum, and its parts by name. `tokens` are the model's; `sample` is that of `chamfer`."""
-    rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colours))
+def ray(means, batch, given, tokens):
+    """How far beside the rays of their cells Gaussians lie, by the distance of what those see, where cameras are `given`.
+
+    Depth has to be guessed, this follows from the cameras. Learnt from pictures alone it stays as coarse as the depth.
+    """
+    anchors = batch.anchors
+    patches = anchors.shape[1] // batch.poses.shape[1]
+    eyes = batch.poses[..., :3, 3].repeat_interleave(patches, 1)[:, :, None]
+    if tokens is not None:
+        anchors, eyes = (x.gather(1, tokens[..., None, None].expand(-1, -1, *x.shape[2:])) for x in (anchors, eyes))
+    towards = anchors - eyes
+    distance = towards.norm(dim=-1, keepdim=True).clamp_min(0.05)
+    direction = towards / distance
+    offset = (means.unflatten(1, (*anchors.shape[1:3], -1)).mean(3) - eyes) / distance
+    beside = offset - (offset * direction).sum(-1, keepdim=True) * direction
+    beside = beside.square().sum(-1).add(1e-8).sqrt()
+    error = F.smooth_l1_loss(beside, torch.zeros_like(beside), reduction="none", beta=0.02)
+    return (error.mean((1, 2)) * given).mean()
+
+
+def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perceptual=None):
+    """The weighted sum, and its parts by name.
+
+    `tokens` are the model's; `pictures` of None leave geometry alone; `given` [B] says which scenes' cameras the model
+    was told; `sample` is that of `chamfer`.
+    """
     means, scales, opacity = gaussians[..., :3], gaussians[..., 3:6], gaussians[..., 10]
+    parts = {
+        "anchor": anchor(means, batch.anchors, tokens),
+        "ray": ray(means, batch, given, tokens),
+        "position": F.relu(torch.log1p(means.abs()) - 3).square().mean(),
+    }
+    if pictures is not None:
+        parts |= seen(means, pictures, batch, sample, perceptual)
+        parts["scale"] = F.relu(scales - 0.1).square().mean()
+        parts["opacity"] = F.relu(opacity - 0.01).square().mean()
+    parts = {name: value for name, value in parts.items() if weights[name]}
+    return sum(weights[name] * value for name, value in parts.items()), parts
+
+
+def seen(means, pictures, batch, sample, perceptual):
+    """The parts that need the targets drawn."""
+    rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colours))
     surface = batch.depth > 0
     # sum of weight * (depth - truth): a Gaussian answers for its own depth, and for its weight where it is wrong.
     depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)
     parts = {
         "l1": (rgb - truth).abs().mean(),
-        "anchor": anchor(means, batch.anchors, tokens),
         "chamfer": chamfer(means, batch.points, ~pictures.reached, sample),
         "depth": (depth_error * surface).mean(),
-        "scale": F.relu(scales - 0.1).square().mean(),
-        "opacity": F.relu(opacity - 0.01).square().mean(),
-        "position": F.relu(torch.log1p(means.abs()) - 3).square().mean(),
     }
     if perceptual is not None:
         parts["perceptual"] = perceptual(rgb, truth)
     else:
         parts["ssim"] = 1 - ssim(rgb, truth)
         parts["gradient"] = gradient_difference(rgb, truth)
-    parts = {name: value for name, value in parts.items() if weights[name]}
-    return sum(weights[name] * value for name, value in parts.items()), parts
+    return parts

@@ -40,6 +40,10 @@ class Schedule:
         least = 1 - (1 - least) * 0.5 * (1 - math.cos(math.pi * grown))
         return views, max(round(rng.uniform(least, 1) * 20) / 20, 0.05)
 
+    def draws_pictures(self, elapsed, rng):
+        """Geometry comes first, and now and then later; such a step takes half the time."""
+        return elapsed >= self.seconds * self.config["geometry_until"] and rng.random() >= self.config["geometry_after"]
+
     def weights(self, elapsed):
         """Of the losses: the anchors' fades out."""
         fade = max(1 - elapsed / self.seconds / self.config["anchor_until"], 0)

@@ -127,10 +127,12 @@ class Trainer:
             kind.forward = torch.compile(kind.forward, dynamic=True)
         drawing.project = torch.compile(drawing.project, dynamic=True)
 
-    def forward(self, model, given_batch, ratio, given):
+    def forward(self, model, given_batch, ratio, given, draw=True):
         priors = (given_batch.poses, given_batch.intrinsics)
         with torch.autocast(self.device.type, self.autocast, enabled=self.autocast is not None):
             gaussians, tokens = model(given_batch.images, ratio, priors, given)
+        if not draw:
+            return gaussians, tokens, None
         size = given_batch.colours.shape[2:4]
         pictures = rasterise(
             gaussians, given_batch.viewmats, given_batch.target_intrinsics, size, self.architecture.sh_degree
@@ -143,12 +145,14 @@ class Trainer:
     def train_step(self):
         views, ratio = self.schedule.draw(self.elapsed, self.rng)
         scenes = max(self.config["batch_views"] // self.processes // views, 1)
-        data = self.pool.sample(scenes, views, self.config["targets"], *self.geometry())
+        draw = self.schedule.draws_pictures(self.elapsed, self.rng)
+        loose = 0 if draw else self.config["loose"]
+        data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry(), loose)
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
-        gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
+        gaussians, tokens, pictures = self.forward(self.model, data, ratio, given, draw)
         weights = self.schedule.weights(self.elapsed)
         sample = self.config["chamfer_gaussians"]
-        loss, parts = losses.total(gaussians, tokens, pictures, data, weights, sample, self.perceptual)
+        loss, parts = losses.total(gaussians, tokens, pictures, given, data, weights, sample, self.perceptual)
         loss.backward()
         self.share_gradients()
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config["clip"])
@@ -164,15 +168,11 @@ class Trainer:
         with torch.no_grad():
             torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
         with torch.no_grad():
-            error = (pictures.rgb.clamp(0, 1) - data.colours).square().mean((1, 2, 3, 4))
-            return {
-                "loss": loss.detach(),
-                "psnr": -10 * error.log10().mean(),
-                "norm": norm.detach(),
-                "reached": pictures.reached.float().mean(),
-                "median_scale": gaussians[:, ::7, 3:6].median(),
-                **{name: value.detach() for name, value in parts.items()},
-            }
+            parts |= {"loss": loss, "norm": norm, "median_scale": gaussians[:, ::7, 3:6].median()}
+            if draw:
+                error = (pictures.rgb.clamp(0, 1) - data.colours).square().mean((1, 2, 3, 4))
+                parts |= {"psnr": -10 * error.log10().mean(), "reached": pictures.reached.float().mean()}
+            return {name: value.detach() for name, value in parts.items()}
 
     def share_gradients(self):
         """Averages them over all processes, and moves the clock of all to the first one's time."""
@@ -193,12 +193,12 @@ class Trainer:
         self.pool.fill(min(self.config["batch_views"], self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
             data = self.pool.sample(
-                max(self.config["batch_views"] // views, 1), views, self.config["targets"], *self.geometry()
+                max(self.config["batch_views"] // views, 1), views, self.config["targets"], 0.5, *self.geometry()
             )
-            gaussians, tokens, pictures = self.forward(
-                self.model, data, ratio, torch.ones(len(data.images), device=self.device) > 0
-            )
-            losses.total(gaussians, tokens, pictures, data, self.config["losses"], 64, self.perceptual)[0].backward()
+            given = torch.ones(len(data.images), device=self.device) > 0
+            gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
+            weights = self.config["losses"]
+            losses.total(gaussians, tokens, pictures, given, data, weights, 64, self.perceptual)[0].backward()
         self.optimiser.zero_grad(set_to_none=True)
         self.evaluate()
         self.pool.waited = 0.0
@@ -211,18 +211,17 @@ class Trainer:
         before = self.elapsed
         self.started = time.perf_counter() - before
         saved = logged = before
-        sums, count, first_sample = {}, 0, self.samples
+        measured, first_sample = {}, self.samples
         while self.elapsed < end:
             for name, value in self.train_step().items():
-                sums[name] = sums.get(name, 0) + value
-            count += 1
+                measured.setdefault(name, []).append(value)
             if self.rank > 0:
                 continue
-            if count % 10 == 0 and self.elapsed - logged > config["log_seconds"]:
-                row = {name: float(value) / count for name, value in sums.items()}
+            if self.step % 10 == 0 and self.elapsed - logged > config["log_seconds"]:
+                row = {name: float(torch.stack(values).mean()) for name, values in measured.items()}
                 rate = (self.samples - first_sample) / (self.elapsed - logged)
                 self.report(row, rate, self.pool.waited / (self.elapsed - before))
-                sums, count, first_sample, logged = {}, 0, self.samples, self.elapsed
+                measured, first_sample, logged = {}, self.samples, self.elapsed
             if self.elapsed - saved > 60 * config["save_minutes"]:
                 pause = time.perf_counter()
                 self.save()
@@ -244,7 +243,7 @@ class Trainer:
             **row,
         }
         self.log.append(row)
-        shown = ("loss", "psnr", "l1", "anchor", "chamfer", "depth", "reached", "median_scale", "norm")
+        shown = ("loss", "psnr", "l1", "anchor", "ray", "chamfer", "depth", "reached", "median_scale", "norm")
         print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
@@ -331,7 +330,7 @@ class Trainer:
         minutes = np.array([row["seconds"] for row in self.log]) / 60
         axes[0].plot(minutes, [row["loss"] for row in self.log])
         axes[0].set(xlabel="minutes", ylabel="loss", yscale="log")
-        axes[1].plot(minutes, [row["psnr"] for row in self.log], color="0.7", label="training")
+        axes[1].plot(minutes, [row.get("psnr", math.nan) for row in self.log], color="0.7", label="training")
         for name in ("priors_r1", "priors_r0.5", "plain_r1", "plain_r0.5"):
             scored = [(t, row[name]) for t, row in zip(minutes, self.log) if name in row]
             if scored:
