@@ -70,5 +70,8 @@ fn memory_stays_flat_over_many_cycles() {
     let growths = [(); STRETCHES].map(|()| growth(stretch));
     eprintln!("grew by {growths:.1?} MB over {stretch} cycles each");
     let least = growths.into_iter().fold(f64::INFINITY, f64::min);
-    assert!(least < LEAST_GROWTH, "grew by {growths:.1?} MB over {stretch} cycles each, expected less than {LEAST_GROWTH} in one");
+    assert!(
+        least < LEAST_GROWTH,
+        "grew by {growths:.1?} MB over {stretch} cycles each, expected less than {LEAST_GROWTH} in one"
+    );
 }
