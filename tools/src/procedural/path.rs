@@ -38,6 +38,9 @@ impl fmt::Display for PathKind {
 impl PathKind {
     /// All of them.
     pub const ALL: [Self; 5] = [Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
+    /// How often each is taken where one can go all around: captures are orbits more often than anything else.
+    pub(super) const ALL_AROUND: [Self; 7] =
+        [Self::Orbit, Self::Orbit, Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
 }
 
 /// From where a scene can be seen, in metres and radians.

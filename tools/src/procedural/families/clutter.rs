@@ -60,15 +60,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
         front: turn + PI + if walls > 1 { 0.4 } else { 0.0 },
         freedom: if walls == 0 { PI } else { 1.1 },
         bounds: [Vec3A::new(-10.0, -10.0, 0.15), Vec3A::splat(10.0)],
-        paths: &[
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Arc,
-            PathKind::Walk,
-            PathKind::Sweep,
-            PathKind::Handheld,
-        ],
+        paths: &PathKind::ALL_AROUND,
     };
     Setting { light, sky, room: None, stage }
 }

@@ -55,15 +55,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
         front: b.rng.angle(),
         freedom: PI,
         bounds: [low + 0.3, high - 0.4],
-        paths: &[
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Arc,
-            PathKind::Walk,
-            PathKind::Sweep,
-            PathKind::Handheld,
-        ],
+        paths: &PathKind::ALL_AROUND,
     };
     Setting { light, sky, room: Some(Room { low, high }), stage }
 }

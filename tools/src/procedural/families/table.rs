@@ -66,15 +66,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
         front: b.rng.angle(),
         freedom: PI,
         bounds: [bounds[0].with_z(height + 0.05), bounds[1]],
-        paths: &[
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Arc,
-            PathKind::Sweep,
-            PathKind::Handheld,
-            PathKind::Walk,
-        ],
+        paths: &PathKind::ALL_AROUND,
     };
     Setting { light, sky, room: indoors.then_some(Room { low, high }), stage }
 }

@@ -49,15 +49,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
         front: b.rng.angle(),
         freedom: PI,
         bounds: [Vec3A::splat(-half_side), Vec3A::splat(half_side)],
-        paths: &[
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Orbit,
-            PathKind::Arc,
-            PathKind::Walk,
-            PathKind::Sweep,
-            PathKind::Handheld,
-        ],
+        paths: &PathKind::ALL_AROUND,
     };
     Setting { light, sky, room: None, stage }
 }
