@@ -25,10 +25,18 @@ unsafe impl<T> Sync for Object<T> {}
 
 impl<T> Object<T> {
     pub fn new(destroy: unsafe extern "C" fn(*mut T), make: impl FnOnce(*mut *mut T) -> zs_status) -> Self {
-        let mut handle = null_mut();
-        ok(make(&mut handle));
-        assert!(!handle.is_null());
-        Self { handle, destroy }
+        Self::try_new(destroy, make).unwrap_or_else(|status| panic!("{status:?}: {}", message()))
+    }
+
+    /// There is an object where the status is `ZS_OK`, and only there.
+    pub fn try_new(
+        destroy: unsafe extern "C" fn(*mut T),
+        make: impl FnOnce(*mut *mut T) -> zs_status,
+    ) -> Result<Self, zs_status> {
+        let mut handle = std::ptr::dangling_mut();
+        let status = make(&mut handle);
+        assert_eq!(status == zs_status::ZS_OK, !handle.is_null(), "{status:?}");
+        if handle.is_null() { Err(status) } else { Ok(Self { handle, destroy }) }
     }
 }
 

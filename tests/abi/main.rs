@@ -9,6 +9,7 @@ mod examples;
 mod header;
 mod installation;
 mod layout;
+mod lost;
 mod random_calls;
 mod same_bits;
 mod threads;

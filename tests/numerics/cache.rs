@@ -1,6 +1,5 @@
 //! The result of the self-test that is kept between runs: whatever became of its file, the test is run again, never failed.
 
-use crate::processes::{assert_succeeds, child, target};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -13,6 +12,7 @@ use zipsplat::{
     ops::{Chosen, Precision, SelfTest},
 };
 use zipsplat_tests::device::device;
+use zipsplat_tests::processes::{assert_succeeds, child, target};
 
 /// A process that computes in f16, with this cache folder; it must find that refused where `expected` is so.
 fn process(cache: &Path, expected: &str) -> std::process::Command {

@@ -9,7 +9,6 @@ mod hostile;
 mod invalid;
 mod memory;
 mod metamorphic;
-mod processes;
 mod resources;
 mod splatting;
 mod views;

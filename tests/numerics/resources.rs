@@ -1,10 +1,6 @@
 //! Disks that fill up, processes that are killed or that share a device, and memory that must not grow.
 
-use crate::{
-    micro, noise,
-    processes::{assert_succeeds, child, target},
-    reconstruct,
-};
+use crate::{micro, noise, reconstruct};
 use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
@@ -21,6 +17,7 @@ use zipsplat_tests::{
     architectures,
     compare::{Tolerance, assert_gaussians_within},
     device::device,
+    processes::{assert_succeeds, child, target},
     scenes::random_scene,
 };
 

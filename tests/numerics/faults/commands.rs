@@ -1,13 +1,16 @@
 //! The command on devices that fail under it: one error that says what to do, and no part of a file.
 
-use super::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives};
-use crate::{catalogue::zipsplat, micro, noise, processes::target};
+use crate::{catalogue::zipsplat, micro, noise};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     types::{Image, write_ply},
     weights::Dtype,
 };
-use zipsplat_tests::scenes::random_scene;
+use zipsplat_tests::{
+    faults::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives},
+    processes::target,
+    scenes::random_scene,
+};
 
 const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply";
 /// Pictures in flight, encoded and written meanwhile.
@@ -90,7 +93,7 @@ impl Case {
             write_ply(&random_scene(300, 1, 0.1), folder.join("scene.ply")).unwrap();
         }
         let line = line.replace('@', &folder.display().to_string());
-        Self { folder: folder.to_owned(), line, faults: Faults::new() }
+        Self { folder: folder.to_owned(), line, faults: Faults::inherited() }
     }
 
     fn fails_everywhere(&self) {

@@ -1,8 +1,7 @@
 //! The library on devices that fail under it: every call says so from then on, everything can be destroyed, and a device
 //! that is opened anew works as before.
 
-use super::{DEVICE_LOST, Faults, OUT_OF_HOST_MEMORY, assert_survives};
-use crate::{micro, noise, processes::target};
+use crate::{micro, noise};
 use std::ops::ControlFlow;
 use zipsplat::{
     Error, Result,
@@ -11,7 +10,11 @@ use zipsplat::{
     stages::render::{Frame, RenderRequest, Renderer},
     types::{Image, Scene},
 };
-use zipsplat_tests::scenes::{camera, random_scene};
+use zipsplat_tests::{
+    faults::{DEVICE_LOST, Faults, OUT_OF_HOST_MEMORY, assert_survives},
+    processes::target,
+    scenes::{camera, random_scene},
+};
 
 #[test]
 fn a_lost_device_stays_lost_and_another_works() {
@@ -73,7 +76,7 @@ impl Work {
         let options = DeviceOptions { staged, ..DeviceOptions::default() };
         let images = [noise(28, 28, 1), noise(28, 28, 2)];
         let scene = random_scene(100, 0, 0.1);
-        let mut work = Self { faults: Faults::new(), options, images, scene, truth: Default::default() };
+        let mut work = Self { faults: Faults::inherited(), options, images, scene, truth: Default::default() };
         work.faults.set("none", 0, 0);
         work.truth = work.sound();
         work

@@ -1,0 +1,118 @@
+//! A device that is lost under an app: every call that works with it says so from then on, everything can be read that is in
+//! host memory and destroyed, and another context works as before.
+
+use crate::calls::*;
+use std::ptr::{null, null_mut};
+use zipsplat::{
+    ffi::{zs_status::ZS_ERROR_DEVICE_LOST, *},
+    types::Scene,
+};
+use zipsplat_tests::{
+    faults::{DEVICE_LOST, Faults, assert_survives},
+    processes::target,
+};
+
+#[test]
+fn a_lost_device_is_a_status() {
+    assert_survives("lost::losing_devices");
+}
+
+#[test]
+#[ignore = "child of a_lost_device_is_a_status"]
+fn losing_devices() {
+    if target().is_none() {
+        return;
+    }
+    let faults = Faults::inherited();
+    faults.set("none", 0, 0);
+    let truth = App::default().run().expect("nothing fails");
+    for function in ["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreCounterValue"] {
+        faults.set(function, 0, 0);
+        assert!(App::default().run() == Ok(truth.clone()), "other results after a loss");
+        for call in faults.calls(4) {
+            faults.set(function, call, DEVICE_LOST);
+            let mut app = App::default();
+            match app.run() {
+                // Work is cut by the time that it takes: this time there may have been fewer calls.
+                Ok(found) => assert!(found == truth, "{function}, call {call}: other results, and no failure"),
+                Err(status) => {
+                    assert_eq!(status, ZS_ERROR_DEVICE_LOST, "{function}, call {call}: {}", message());
+                    app.assert_lost(&truth);
+                }
+            }
+        }
+    }
+}
+
+/// What an app has made on a device so far. Fields are dropped from the first to the last: what is made from something, after it.
+#[derive(Default)]
+struct App {
+    context: Option<Object<zs_context>>,
+    model: Option<Object<zs_model>>,
+    renderer: Option<Object<zs_renderer>>,
+    scene: Option<Object<zs_scene>>,
+}
+
+impl App {
+    /// A reconstruction and pictures of it, up to what fails.
+    fn run(&mut self) -> Result<(Scene, Vec<u8>), zs_status> {
+        let context = self.context.insert(context());
+        let model = self.model.insert(load(context)?);
+        let scene = self.scene.insert(reconstructed(model)?);
+        let renderer = self.renderer.insert(drawing(context, scene)?);
+        let mut pixels = Vec::new();
+        for _ in 0..3 {
+            pixels.extend(picture(renderer)?);
+        }
+        Ok((read(scene), pixels))
+    }
+
+    /// Whatever works with the device is refused; what is in host memory is as it was.
+    fn assert_lost(&self, truth: &(Scene, Vec<u8>)) {
+        let context = self.context.as_ref().expect("opening a device fails nowhere");
+        let lost = |what: &str, status: Option<zs_status>| {
+            assert_eq!(status, Some(ZS_ERROR_DEVICE_LOST), "{what}: {}", message());
+        };
+        lost("loading a model", load(context).err());
+        if let Some(model) = &self.model {
+            lost("reconstructing", reconstructed(model).err());
+        }
+        if let Some(scene) = &self.scene {
+            assert!(read(scene) == truth.0, "another scene");
+            lost("making a renderer", drawing(context, scene).err());
+            if let Some(renderer) = &self.renderer {
+                lost("drawing", picture(renderer).err());
+                // SAFETY: live objects.
+                lost("changing the scene", Some(unsafe { zs_renderer_set_scene(renderer.handle, scene.handle) }));
+            }
+        }
+    }
+}
+
+fn load(context: &Object<zs_context>) -> Result<Object<zs_model>, zs_status> {
+    let (bytes, size) = (micro().as_ptr().cast(), micro().len());
+    // SAFETY: a live context, bytes of that length, no options, and where to put it.
+    Object::try_new(zs_model_destroy, |out| unsafe { zs_model_from_memory(context.handle, bytes, size, null(), out) })
+}
+
+fn reconstructed(model: &Object<zs_model>) -> Result<Object<zs_scene>, zs_status> {
+    let (photo, options) = (&photos(1)[0], reconstruct_options());
+    // SAFETY: live objects, one picture, and where to put it.
+    Object::try_new(zs_scene_destroy, |out| unsafe { zs_reconstruct(model.handle, &image_of(photo), 1, &options, out) })
+}
+
+fn drawing(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
+    // SAFETY: live objects, and where to put it.
+    Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
+}
+
+fn picture(renderer: &Object<zs_renderer>) -> Result<Vec<u8>, zs_status> {
+    let (camera, options) = (camera(32, 32, 0.0), render_options(zs_pixel_format::ZS_PIXEL_RGBA8));
+    let mut pixels = vec![0; 32 * 32 * 4];
+    let target = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
+    // SAFETY: live objects, and memory as large as the picture.
+    match unsafe { zs_render(renderer.handle, &camera, &target, 1, &options) } {
+        zs_status::ZS_OK => Ok(pixels),
+        status => Err(status),
+    }
+}

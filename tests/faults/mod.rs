@@ -1,0 +1,96 @@
+//! Devices that are lost and drivers that refuse: `layer.c` makes them so.
+
+use crate::processes::{assert_succeeds, child};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+const LAYER: &str = "VK_LAYER_ZIPSPLAT_faults";
+
+/// Tells the layer, in a file, what is to fail.
+const FAULTS: &str = "ZIPSPLAT_FAULTS";
+
+/// `VkResult`s that a driver answers with.
+pub const OUT_OF_HOST_MEMORY: i32 = -1;
+/// As above.
+pub const OUT_OF_DEVICE_MEMORY: i32 = -2;
+/// As above.
+pub const DEVICE_LOST: i32 = -4;
+
+/// Runs a test that is ignored in a process under the layer, and holds that validation had nothing to say at any time, also
+/// when devices were destroyed.
+#[track_caller]
+pub fn assert_survives(name: &str) {
+    let (own, work) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let at = |name: &str| own.path().join(name);
+    build_layer(&own);
+    // What the layer says when a device is destroyed reaches nobody who could fail a test: it goes to standard output.
+    let settings = std::fs::read_to_string(tests().join("vk_layer_settings.txt")).unwrap();
+    let printing =
+        "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\nkhronos_validation.log_filename = stdout\n";
+    std::fs::write(at("settings.txt"), settings + printing).unwrap();
+    // Nothing here takes longer than a minute: what does hangs.
+    let mut command = child(name, work.path(), "set -- timeout --kill-after=5 600 \"$@\"");
+    let layers = match std::env::var("VK_LAYER_PATH") {
+        Ok(path) => ("VK_LAYER_PATH", format!("{path}:{}", own.path().display())),
+        Err(_) => ("VK_ADD_LAYER_PATH", own.path().display().to_string()),
+    };
+    command.env(layers.0, layers.1).env("VK_INSTANCE_LAYERS", LAYER).env("VK_LAYER_SETTINGS_PATH", at("settings.txt"));
+    command.env(FAULTS, at("faults")).env("ZIPSPLAT_CACHE", at("cache"));
+    let printed = assert_succeeds(command);
+    assert!(!printed.contains("VUID"), "{printed}");
+}
+
+/// The folder of this crate.
+fn tests() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn build_layer(folder: &TempDir) {
+    let library = folder.path().join("libfaults.so");
+    let source = tests().join("faults/layer.c");
+    let mut compiler = std::process::Command::new("cc");
+    compiler
+        .args(["-std=gnu99", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC", "-o"])
+        .arg(&library)
+        .arg(source);
+    assert!(compiler.status().expect("a C compiler").success());
+    let layer = serde_json::json!({
+        "name": LAYER, "type": "GLOBAL", "library_path": library, "api_version": "1.3.0",
+        "implementation_version": "1", "description": "Failing calls",
+    });
+    let manifest = serde_json::json!({ "file_format_version": "1.2.0", "layer": layer });
+    std::fs::write(folder.path().join("faults.json"), manifest.to_string()).unwrap();
+}
+
+/// What the next devices of this process do.
+pub struct Faults(PathBuf);
+
+impl Faults {
+    /// Those of the layer that this process runs under.
+    ///
+    /// # Panics
+    /// In other processes than those of [`assert_survives`].
+    pub fn inherited() -> Self {
+        Self(std::env::var_os(FAULTS).expect("a child of this module's tests").into())
+    }
+
+    /// From call `first` of `function` on they answer with `result`; 0 is never.
+    pub fn set(&self, function: &str, first: u32, result: i32) {
+        std::fs::write(&self.0, format!("{function} {first} {result}")).unwrap();
+    }
+
+    /// How often the last device that was destroyed was called.
+    pub fn made(&self) -> u32 {
+        let text = std::fs::read_to_string(&self.0).unwrap();
+        text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")
+    }
+
+    /// Up to `count` of these calls, the first and the last among them.
+    pub fn calls(&self, count: u32) -> Vec<u32> {
+        let last = self.made();
+        assert!(last > 0, "never called");
+        let mut calls: Vec<u32> = (0..count).map(|i| 1 + i * (last - 1) / (count - 1)).collect();
+        calls.dedup();
+        calls
+    }
+}
