@@ -1,8 +1,12 @@
 """What training minimises: pictures, geometry, and bounds on the Gaussians (ZipSplat, section 3.3 and appendix A)."""
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+from initialise import SH0
 
 
 def ssim(a, b):
@@ -101,6 +105,20 @@ def anchor(means, anchors, tokens):
     return F.smooth_l1_loss(middles, signed_log(anchors), beta=0.1)
 
 
+def colour(constants, batch, tokens):
+    """How far the Gaussians' constant colours are from the mean colours of their cells: what stands in for pictures."""
+    patches, cells = batch.anchors.shape[1:3]
+    views, height, width = batch.images.shape[1], *batch.images.shape[-2:]
+    patch, side = math.isqrt(height * width * views // patches), math.isqrt(cells)
+    squares = batch.images.unfold(3, patch, patch).unfold(4, patch, patch)  # [B, V, 3, rows, columns, patch, patch]
+    means = F.adaptive_avg_pool2d(squares.flatten(0, 4), side).view(*squares.shape[:5], cells)
+    means = means.permute(0, 1, 3, 4, 5, 2).flatten(1, 3)
+    if tokens is not None:
+        means = means.gather(1, tokens[..., None, None].expand(-1, -1, *means.shape[2:]))
+    shown = 0.5 + SH0 * constants.unflatten(1, (*means.shape[1:3], -1)).mean(3)
+    return (shown - means).abs().mean()
+
+
 def ray(means, batch, given, tokens):
     """How far beside the rays of their cells Gaussians lie, by the distance of what those see, where cameras are `given`.
 
@@ -133,7 +151,9 @@ def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perce
         "ray": ray(means, batch, given, tokens),
         "position": F.relu(torch.log1p(means.abs()) - 3).square().mean(),
     }
-    if pictures is not None:
+    if pictures is None:
+        parts["colour"] = colour(gaussians[..., 11:14], batch, tokens)
+    else:
         parts |= seen(means, pictures, batch, sample, perceptual)
         parts["scale"] = F.relu(scales - 0.1).square().mean()
         parts["opacity"] = F.relu(opacity - 0.01).square().mean()

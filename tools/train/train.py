@@ -243,7 +243,7 @@ class Trainer:
             **row,
         }
         self.log.append(row)
-        shown = ("loss", "psnr", "l1", "anchor", "ray", "chamfer", "depth", "reached", "median_scale", "norm")
+        shown = ("loss", "psnr", "l1", "anchor", "ray", "colour", "chamfer", "depth", "reached", "median_scale", "norm")
         print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
