@@ -47,6 +47,7 @@ impl Features {
         Self {
             workgroup_scope: vk::TRUE,
             flexible_dimensions: vk::TRUE,
+            reductions: vk::TRUE,
             conversions: vk::TRUE,
             per_element_operations: vk::TRUE,
             tensor_addressing: vk::TRUE,
@@ -59,11 +60,12 @@ impl Features {
         let found = [
             self.workgroup_scope,
             self.flexible_dimensions,
+            self.reductions,
             self.conversions,
             self.per_element_operations,
             self.tensor_addressing,
         ];
-        found == [vk::TRUE; 5]
+        found == [vk::TRUE; 6]
     }
 }
 
@@ -91,7 +93,8 @@ struct FlexibleDimensions {
 
 type Query = unsafe extern "system" fn(vk::PhysicalDevice, *mut u32, *mut FlexibleDimensions) -> vk::Result;
 
-/// The matrices of whole workgroups with f16 factors and f32 sums.
+/// The matrices of whole workgroups with f16 factors and f32 sums, where those with f16 sums, as which results are stored,
+/// have the same sides.
 pub fn workgroup_matrices(
     entry: &ash::Entry,
     instance: &ash::Instance,
@@ -123,13 +126,18 @@ pub fn workgroup_matrices(
         return Vec::new();
     }
     found.truncate(count as usize);
-    let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
-    let fits = |p: &&FlexibleDimensions| {
-        p.types == [half, half, single, single] && p.scope == vk::ScopeKHR::WORKGROUP && p.saturating == vk::FALSE
+    let with_sums = |sum: vk::ComponentTypeKHR| {
+        let half = vk::ComponentTypeKHR::FLOAT16;
+        let fits = move |p: &&FlexibleDimensions| {
+            p.types == [half, half, sum, sum] && p.scope == vk::ScopeKHR::WORKGROUP && p.saturating == vk::FALSE
+        };
+        let matrices = |p: &FlexibleDimensions| {
+            let [m, n, k] = p.granularity;
+            WorkgroupMatrices { invocations: p.invocations, granularity: MatrixShape { m, n, k } }
+        };
+        found.iter().filter(fits).map(matrices)
     };
-    let matrices = |p: &FlexibleDimensions| {
-        let [m, n, k] = p.granularity;
-        WorkgroupMatrices { invocations: p.invocations, granularity: MatrixShape { m, n, k } }
-    };
-    found.iter().filter(fits).map(matrices).collect()
+    let stored =
+        |matrices: &WorkgroupMatrices| with_sums(vk::ComponentTypeKHR::FLOAT16).any(|other| other == *matrices);
+    with_sums(vk::ComponentTypeKHR::FLOAT32).filter(stored).collect()
 }

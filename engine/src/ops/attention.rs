@@ -1,8 +1,11 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{Norm, Units, tile::AttentionTile};
+use super::{
+    Norm, Units,
+    attention_tile::{AttentionTile, SubgroupQueries, WorkgroupQueries},
+};
 use crate::{
-    gpu::{Element, Recorder, Tensor},
+    gpu::{Element, Kernel, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
@@ -62,7 +65,8 @@ pub struct Attention {
 pub enum AttentionKernel {
     /// ops/attention: everything of this type, keys with tokens running fastest.
     Lanes(Element),
-    /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices.
+    /// ops/attention_matrix or ops/attention_workgroup: everything of this type, of 16 bits, on matrix units; heads padded
+    /// to whole matrices of a subgroup.
     Matrix(Units),
 }
 
@@ -84,7 +88,7 @@ impl Attention {
             AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
             // The last workgroup reads queries beyond the end.
             AttentionKernel::Matrix(units) => {
-                (queries + AttentionTile::most_rows(rec.limits(), units) * self.channels(), keys, keys)
+                (queries + SubgroupQueries::most_rows(rec.limits(), units.shape) * self.channels(), keys, keys)
             }
         };
         let element = self.kernel.element();
@@ -172,14 +176,25 @@ impl Attention {
             vectors: (dim as u32).div_ceil(4 * rec.limits().subgroup_size),
             element,
         };
-        let groups = [self.queries.div_ceil(ATTENTION_ROWS as usize), count, self.sequences];
-        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
+        self.dispatch(rec, kernel, ATTENTION_ROWS as usize);
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v]: [Tensor; 3], out: Tensor) {
-        let Units { factor, shape, .. } = units;
-        let Heads { count, dim } = self.heads;
-        let tile = AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, count * self.sequences);
+    fn matrix(&self, rec: &mut Recorder, units: Units, tensors: [Tensor; 3], out: Tensor) {
+        let heads = self.heads.count * self.sequences;
+        match AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, heads) {
+            AttentionTile::Subgroups(tile) => self.by_subgroups(rec, units, tile, tensors, out),
+            AttentionTile::Workgroup(tile) => self.by_workgroups(rec, tile, tensors, out),
+        }
+    }
+
+    fn by_subgroups(
+        &self,
+        rec: &mut Recorder,
+        Units { factor, shape, .. }: Units,
+        tile: SubgroupQueries,
+        [q, k, v]: [Tensor; 3],
+        out: Tensor,
+    ) {
         let kernel = ops::AttentionMatrix {
             q,
             k,
@@ -188,8 +203,8 @@ impl Attention {
             queries: self.queries as u32,
             keys: self.keys as u32,
             sequences: self.sequences as u32,
-            heads: count as u32,
-            dim: dim as u32,
+            heads: self.heads.count as u32,
+            dim: self.heads.dim as u32,
             subgroups: tile.subgroups,
             matrix_m: shape.m,
             matrix_n: shape.n,
@@ -199,7 +214,33 @@ impl Attention {
             channels: self.channels() as u32,
             factor,
         };
-        let groups = [self.queries.div_ceil(tile.rows(shape)), count, self.sequences];
+        self.dispatch(rec, kernel, tile.rows(shape));
+    }
+
+    fn by_workgroups(&self, rec: &mut Recorder, tile: WorkgroupQueries, [q, k, v]: [Tensor; 3], out: Tensor) {
+        let kernel = ops::AttentionWorkgroup {
+            q,
+            k,
+            v,
+            out,
+            queries: self.queries as u32,
+            keys: self.keys as u32,
+            sequences: self.sequences as u32,
+            heads: self.heads.count as u32,
+            dim: self.heads.dim as u32,
+            subgroups: tile.subgroups,
+            rows: tile.rows,
+            tile: tile.keys,
+            channels: self.channels() as u32,
+            width: (self.channels() as u32).next_multiple_of(tile.granularity),
+            factor: Element::F16,
+        };
+        self.dispatch(rec, kernel, tile.rows as usize);
+    }
+
+    /// Workgroups of `rows` queries.
+    fn dispatch<K: Kernel>(&self, rec: &mut Recorder, kernel: K, rows: usize) {
+        let groups = [self.queries.div_ceil(rows), self.heads.count, self.sequences];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
     }
 

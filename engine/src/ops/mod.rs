@@ -2,6 +2,7 @@
 
 mod arithmetic;
 mod attention;
+mod attention_tile;
 mod block;
 mod cache;
 mod cross_block;
@@ -18,6 +19,7 @@ mod tuning;
 
 pub use arithmetic::{Arithmetic, Precision, Units};
 pub use attention::{Attention, AttentionKernel, Heads, Part};
+pub use attention_tile::{AttentionTile, SubgroupQueries, WorkgroupQueries};
 pub use block::{Block, Sequences};
 pub use cross_block::CrossBlock;
 pub use linear::{Activation, Epilogue, Linear, LinearKernel};
@@ -26,5 +28,5 @@ pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns, quantise_rows};
 pub use self_test::{Chosen, SelfTest};
-pub use tile::{AttentionTile, LinearTile, SubgroupTile, Tiles, WorkgroupTile};
+pub use tile::{LinearTile, SubgroupTile, Tiles, WorkgroupTile};
 pub use tuning::{Measured, Tuned, Tuning};

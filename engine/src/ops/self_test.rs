@@ -1,11 +1,12 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
 use super::{
-    Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, Tuning,
-    Units,
+    Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, Tuned,
+    Tuning, Units,
+    attention_tile::AttentionTile,
     cache::cache_file,
     pack_matrix,
-    tile::{AttentionTile, LinearTile, Tiles},
+    tile::{LinearTile, Tiles},
 };
 use crate::{
     Error, Result,
@@ -144,7 +145,7 @@ impl SelfTest {
         }
         for element in Element::HALVES {
             test.linear(device, LinearKernel::Panels(element), [35, 40])?;
-            test.attention(device, AttentionKernel::Lanes(element), 35)?;
+            test.attention(device, one_sequence(AttentionKernel::Lanes(element), 35), 1.0)?;
         }
         for factor in Element::FACTORS {
             let Some(units) = Units::of(factor, limits) else { continue };
@@ -159,23 +160,36 @@ impl SelfTest {
                 continue;
             }
             let widest = AttentionTile::candidates(limits, units, WIDEST_HEAD);
-            test.none_fits(&attention_name(AttentionKernel::Matrix(units)), widest.is_empty());
+            let none = widest.iter().all(AttentionTile::is_experimental);
+            test.none_fits(&attention_name(AttentionKernel::Matrix(units)), none);
             let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
             for (index, tile) in tiles.iter().enumerate() {
-                let tiles = Tiles::always(index);
-                test.attention(device, AttentionKernel::Matrix(Units { tiles, ..units }), tile.rows(units.shape) + 3)?;
+                if !tile.is_experimental() {
+                    let kernel = AttentionKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+                    test.attention(device, one_sequence(kernel, tile.rows(units.shape) + 3), 1.0)?;
+                }
             }
         }
         Ok(test)
     }
 
-    /// Whether a tile of linear layers computes rightly.
+    /// Whether a kernel computes rightly with the candidate at an index.
     ///
     /// # Errors
     /// A failure of the device.
-    pub(super) fn passes_with(device: &Device, units: Units, tile: LinearTile, index: usize) -> Result<bool> {
+    pub(super) fn passes_with(device: &Device, kernel: Tuned, units: Units, index: usize) -> Result<bool> {
         let mut test = Self::default();
-        test.tile(device, units, tile, index)?;
+        match kernel {
+            Tuned::Linear => {
+                test.tile(device, units, LinearTile::candidates(device.limits(), units)[index], index)?;
+            }
+            Tuned::Attention => {
+                let kernel = AttentionKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+                for attention in every_kind(kernel) {
+                    test.attention(device, attention, PEAKED)?;
+                }
+            }
+        }
         Ok(test.deviations.iter().all(|(_, deviation)| passes(*deviation)))
     }
 
@@ -258,17 +272,19 @@ impl SelfTest {
         Ok(())
     }
 
-    fn attention(&mut self, device: &Device, kernel: AttentionKernel, queries: usize) -> Result<()> {
-        let (heads, keys) = (Heads { count: 16, dim: 64 }, 100);
+    /// Scores `peaked` times as far apart as those of random queries and keys.
+    fn attention(&mut self, device: &Device, attention: Attention, peaked: f32) -> Result<()> {
+        let Attention { heads, sequences, queries, keys, kernel } = attention;
         let (width, element) = (heads.width(), kernel.element());
+        let [queries, keys] = [queries, keys].map(|tokens| sequences * tokens);
         let parts = [(1, queries), (2, keys), (3, keys)].map(|(seed, tokens)| noise(seed, tokens, width, element));
         let run = |kernel: AttentionKernel| -> Result<Vec<f32>> {
-            let attention = Attention { heads, sequences: 1, queries, keys, kernel };
+            let attention = Attention { kernel, ..attention };
             let element = kernel.element();
             let mut rec = Recorder::new(device.limits());
             let inputs = [0, 1, 2].map(|i| rec.input::<u8>("part", parts[i].len() * element.bytes()));
             let tensors = attention.tensors(&mut rec);
-            let of_queries = Part { scale: attention.scale(), ..Part::default() };
+            let of_queries = Part { scale: peaked * attention.scale(), ..Part::default() };
             let of_keys = Part { keys: true, ..Part::default() };
             let split = [(of_queries, queries), (of_keys, keys), (Part::default(), keys)];
             for ((part, rows), (input, out)) in split.into_iter().zip(inputs.into_iter().zip(tensors)) {
@@ -307,6 +323,32 @@ fn attention_name(kernel: AttentionKernel) -> String {
 
 /// Channels of the largest heads, which take most shared memory.
 const WIDEST_HEAD: usize = 128;
+
+fn one_sequence(kernel: AttentionKernel, queries: usize) -> Attention {
+    Attention { heads: Heads { count: 16, dim: 64 }, sequences: 1, queries, keys: 100, kernel }
+}
+
+/// With this, weights lie between 1 and 1e-6 or so, and most rows' maximum rises from tile to tile.
+const PEAKED: f32 = 8.0;
+
+/// Local, global and cross attention with heads of several sizes: more and fewer queries than a workgroup has, the last of
+/// them not whole; keys that are less than a tile, whole tiles and one more.
+fn every_kind(kernel: AttentionKernel) -> [Attention; 5] {
+    let of = |sequences, [queries, keys]: [usize; 2], count, dim| Attention {
+        heads: Heads { count, dim },
+        sequences,
+        queries,
+        keys,
+        kernel,
+    };
+    [
+        of(3, [67, 67], 4, 64),
+        of(1, [257, 257], 2, 64),
+        of(2, [5, 192], 3, 128),
+        of(1, [131, 7], 5, 48),
+        of(2, [64, 129], 3, 16),
+    ]
+}
 
 fn passes(deviation: Option<f64>) -> bool {
     deviation.is_some_and(|times| times <= 1.0)

@@ -28,7 +28,8 @@ impl Tiles {
         1 << (14 + 2 * class)
     }
 
-    fn of(&self, values: usize) -> Option<usize> {
+    /// The candidate for a result of `values`, where one was chosen.
+    pub(super) fn of(&self, values: usize) -> Option<usize> {
         let class = values.max(1).ilog2().saturating_sub(13) as usize / 2;
         self.0[class.min(Self::CLASSES - 1)].map(usize::from)
     }
@@ -66,7 +67,7 @@ pub struct WorkgroupTile {
 }
 
 /// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
-const TILES: usize = 256;
+pub(super) const TILES: usize = 256;
 
 impl LinearTile {
     /// Shapes to choose from, the first two by rule, the larger first: what a subgroup owns is 64 x 64, where every matrix
@@ -175,78 +176,6 @@ impl fmt::Display for LinearTile {
                 write!(f, "workgroup {rows}x{columns}, k {k}")
             }
         }
-    }
-}
-
-/// What a workgroup of ops/attention_matrix owns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AttentionTile {
-    /// Subgroups, each with its own queries.
-    pub subgroups: u32,
-    /// Matrices that a subgroup's queries fill.
-    pub repeat: u32,
-    /// Keys and values in shared memory.
-    pub keys: u32,
-}
-
-impl AttentionTile {
-    /// Shapes to choose from for heads of `channels`, largest first: a subgroup's 32 or 16 queries, where every matrix of
-    /// keys and values that is loaded is multiplied twice or once.
-    pub fn candidates(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
-        let shape = units.shape;
-        let sides: &[u32] = if limits.cpu { &[8] } else { &[32, 16] };
-        let tiles = sides.iter().flat_map(|side| {
-            let repeat = side.div_ceil(shape.m);
-            // Every lane turns 8 scores of a row, or more, into 16 bytes of weights.
-            let row_lanes = (limits.subgroup_size / (repeat * shape.m)).max(1);
-            let keys = (2 * shape.n.max(shape.k)).max(8 * row_lanes);
-            let tile = move |subgroups| AttentionTile { subgroups, repeat, keys };
-            [tile(4), tile(2), tile(1)]
-        });
-        tiles.filter(|tile| tile.fits(limits, shape, channels)).collect()
-    }
-
-    /// The tile that was measured to be fastest; by rule the largest that leaves enough of them to keep the device busy, else
-    /// the smallest.
-    ///
-    /// # Panics
-    /// Where none fits; [`AttentionTile::candidates`] says so.
-    pub(super) fn choose(limits: &Limits, units: Units, channels: usize, queries: usize, heads: usize) -> Self {
-        let candidates = Self::candidates(limits, units, channels);
-        let busy = |tile: &&Self| queries.div_ceil(tile.rows(units.shape)) * heads >= TILES;
-        // Where tiles are missing that do not fit wide heads, an index means another one.
-        let whole = candidates.len() == Self::candidates(limits, units, Self::TUNED_CHANNELS).len();
-        let measured = units.tiles.of(queries * heads * channels).filter(|_| whole);
-        let tile = measured.and_then(|index| candidates.get(index)).or(candidates.iter().find(busy));
-        *tile.or(candidates.last()).expect("matrix units are used where a tile fits")
-    }
-
-    /// Channels of the heads that are measured: those of every DA3 network.
-    pub(super) const TUNED_CHANNELS: usize = 64;
-
-    /// Queries of a workgroup.
-    pub fn rows(&self, shape: MatrixShape) -> usize {
-        (self.subgroups * self.repeat * shape.m) as usize
-    }
-
-    /// Queries of the largest workgroup.
-    pub(super) fn most_rows(limits: &Limits, units: Units) -> usize {
-        Self::candidates(limits, units, 8).iter().map(|tile| tile.rows(units.shape)).max().unwrap_or(0)
-    }
-
-    /// Whether a workgroup is within the device's limits, its shared memory as kernels/ops/attention_matrix.comp lays it
-    /// out.
-    fn fits(&self, limits: &Limits, shape: MatrixShape, channels: usize) -> bool {
-        let values = 2 * self.keys * (channels as u32 / 8 + 1);
-        let scores = self.rows(shape) as u32 * (self.keys / 4 + 1);
-        16 * (values + scores) <= limits.shared_bytes && self.subgroups * limits.subgroup_size <= limits.max_invocations
-    }
-}
-
-impl fmt::Display for AttentionTile {
-    /// Subgroups, matrices of each, keys.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} of {}, {} keys", self.subgroups, self.repeat, self.keys)
     }
 }
 

@@ -35,9 +35,9 @@ pub struct Measured {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Tuned {
-    /// ops/linear_matrix
+    /// ops/linear_matrix and ops/linear_workgroup
     Linear,
-    /// ops/attention_matrix
+    /// ops/attention_matrix and ops/attention_workgroup
     Attention,
 }
 
@@ -106,13 +106,13 @@ impl Tuning {
     pub fn applied(&self, arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
         let tuned = |kernel: Tuned| {
             move |units: Units| {
-                let names = kernel.names(units, limits);
+                let candidates = kernel.candidates(units, limits);
                 let mut tiles = Tiles::default();
                 for class in 0..Tiles::CLASSES {
                     let is_it =
                         |m: &&Measured| (m.kernel, m.factor, m.values) == (kernel, units.factor, Tiles::values(class));
                     let best = self.measured.iter().find(is_it).and_then(Measured::best);
-                    if let Some(index) = best.and_then(|best| names.iter().position(|name| name == best)) {
+                    if let Some(index) = best.and_then(|best| candidates.iter().position(|(name, _)| name == best)) {
                         tiles.set_from(class, index);
                     }
                 }
@@ -129,33 +129,34 @@ impl Tuning {
 }
 
 impl Tuned {
-    /// Names of its candidates.
-    fn names(self, units: Units, limits: &Limits) -> Vec<String> {
-        let channels = AttentionTile::TUNED_CHANNELS;
+    /// Its candidates: their names, and whether they are used only after they were measured.
+    fn candidates(self, units: Units, limits: &Limits) -> Vec<(String, bool)> {
         match self {
-            Tuned::Linear => LinearTile::candidates(limits, units).iter().map(ToString::to_string).collect(),
+            Tuned::Linear => {
+                let tiles = LinearTile::candidates(limits, units);
+                tiles.iter().map(|tile| (tile.to_string(), tile.is_experimental())).collect()
+            }
             Tuned::Attention => {
-                AttentionTile::candidates(limits, units, channels).iter().map(ToString::to_string).collect()
+                let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
+                tiles.iter().map(|tile| (tile.to_string(), tile.is_experimental())).collect()
             }
         }
     }
 
     /// Its candidates by index and name, without those that compute wrongly: the self-test has passed on all others.
     fn usable(self, device: &Device, units: Units) -> Result<Vec<(usize, String)>> {
-        let mut tiles: Vec<_> = self.names(units, device.limits()).into_iter().enumerate().collect();
-        if self == Tuned::Linear {
-            for (index, tile) in LinearTile::candidates(device.limits(), units).into_iter().enumerate() {
-                let fails = || match SelfTest::passes_with(device, units, tile, index) {
-                    Err(Error::DeviceLost) => Err(Error::DeviceLost),
-                    // A driver may refuse what it offers: then it is only this tile that cannot be used.
-                    result => Ok(!result.unwrap_or(false)),
-                };
-                if tile.is_experimental() && fails()? {
-                    tiles.retain(|(other, _)| *other != index);
-                }
+        let mut usable = Vec::new();
+        for (index, (name, is_experimental)) in self.candidates(units, device.limits()).into_iter().enumerate() {
+            let passes = || match SelfTest::passes_with(device, self, units, index) {
+                Err(Error::DeviceLost) => Err(Error::DeviceLost),
+                // A driver may refuse what it offers: then it is only this tile that cannot be used.
+                result => Ok(result.unwrap_or(false)),
+            };
+            if !is_experimental || passes()? {
+                usable.push((index, name));
             }
         }
-        Ok(tiles)
+        Ok(usable)
     }
 
     /// Measures tiles for results of `values`.
