@@ -15,7 +15,7 @@ pub fn fast_arithmetics() -> Vec<Arithmetic> {
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
     let on_lanes = |a: &Arithmetic| a.quantised.is_none() && (a.linear.is_some() || a.attention.is_some());
     let twice = |a: Arithmetic| {
-        let lanes = on_lanes(&a).then_some(Arithmetic { linear: None, attention: None, ..a });
+        let lanes = on_lanes(&a).then_some(Arithmetic { linear: None, attention: None, nearest: None, ..a });
         [Some(a), lanes].into_iter().flatten()
     };
     found.flat_map(twice).collect()

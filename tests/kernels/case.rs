@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, AttentionTile, LinearKernel, Tiles, Units};
+use zipsplat::ops::{AttentionKernel, AttentionTile, LinearKernel, NearestKernel, Tiles, Units};
 use zipsplat_tests::device::device;
 
 /// Bytes behind an output that nothing may write.
@@ -103,6 +103,12 @@ pub fn attention_kernels() -> Vec<AttentionKernel> {
     };
     let units = Element::HALVES.into_iter().filter_map(|factor| Units::of(factor, limits));
     lanes.chain(units.flat_map(matrices)).collect()
+}
+
+/// Kernels that find nearest rows that the device has.
+pub fn nearest_kernels() -> Vec<NearestKernel> {
+    let matrix = Units::of(Element::F16, device().limits()).map(NearestKernel::Matrix);
+    [NearestKernel::Lanes].into_iter().chain(matrix).collect()
 }
 
 /// Values as they are once they are stored in this type.

@@ -13,8 +13,10 @@ mod backbone {
     mod tokens;
 }
 mod cluster {
+    mod halves;
     mod mean;
     mod nearest;
+    mod origin;
 }
 mod gaussians {
     mod activate;

@@ -130,6 +130,33 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
     assert_nearest(&key("nearest_idx"), &nearest, &golden.i64(&key("nearest_top2")), &golden.f32(&key("nearest_gap")));
 }
 
+/// Of k-means of half of the tokens the final assignment, and which cluster each chosen token then was in.
+fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
+    let model = model(config, arithmetic);
+    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let (observed, _run) = observe(&model, images, &request);
+    let indices = |name: &str| observed[name].iter().map(|bits| bits.to_bits()).collect::<Vec<_>>();
+    let (assigned, nearest) = (indices("assign"), indices("nearest"));
+    let chosen = nearest.iter().map(|token| assigned[*token as usize]).collect();
+    [assigned, chosen]
+}
+
+/// From the same tokens k-means makes the same clusters on matrix units as on lanes, but for ties that rounding decides.
+#[test]
+fn matrix_units_cluster_as_lanes() {
+    for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
+        let images = images(&Golden::committed(file));
+        for arithmetic in fast_arithmetics().into_iter().filter(|arithmetic| arithmetic.nearest.is_some()) {
+            let matrix = clusters(config, arithmetic, &images);
+            let lanes = clusters(config, Arithmetic { nearest: None, ..arithmetic }, &images);
+            for (found, truth) in matrix.iter().zip(&lanes) {
+                let apart = found.iter().zip(truth).filter(|(a, b)| a != b).count();
+                assert!(!truth.is_empty() && 50 * apart <= truth.len(), "{file}: {apart} of {} differ", truth.len());
+            }
+        }
+    }
+}
+
 /// Every golden of a configuration, committed or in the larger set; with coarser factors than f16, which are the same
 /// dispatches, one of them.
 fn check_all(config: &str, arithmetics: &[Arithmetic]) {

@@ -1,4 +1,4 @@
-//! Which number types and kernels linear layers and attention use.
+//! Which number types and kernels linear layers, attention and k-means use.
 
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
@@ -31,7 +31,7 @@ impl Precision {
     }
 }
 
-/// Number types and kernels of linear layers and attention.
+/// Number types and kernels of linear layers, attention and k-means.
 ///
 /// With a type of 16 bits, these are rounded to it: weights, and activations that only feed matrix products: normed rows,
 /// queries, keys and values, hidden layers, what attention gives. They saturate at its largest value rather than overflow;
@@ -47,6 +47,8 @@ pub struct Arithmetic {
     pub attention: Option<Units>,
     /// Matrix units for 8-bit integers that linear layers of blocks run on, where they do.
     pub quantised: Option<Units>,
+    /// Matrix units for f16 that k-means finds nearest rows on, where it does: exactly enough in every precision.
+    pub nearest: Option<Units>,
 }
 
 /// Matrix units as a kernel uses them.
@@ -69,7 +71,8 @@ impl Units {
 
 impl Arithmetic {
     /// f32 throughout.
-    pub const EXACT: Self = Self { element: Element::F32, linear: None, attention: None, quantised: None };
+    pub const EXACT: Self =
+        Self { element: Element::F32, linear: None, attention: None, quantised: None, nearest: None };
 
     /// That of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
@@ -81,6 +84,7 @@ impl Arithmetic {
         let matrices = Units::of(element, limits);
         let quantised = Units::of(Element::I8, limits).filter(|_| precision == Precision::Turbo);
         let can = limits.half_storage && (precision != Precision::Turbo || quantised.is_some());
-        can.then_some(Self { element, linear: matrices, attention: matrices, quantised })
+        let nearest = Units::of(Element::F16, limits);
+        can.then_some(Self { element, linear: matrices, attention: matrices, quantised, nearest })
     }
 }

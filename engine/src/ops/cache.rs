@@ -1,6 +1,9 @@
 //! Where what was found of a device is kept in the user's cache: another driver, or other kernels, and it is found anew.
 
-use crate::{gpu::Device, kernels::MODULES};
+use crate::{
+    gpu::{Device, Needs},
+    kernels::MODULES,
+};
 use std::{
     hash::{DefaultHasher, Hash, Hasher},
     path::PathBuf,
@@ -15,7 +18,8 @@ pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
         .or_else(|| folder("LOCALAPPDATA", "zipsplat"))
         .or_else(|| folder("HOME", ".cache/zipsplat"))?;
     let mut kernels = DefaultHasher::new();
-    MODULES.iter().filter(|module| module.needs.half_storage).for_each(|module| module.hash(&mut kernels));
+    let is_fast = |needs: Needs| needs.half_storage || needs.matrices.is_some();
+    MODULES.iter().filter(|module| is_fast(module.needs)).for_each(|module| module.hash(&mut kernels));
     let subgroup = device.limits().subgroup_size;
     Some(cache.join(format!("{kind}/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
 }

@@ -1,6 +1,6 @@
 //! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
 
-use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, Norm, Units, linear::scales_at};
+use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, NearestKernel, Norm, Units, linear::scales_at};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Resident, ResidentLayout, Tensor},
@@ -52,6 +52,11 @@ impl ParameterLayout {
             Arithmetic { attention: Some(units), .. } => AttentionKernel::Matrix(units),
             Arithmetic { element, .. } => AttentionKernel::Lanes(element),
         }
+    }
+
+    /// The kernel that finds nearest rows.
+    pub fn nearest(&self) -> NearestKernel {
+        self.arithmetic.nearest.map_or(NearestKernel::Lanes, NearestKernel::Matrix)
     }
 
     /// A parameter of `len` values as it is.

@@ -1,5 +1,7 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
+mod nearest;
+
 use super::{
     Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, Tuned,
     Tuning, Units,
@@ -147,6 +149,9 @@ impl SelfTest {
             test.linear(device, LinearKernel::Panels(element), [35, 40])?;
             test.attention(device, one_sequence(AttentionKernel::Lanes(element), 35), 1.0)?;
         }
+        if let Some(units) = Units::of(Element::F16, limits) {
+            test.nearest_tiles(device, units)?;
+        }
         for factor in Element::FACTORS {
             let Some(units) = Units::of(factor, limits) else { continue };
             let tiles = LinearTile::candidates(limits, units);
@@ -210,6 +215,7 @@ impl SelfTest {
         usable.then_some(Arithmetic {
             linear: wanted.linear.filter(passed),
             attention: wanted.attention.filter(|units| self.passed(&attention_name(AttentionKernel::Matrix(*units)))),
+            nearest: wanted.nearest.filter(|_| self.passed(nearest::NAME)),
             ..wanted
         })
     }

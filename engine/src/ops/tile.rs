@@ -1,6 +1,6 @@
 //! How matrix kernels cut their work into workgroups.
 
-use super::Units;
+use super::{Units, nearest::SHARES};
 use crate::gpu::{Element, Limits, MatrixShape, WorkgroupMatrices};
 use std::fmt;
 
@@ -144,6 +144,60 @@ impl SubgroupTile {
         let stages = 2 * (rows + columns) as u32 * (self.k / 8 + 1);
         let strips = subgroups * units.shape.m * (self.repeats[1] * units.shape.n * 4 / piece + 1);
         piece * stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
+    }
+}
+
+/// What a workgroup of cluster/nearest_matrix owns: points are rows, targets columns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NearestTile(pub(super) SubgroupTile);
+
+impl NearestTile {
+    /// Shapes to choose from, the larger first. A subgroup has two sets of sums, and so half as many as in a linear layer.
+    pub fn candidates(limits: &Limits, units: Units) -> Vec<Self> {
+        // Subgroups along points and targets; points and targets of each.
+        const GPU: &[([u32; 2], [u32; 2])] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
+        const CPU: &[([u32; 2], [u32; 2])] = &[([2, 2], [16, 8])];
+        let shape = units.shape;
+        let tile = |&(subgroups, [points, targets]): &([u32; 2], [u32; 2])| SubgroupTile {
+            subgroups,
+            repeats: [points.div_ceil(shape.m), targets.div_ceil(shape.n)],
+            k: shape.k.next_multiple_of(16),
+        };
+        let layouts = if limits.cpu { CPU } else { GPU };
+        layouts.iter().map(tile).map(Self).filter(|tile| tile.fits(limits, shape)).collect()
+    }
+
+    /// The one asked for; by rule the largest that leaves enough workgroups to keep the device busy, else the smallest.
+    ///
+    /// # Panics
+    /// Where none fits; [`NearestTile::candidates`] says so.
+    pub(super) fn choose(limits: &Limits, units: Units, points: usize, targets: usize) -> Self {
+        let candidates = Self::candidates(limits, units);
+        let busy = |tile: &&Self| {
+            let [tile_points, tile_targets] = tile.sides(units.shape);
+            points.div_ceil(tile_points) * targets.div_ceil(tile_targets).min(SHARES) >= TILES
+        };
+        let given = units.tiles.of(points * targets).and_then(|index| candidates.get(index));
+        let tile = given.or(candidates.iter().find(busy)).or(candidates.last());
+        *tile.expect("matrix units are used where a tile fits")
+    }
+
+    /// Points and targets of a workgroup.
+    pub fn sides(&self, shape: MatrixShape) -> [usize; 2] {
+        self.0.sides(shape)
+    }
+
+    /// Whether a workgroup is within the device's limits, its shared memory as kernels/cluster/nearest_matrix.comp lays it
+    /// out.
+    fn fits(&self, limits: &Limits, shape: MatrixShape) -> bool {
+        let SubgroupTile { subgroups: [along_points, along_targets], repeats: [m, n], k } = self.0;
+        let subgroups = along_points * along_targets;
+        let [points, targets] = self.sides(shape).map(|side| side as u32);
+        let stages = 2 * (points + targets) * (2 * k / 8 + 1);
+        let strips = subgroups * shape.m * (n * shape.n / 4 + 1);
+        let ends = along_points * m * shape.m * along_targets * (limits.subgroup_size / shape.m).max(1);
+        16 * stages.max(strips).max(ends) <= limits.shared_bytes
+            && subgroups * limits.subgroup_size <= limits.max_invocations
     }
 }
 

@@ -61,7 +61,7 @@ impl Network {
         let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
                 let sizes = [grid.tokens(), tokens, self.architecture.width];
-                Some(cluster::record(rec, layers[0], initial, sizes, rounds))
+                Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, sizes, rounds))
             }
             (given, _) => given,
         });

@@ -4,8 +4,8 @@
 
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::{cluster as kernels, limits::NEAREST_ROWS},
-    ops::gather_rows,
+    kernels::cluster as kernels,
+    ops::{Nearest, NearestKernel, gather_rows},
 };
 
 /// Rounds of assignment and mean of the reference.
@@ -62,14 +62,18 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
 /// ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
 pub fn record(
     rec: &mut Recorder,
+    kernel: NearestKernel,
     tokens: Tensor,
     initial: Tensor,
     [count, clusters, width]: [usize; 3],
     rounds: usize,
 ) -> Tensor {
+    let nearest = Nearest::among(rec, kernel, (tokens, count), width);
+    let token_rows = nearest.rows(rec, (tokens, count));
     let centroids = gather_rows(rec, tokens, count, initial, clusters, width);
     for round in 0..rounds {
-        let cluster_of_point = nearest(rec, (tokens, count), (centroids, clusters), width);
+        let centroid_rows = nearest.rows(rec, (centroids, clusters));
+        let cluster_of_point = nearest.record(rec, token_rows, centroid_rows);
         let kernel = kernels::Mean {
             points: tokens,
             cluster_of_point,
@@ -84,22 +88,8 @@ pub fn record(
         }
     }
     rec.observe("centroids", centroids);
-    let chosen = nearest(rec, (centroids, clusters), (tokens, count), width);
+    let centroid_rows = nearest.rows(rec, (centroids, clusters));
+    let chosen = nearest.record(rec, centroid_rows, token_rows);
     rec.observe("nearest", chosen);
     chosen
-}
-
-fn nearest(rec: &mut Recorder, points: (Tensor, usize), targets: (Tensor, usize), width: usize) -> Tensor {
-    let out = rec.tensor::<u32>("nearest", points.1);
-    let kernel = kernels::Nearest {
-        points: points.0,
-        targets: targets.0,
-        out,
-        point_count: points.1 as u32,
-        target_count: targets.1 as u32,
-        width: width as u32,
-    };
-    let flops = 2 * points.1 * targets.1 * width;
-    rec.dispatch_groups(kernel, points.1.div_ceil(NEAREST_ROWS as usize)).flops(flops as u64);
-    out
 }

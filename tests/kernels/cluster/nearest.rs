@@ -1,35 +1,83 @@
-//! The nearest target, exactly.
+//! The nearest target.
 //!
-//! Coordinates are small whole numbers or multiples of 1/64, whose squared distances f32 holds exactly, so that f32 and
-//! f64 agree on every tie.
+//! Most coordinates are small whole numbers or multiples of 1/64 about an origin, whose squared distances f32 holds exactly, and
+//! so do sums of products of their halves: every kernel agrees with f64 on every tie.
 
-use crate::case::{Case, random, random_below};
-use zipsplat::kernels::{cluster::Nearest, limits::NEAREST_ROWS};
+use crate::case::{Case, nearest_kernels, random, random_below};
+use zipsplat::{
+    gpu::Limits,
+    kernels::limits::NEAREST_ROWS,
+    ops::{Nearest, NearestKernel, NearestTile},
+};
 use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{cluster::nearest::two_nearest, widen};
+use zipsplat_tests::device::device;
+use zipsplat_tests::reference::{
+    cluster::nearest::{error_of_products, two_nearest},
+    widen,
+};
 
-fn nearest(points: &[f32], targets: &[f32], width: usize) -> Vec<u32> {
-    let count = points.len() / width;
-    let mut case = Case::new();
-    let out = case.output::<u32>(count);
-    let kernel = Nearest {
-        points: case.input(points),
-        targets: case.input(targets),
-        out,
-        point_count: count as u32,
-        target_count: (targets.len() / width) as u32,
-        width: width as u32,
+/// What is found, and the origin that the kernel took for itself or was told.
+fn find(
+    limits: &Limits,
+    kernel: NearestKernel,
+    [points, targets]: [&[f32]; 2],
+    width: usize,
+    about: Option<f32>,
+) -> (Vec<u32>, Vec<f32>) {
+    let mut case = Case::within(limits);
+    let [points, targets] = [points, targets].map(|rows| (case.input(rows), rows.len() / width));
+    let nearest = match (kernel, about) {
+        (NearestKernel::Matrix(units), Some(x)) => Nearest::about(case.input(&vec![x; width]), units, width),
+        _ => Nearest::among(&mut case.rec, kernel, targets, width),
     };
-    case.rec.dispatch_groups(kernel, count.div_ceil(NEAREST_ROWS as usize));
-    case.result(out)
+    let rows = [points, targets].map(|rows| nearest.rows(&mut case.rec, rows));
+    let out = case.output::<u32>(points.1);
+    nearest.record_into(&mut case.rec, rows[0], rows[1], out);
+    nearest.origin().into_iter().for_each(|origin| case.rec.output(origin));
+    let run = case.run();
+    (run.read(out).unwrap(), nearest.origin().map_or(Vec::new(), |origin| run.read(origin).unwrap()))
 }
 
-fn truth(points: &[f32], targets: &[f32], width: usize) -> Vec<u32> {
-    two_nearest(&widen(points), &widen(targets), width).iter().map(|[first, _]| first.0).collect()
+fn nearest(kernel: NearestKernel, points: &[f32], targets: &[f32], width: usize) -> Vec<u32> {
+    find(device().limits(), kernel, [points, targets], width, Some(0.0)).0
+}
+
+/// Coordinates about `origin` for which every kernel is exact.
+fn check_about(origin: f32, name: &str, points: &[f32], targets: &[f32], width: usize) {
+    let truth = two_nearest(&widen(points), &widen(targets), width);
+    let truth: Vec<u32> = truth.iter().map(|[first, _]| first.0).collect();
+    for kernel in nearest_kernels() {
+        let (found, _) = find(device().limits(), kernel, [points, targets], width, Some(origin));
+        assert_same(&format!("{name} {kernel:?}"), &found, &truth);
+    }
 }
 
 fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
-    assert_same(name, &nearest(points, targets, width), &truth(points, targets, width));
+    check_about(0.0, name, points, targets, width);
+}
+
+/// Any coordinates: what matrix units choose is farther than the nearest by no more than their bound, and of equal targets the
+/// first. Gives the largest share of the bound.
+fn check_bound(limits: &Limits, name: &str, points: &[f32], targets: &[f32], width: usize) -> f64 {
+    let (wide_points, wide_targets) = (widen(points), widen(targets));
+    let distance = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+    let mut worst: f64 = 0.0;
+    for kernel in nearest_kernels().into_iter().filter(|kernel| *kernel != NearestKernel::Lanes) {
+        let (found, origin) = find(limits, kernel, [points, targets], width, None);
+        let origin = widen(&origin);
+        let truth = two_nearest(&wide_points, &wide_targets, width);
+        for (i, (point, [(first, least), _])) in wide_points.chunks(width).zip(truth).enumerate() {
+            let target = |index: u32| &wide_targets[index as usize * width..][..width];
+            let bound = |index| error_of_products([point, target(index)].map(|row| distance(row, &origin)), width);
+            let farther = distance(point, target(found[i])).powi(2) - least.powi(2);
+            let share = farther / (bound(first) + bound(found[i]));
+            assert!(share <= 1.0, "{name}: point {i} has {}, {share} bounds farther than {first}", found[i]);
+            let twin = wide_targets.chunks(width).position(|other| other == target(found[i]));
+            assert_eq!(twin, Some(found[i] as usize), "{name}: point {i}, of equal targets the first");
+            worst = worst.max(share);
+        }
+    }
+    worst
 }
 
 /// Multiples of 1/64 around `offset`.
@@ -64,14 +112,48 @@ fn duplicates_and_points_among_the_targets() {
     let once = quantised(5, 150 * 8, 0.0);
     let twice = [once.clone(), once.clone()].concat();
     let own: Vec<u32> = (0..150).collect();
-    assert_same("themselves", &nearest(&once, &twice, 8), &own);
-    assert_same("all equal", &nearest(&once, &[1.0; 8 * 90], 8), &[0; 150]);
+    for kernel in nearest_kernels() {
+        assert_same("themselves", &nearest(kernel, &once, &twice, 8), &own);
+        assert_same("all equal", &nearest(kernel, &once, &[1.0; 8 * 90], 8), &[0; 150]);
+    }
 }
 
 #[test]
 fn far_from_the_origin() {
     // |p|^2 - 2 p t + |t|^2 would be off by 1e8 * 64 times the rounding of f32: hundreds of these squared distances.
-    check("offset 1e4", &quantised(6, 90 * 64, 1e4), &quantised(7, 200 * 64, 1e4), 64);
+    check_about(1e4, "offset 1e4", &quantised(6, 90 * 64, 1e4), &quantised(7, 200 * 64, 1e4), 64);
+}
+
+#[test]
+fn matrix_units_stay_within_their_bound() {
+    let mut worst: f64 = 0.0;
+    let mut within = |name: &str, points: &[f32], targets: &[f32], width: usize| {
+        worst = worst.max(check_bound(device().limits(), &format!("{name}, {width}"), points, targets, width));
+    };
+    for width in [4, 12, 36, 100, 384] {
+        let (points, targets) = (random(10, 67 * width), random(11, 300 * width));
+        let moved = |values: &[f32], scale: f32, by: f32| values.iter().map(|x| by + scale * x).collect::<Vec<_>>();
+        within("random", &points, &targets, width);
+        within("one target", &points, &targets[..width], width);
+        within("one point", &points[..width], &targets, width);
+        for (scale, by) in [(1.0, 1e3), (1e-6, 0.0), (1e-3, 5.0), (1e15, 0.0), (1e-15, 0.0)] {
+            let name = format!("spread {scale:e} about {by:e}");
+            within(&name, &moved(&points, scale, by), &moved(&targets, scale, by), width);
+        }
+        // Clusters as tight as a thousandth of what lies between them, and points between their own two.
+        let clustered: Vec<f32> = (0..targets.len()).map(|i| targets[i / width / 30 * width + i % width]).collect();
+        let jittered = |seed| -> Vec<f32> {
+            let jitter = random(seed, clustered.len());
+            clustered.iter().zip(jitter).map(|(x, j)| x + 1e-3 * j).collect()
+        };
+        within("clusters", &jittered(12), &jittered(13), width);
+        let midway: Vec<f32> =
+            targets.chunks_exact(2 * width).flat_map(|t| (0..width).map(|c| 0.5 * (t[c] + t[width + c]))).collect();
+        within("midway", &midway, &targets, width);
+        let twice = [&targets[..], &targets[..]].concat();
+        within("duplicates", &points, &twice, width);
+    }
+    assert!(worst < 0.5, "a bound that is nearly reached deserves a look: {worst}");
 }
 
 #[test]
@@ -81,21 +163,50 @@ fn a_permutation_permutes() {
     let rows = |values: &[f32], order: &[usize]| -> Vec<f32> {
         order.iter().flat_map(|i| &values[i * width..][..width]).copied().collect()
     };
-    let plain = nearest(&from, &to, width);
-    let order: Vec<usize> = (0..points).map(|i| i * 7 % points).collect();
-    let moved: Vec<u32> = order.iter().map(|i| plain[*i]).collect();
-    assert_same("points", &nearest(&rows(&from, &order), &to, width), &moved);
-    let order: Vec<usize> = (0..targets).map(|i| i * 11 % targets).collect();
-    let found = nearest(&from, &rows(&to, &order), width);
-    assert_same("targets", &found.iter().map(|i| order[*i as usize] as u32).collect::<Vec<_>>(), &plain);
+    for kernel in nearest_kernels() {
+        let plain = nearest(kernel, &from, &to, width);
+        let order: Vec<usize> = (0..points).map(|i| i * 7 % points).collect();
+        let moved: Vec<u32> = order.iter().map(|i| plain[*i]).collect();
+        assert_same("points", &nearest(kernel, &rows(&from, &order), &to, width), &moved);
+        let order: Vec<usize> = (0..targets).map(|i| i * 11 % targets).collect();
+        let found = nearest(kernel, &from, &rows(&to, &order), width);
+        assert_same("targets", &found.iter().map(|i| order[*i as usize] as u32).collect::<Vec<_>>(), &plain);
+    }
+}
+
+#[test]
+fn what_is_no_number_is_never_nearest() {
+    // Nor does it reach other points.
+    let (width, mut points, mut targets) = (8, quantised(14, 40 * 8, 0.0), quantised(15, 70 * 8, 0.0));
+    let truth = two_nearest(&widen(&points), &widen(&targets[8..]), width);
+    (points[3 * 8 + 5], targets[2]) = (f32::NAN, f32::INFINITY);
+    for kernel in nearest_kernels() {
+        let found = nearest(kernel, &points, &targets, width);
+        assert_eq!(found[3], 0, "{kernel:?}");
+        let others = (0..40).filter(|i| *i != 3);
+        assert!(others.clone().all(|i| found[i] == truth[i][0].0 + 1), "{kernel:?}: {found:?}");
+    }
+}
+
+#[test]
+fn tiles_of_gpus() {
+    // On a CPU workgroups take smaller tiles, which compile faster.
+    let limits = Limits { cpu: false, ..device().limits().clone() };
+    for kernel in nearest_kernels() {
+        let NearestKernel::Matrix(units) = kernel else { continue };
+        assert!(!NearestTile::candidates(&limits, units).is_empty());
+        check_bound(&limits, "tiles of GPUs", &random(16, 70 * 100), &random(17, 700 * 100), 100);
+    }
 }
 
 #[test]
 fn points_beyond_the_most_workgroups() {
     let count = 65_536 * NEAREST_ROWS as usize + 1;
-    assert_same("one target", &nearest(&vec![0.5; count * 4], &[0.25; 4], 4), &vec![0; count]);
     // The first target for the first row of folded workgroups, the second for those behind.
     let fold = 4 * 32_768 * NEAREST_ROWS as usize;
     let points: Vec<f32> = (0..count * 4).map(|i| if i < fold { 0.0 } else { 1.0 }).collect();
+    for kernel in nearest_kernels() {
+        assert_same("one target", &nearest(kernel, &vec![0.5; count * 4], &[0.25; 4], 4), &vec![0; count]);
+    }
     check("two targets", &points, &[0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0], 4);
 }

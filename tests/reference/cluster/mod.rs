@@ -1,5 +1,7 @@
 //! Tokens to fewer tokens: k-means, then the token nearest to each centroid.
 
+pub mod halves;
 pub mod kmeans;
 pub mod mean;
 pub mod nearest;
+pub mod origin;

@@ -20,3 +20,15 @@ fn two_nearest_of(point: &[f64], targets: &[f64]) -> [(u32, f64); 2] {
     }
     best
 }
+
+/// The most by which a squared distance is off that comes from products on matrix units, of rows about an origin whose values
+/// are two f16 each and of which the lengths are given: twice the bound in kernels/cluster/nearest_matrix.comp.
+pub fn error_of_products([point, target]: [f64; 2], width: usize) -> f64 {
+    const CHUNK: usize = 64;
+    const U: f64 = f32::EPSILON as f64 / 2.0;
+    let gamma = |n: usize| n as f64 * U / (1.0 - n as f64 * U);
+    let halves = 3.0 * (-22f64).exp2() + (-27f64).exp2() * (width as f64).sqrt();
+    let products = (gamma(6 * CHUNK.min(width) + width.div_ceil(CHUNK) + 1) + halves) * point * target;
+    let norm = gamma(width / 16 + 134) * target * target / 2.0;
+    2.0 * (products + norm + 2.0 * U * (point + target).powi(2))
+}

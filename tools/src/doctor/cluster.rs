@@ -4,42 +4,51 @@ use super::{Area, Case, Mode, Worst, bound::gamma, trial::Trial};
 use crate::noise::Noise;
 use zipsplat::{
     Result,
-    gpu::Device,
-    kernels::{cluster::Nearest, limits::NEAREST_ROWS},
+    gpu::{Device, Tensor},
+    ops::{Nearest, NearestKernel},
     stages::cluster,
 };
 use zipsplat_reference::{
-    cluster::{kmeans::kmeans as reference_kmeans, nearest::two_nearest},
+    cluster::{
+        kmeans::kmeans as reference_kmeans,
+        nearest::{error_of_products, two_nearest},
+    },
     widen,
 };
 
 const NEAREST: &str = "a squared distance is a sum of w squares without cancellation, off by gamma_(w+3) of itself at most; \
-    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and no more";
+    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and no more. On \
+    matrix units it is |t|^2 - 2 p t about an origin, of two f16 for each value, off by what kernels/cluster/nearest_matrix.comp \
+    derives; what is chosen may be farther by that of both";
 
 const KMEANS: &str = "coordinates are whole multiples of 2^-6 whose squared distances f32 holds exactly, and clusters have a \
     power of two of members, so that every mean and every tie is as in f64: assignments must be equal. The nearest tokens \
     then as in cluster/nearest";
 
-/// How much farther, relatively, the chosen targets are than the nearest, in squared distance.
-fn check_nearest(device: &Device, points: &[f32], targets: &[f32], width: usize) -> Result<Worst> {
-    let count = points.len() / width;
-    let mut trial = Trial::new(device);
-    let out = trial.output::<u32>(count);
-    let kernel = Nearest {
-        points: trial.input(points),
-        targets: trial.input(targets),
-        out,
-        point_count: count as u32,
-        target_count: (targets.len() / width) as u32,
-        width: width as u32,
-    };
-    trial.rec.dispatch_groups(kernel, count.div_ceil(NEAREST_ROWS as usize));
-    let chosen: Vec<u32> = trial.result(out)?;
-    Ok(excess(&chosen, points, targets, width))
+/// What finds nearest rows in a mode.
+fn kernel(mode: Mode, device: &Device) -> NearestKernel {
+    mode.units(device).map_or(NearestKernel::Lanes, NearestKernel::Matrix)
 }
 
-fn excess(chosen: &[u32], points: &[f32], targets: &[f32], width: usize) -> Worst {
-    let (points, targets) = (widen(points), widen(targets));
+/// How much farther the chosen targets are than the nearest.
+fn check_nearest(device: &Device, mode: Mode, points: &[f32], targets: &[f32], width: usize) -> Result<Worst> {
+    let mut trial = Trial::new(device);
+    let [from, to] = [points, targets].map(|rows| (trial.input(rows), rows.len() / width));
+    let nearest = Nearest::among(&mut trial.rec, kernel(mode, device), to, width);
+    let rows = [from, to].map(|rows| nearest.rows(&mut trial.rec, rows));
+    let out = trial.output::<u32>(from.1);
+    nearest.record_into(&mut trial.rec, rows[0], rows[1], out);
+    let origin = nearest.origin();
+    origin.into_iter().for_each(|origin| trial.rec.output(origin));
+    let run = trial.run()?;
+    let origin: Option<Vec<f32>> = origin.map(|origin| run.read(origin)).transpose()?;
+    Ok(excess(&run.read::<u32>(out)?, points, targets, origin.as_deref(), width))
+}
+
+/// In squared distance: relatively, or where products are taken about an origin as such.
+fn excess(chosen: &[u32], points: &[f32], targets: &[f32], origin: Option<&[f32]>, width: usize) -> Worst {
+    let (points, targets, origin) = (widen(points), widen(targets), origin.map(widen));
+    let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     let slack = gamma(width + 3);
     let mut worst = Worst::NONE;
     for ((point, &index), [(first, nearest), _]) in
@@ -48,12 +57,19 @@ fn excess(chosen: &[u32], points: &[f32], targets: &[f32], width: usize) -> Wors
         let Some(target) = targets.chunks(width).nth(index as usize) else {
             return Worst::one(f64::NAN, 0.0, 0.0);
         };
-        let squared = point.iter().zip(target).map(|(p, t)| (p - t).powi(2)).sum::<f64>();
+        let best = &targets[first as usize * width..][..width];
         let nearest = nearest * nearest;
-        // Of equal targets the first; squares below 2^-126 may be flushed.
-        let equal = index != first && target == &targets[first as usize * width..][..width];
-        let farther = if equal { f64::INFINITY } else { (squared - nearest) / nearest.max(1e-30) };
-        worst = worst.or(Worst::one(farther.max(0.0), 0.0, 2.0 * slack / (1.0 - slack)));
+        let farther = squared(point, target) - nearest;
+        // Of equal targets the first.
+        let farther = if index != first && target == best { f64::INFINITY } else { farther.max(0.0) };
+        worst = worst.or(match &origin {
+            // Squares below 2^-126 may be flushed.
+            None => Worst::one(farther / nearest.max(1e-30), 0.0, 2.0 * slack / (1.0 - slack)),
+            Some(origin) => {
+                let error = |row| error_of_products([point, row].map(|row| squared(row, origin).sqrt()), width);
+                Worst::one(farther, 0.0, error(target) + error(best))
+            }
+        });
     }
     worst
 }
@@ -61,11 +77,11 @@ fn excess(chosen: &[u32], points: &[f32], targets: &[f32], width: usize) -> Wors
 pub fn nearest() -> Area {
     let mut cases = Vec::new();
     let mut add = |name: &str, [points, targets, width]: [usize; 3], value: fn(f32) -> f32| {
-        cases.push(Case::new(name, width, move |device, _| {
+        cases.push(Case::new(name, width, move |device, mode| {
             let mut noise = Noise((points + targets + width) as u64);
             let [points, targets] =
                 [points, targets].map(|count| noise.values(count * width).into_iter().map(value).collect::<Vec<f32>>());
-            check_nearest(device, &points, &targets, width)
+            check_nearest(device, mode, &points, &targets, width)
         }));
     };
     for width in [4, 64, 384, 1536] {
@@ -77,43 +93,71 @@ pub fn nearest() -> Area {
     add("one target", [65, 1, 64], |r| r);
     add("values of 1e15", [33, 100, 64], |r| 1e15 * r);
     add("values of 1e-15", [33, 100, 64], |r| 1e-15 * r);
-    Area { kernel: "cluster/nearest", size: "channels", reason: NEAREST, modes: Mode::ONLY_EXACT, cases }
+    Area { kernel: "cluster/nearest", size: "channels", reason: NEAREST, modes: Mode::NEAREST, cases }
 }
 
-/// Nearest tokens of k-means and the final assignment.
-fn cluster_on(device: &Device, x: &[f32], width: usize, k: usize) -> Result<[Vec<u32>; 2]> {
+/// What k-means finds.
+struct Found {
+    nearest: Vec<u32>,
+    /// The final assignment.
+    assigned: Vec<u32>,
+}
+
+impl Found {
+    fn all(self) -> Vec<u32> {
+        [self.nearest, self.assigned].concat()
+    }
+}
+
+fn cluster_on(device: &Device, mode: Mode, x: &[f32], width: usize, k: usize) -> Result<Found> {
     let count = x.len() / width;
     let mut trial = Trial::new(device);
     trial.rec = trial.rec.observing();
     let (tokens, initial) = (trial.input(x), trial.input(&cluster::even_indices(count, k)));
-    let nearest = cluster::record(&mut trial.rec, tokens, initial, [count, k, width], cluster::ROUNDS);
+    let sizes = [count, k, width];
+    let nearest = cluster::record(&mut trial.rec, kernel(mode, device), tokens, initial, sizes, cluster::ROUNDS);
     trial.rec.output(nearest);
     let run = trial.run()?;
-    let assigned = run.observed().iter().find(|(name, _)| name.ends_with("assign")).map(|(_, tensor)| *tensor);
-    Ok([run.read(nearest)?, assigned.map(|tensor| run.read(tensor)).transpose()?.unwrap_or_default()])
+    let observed = |what: &str| -> Option<Tensor> {
+        run.observed().iter().find(|(name, _)| name.ends_with(what)).map(|(_, tensor)| *tensor)
+    };
+    let assigned = observed("assign").map(|tensor| run.read(tensor)).transpose()?.unwrap_or_default();
+    Ok(Found { nearest: run.read(nearest)?, assigned })
 }
 
-fn check_kmeans(device: &Device, x: &[f32], width: usize, k: usize) -> Result<Worst> {
-    let [chosen, assigned] = cluster_on(device, x, width, k)?;
+/// About what matrix units compare.
+fn origin_of(device: &Device, mode: Mode, x: &[f32], width: usize) -> Result<Option<Vec<f32>>> {
+    let mut trial = Trial::new(device);
+    let rows = (trial.input(x), x.len() / width);
+    let Some(origin) = Nearest::among(&mut trial.rec, kernel(mode, device), rows, width).origin() else {
+        return Ok(None);
+    };
+    trial.rec.output(origin);
+    Ok(Some(trial.result(origin)?))
+}
+
+fn check_kmeans(device: &Device, mode: Mode, x: &[f32], width: usize, k: usize) -> Result<Worst> {
+    let found = cluster_on(device, mode, x, width, k)?;
     let truth = reference_kmeans(&widen(x), width, k);
     let last = truth.assignments.last().map(Vec::as_slice).unwrap_or_default();
-    let assignments = Worst::differing(&assigned, last);
+    let assignments = Worst::differing(&found.assigned, last);
     let centroids: Vec<f32> = truth.centroids.iter().map(|&c| c as f32).collect();
-    Ok(assignments.or(excess(&chosen, &centroids, x, width)))
+    let origin = origin_of(device, mode, x, width)?;
+    Ok(assignments.or(excess(&found.nearest, &centroids, x, origin.as_deref(), width)))
 }
 
 pub fn kmeans() -> Area {
     let mut cases = Vec::new();
     let mut add = |name: &str, count: usize, k: usize, value: fn(usize, f32) -> f32| {
         const WIDTH: usize = 8;
-        cases.push(Case::new(name, count, move |device, _| {
+        cases.push(Case::new(name, count, move |device, mode| {
             let noise = Noise(count as u64).values(count * WIDTH);
             let x: Vec<f32> =
                 noise.into_iter().enumerate().map(|(i, r)| value(i / WIDTH, (r * 64.0).round() / 64.0)).collect();
-            let worst = check_kmeans(device, &x, WIDTH, k)?;
-            let again = [0; 2].map(|_| cluster_on(device, &x, WIDTH, k));
+            let worst = check_kmeans(device, mode, &x, WIDTH, k)?;
+            let again = [0; 2].map(|_| cluster_on(device, mode, &x, WIDTH, k).map(Found::all));
             let [first, second] = again;
-            Ok(worst.or(Worst::differing(&first?.concat(), &second?.concat())))
+            Ok(worst.or(Worst::differing(&first?, &second?)))
         }));
     };
     // Blobs so far apart that no rounding moves a token between them, in runs of 16 tokens.
@@ -126,5 +170,5 @@ pub fn kmeans() -> Area {
     add("K = N - 1", 64, 63, |token, r| (4 * token) as f32 + r);
     add("duplicates, empty clusters", 128, 40, |token, _| (token % 4) as f32);
     add("all tokens equal", 64, 9, |_, _| 0.5);
-    Area { kernel: "cluster", size: "tokens", reason: KMEANS, modes: Mode::ONLY_EXACT, cases }
+    Area { kernel: "cluster", size: "tokens", reason: KMEANS, modes: Mode::NEAREST, cases }
 }

@@ -74,7 +74,9 @@ impl Mode {
         &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
     /// Of attention.
     const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
-    /// Of what is f32 in every mode: norms, softmax, clustering, geometry.
+    /// Of finding nearest rows.
+    const NEAREST: &[Mode] = &[Mode::EXACT, Mode::F16_MATRIX];
+    /// Of what is f32 in every mode: norms, softmax, geometry.
     const ONLY_EXACT: &[Mode] = &[Mode::EXACT];
 
     /// As in the report.

@@ -1,0 +1,167 @@
+//! The nearest of some rows for each of others, without a matrix of distances.
+
+use super::{NearestTile, Units};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{cluster as kernels, limits::NEAREST_ROWS},
+};
+
+/// Rows whose mean is taken for the middle of all: a fraction of the spread away from it, which costs no digit.
+const ORIGIN_ROWS: usize = 256;
+
+/// Parts of the targets that different workgroups go through, so that there are enough workgroups.
+pub(super) const SHARES: usize = 8;
+
+/// What finds nearest rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NearestKernel {
+    /// cluster/nearest: differences in f32.
+    Lanes,
+    /// cluster/nearest_matrix: products of rows about an origin, each value as two f16.
+    Matrix(Units),
+}
+
+/// Rows that are looked for, and among which, by squared Euclidean distance.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearest {
+    space: Space,
+    width: usize,
+}
+
+/// The kernel, and what it compares rows about.
+#[derive(Clone, Copy, Debug)]
+enum Space {
+    Lanes,
+    Matrix { units: Units, origin: Tensor },
+}
+
+/// Rows as the kernel takes them.
+#[derive(Clone, Copy, Debug)]
+pub struct NearestRows {
+    /// f32, or halves.
+    values: Tensor,
+    /// Of halves, see cluster/halves; else of no matter.
+    scales: Tensor,
+    norms: Tensor,
+    count: usize,
+}
+
+impl Nearest {
+    /// For rows of `width`, a multiple of 4, that lie among those of `sample` `[count, width]` f32.
+    pub fn among(rec: &mut Recorder, kernel: NearestKernel, (sample, count): (Tensor, usize), width: usize) -> Self {
+        let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
+        let origin = rec.tensor::<f32>("origin", width);
+        let kernel = kernels::Origin {
+            source: sample,
+            out: origin,
+            rows: count as u32,
+            width: width as u32,
+            samples: count.clamp(1, ORIGIN_ROWS) as u32,
+        };
+        rec.dispatch(kernel, width / 4);
+        Self::about(origin, units, width)
+    }
+
+    /// On matrix units, for rows that lie about `origin` `[width]` f32. Errors grow with their distance from there.
+    pub fn about(origin: Tensor, units: Units, width: usize) -> Self {
+        Self { space: Space::Matrix { units, origin }, width }
+    }
+
+    /// What rows are compared about, `[width]` f32, where the kernel needs that.
+    pub fn origin(&self) -> Option<Tensor> {
+        match self.space {
+            Space::Lanes => None,
+            Space::Matrix { origin, .. } => Some(origin),
+        }
+    }
+
+    /// `rows` `[count, width]` f32 as they are now.
+    pub fn rows(&self, rec: &mut Recorder, (rows, count): (Tensor, usize)) -> NearestRows {
+        let Space::Matrix { origin, .. } = self.space else {
+            return NearestRows { values: rows, scales: rows, norms: rows, count };
+        };
+        let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
+        // Read by four.
+        let [scales, norms] = ["scales", "norms"].map(|name| rec.tensor::<f32>(name, count.next_multiple_of(4)));
+        let kernel = kernels::Halves {
+            source: rows,
+            origin,
+            out: halves,
+            scales,
+            norms,
+            rows: count as u32,
+            width: self.width as u32,
+        };
+        rec.dispatch_groups(kernel, count);
+        NearestRows { values: halves, scales, norms, count }
+    }
+
+    /// The target nearest to each point, `[points]` u32; of equal ones the first.
+    pub fn record(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows) -> Tensor {
+        let out = rec.tensor::<u32>("nearest", points.count);
+        self.record_into(rec, points, targets, out);
+        out
+    }
+
+    /// As [`Nearest::record`], into `out`.
+    pub fn record_into(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
+        match self.space {
+            Space::Lanes => self.lanes(rec, points, targets, out),
+            Space::Matrix { units, .. } => self.matrix(rec, units, points, targets, out),
+        }
+    }
+
+    fn lanes(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
+        let kernel = kernels::Nearest {
+            points: points.values,
+            targets: targets.values,
+            out,
+            point_count: points.count as u32,
+            target_count: targets.count as u32,
+            width: self.width as u32,
+        };
+        let groups = points.count.div_ceil(NEAREST_ROWS as usize);
+        rec.dispatch_groups(kernel, groups).flops(self.flops(points, targets));
+    }
+
+    fn matrix(&self, rec: &mut Recorder, units: Units, points: NearestRows, targets: NearestRows, out: Tensor) {
+        let tile = NearestTile::choose(rec.limits(), units, points.count, targets.count);
+        let ([tile_points, tile_targets], NearestTile(part)) = (tile.sides(units.shape), tile);
+        let share = targets.count.div_ceil(SHARES).next_multiple_of(tile_targets);
+        let shares = targets.count.div_ceil(share);
+        let scores = rec.tensor::<f32>("scores", shares * points.count);
+        let candidates = rec.tensor::<u32>("candidates", shares * points.count);
+        let kernel = kernels::NearestMatrix {
+            points: points.values,
+            point_scales: points.scales,
+            targets: targets.values,
+            target_scales: targets.scales,
+            target_norms: targets.norms,
+            scores,
+            candidates,
+            point_count: points.count as u32,
+            column_count: targets.count as u32,
+            pieces: self.width.div_ceil(8) as u32,
+            share: share as u32,
+            subgroups: part.subgroups[0] * part.subgroups[1],
+            subgroups_n: part.subgroups[1],
+            matrix_m: units.shape.m,
+            matrix_n: units.shape.n,
+            matrix_k: units.shape.k,
+            repeat_m: part.repeats[0],
+            repeat_n: part.repeats[1],
+            tile_k: part.k,
+            factor: units.factor,
+        };
+        // Shares run fastest: workgroups that run at once have the same few points, which so stay in the cache.
+        let groups = [shares, points.count.div_ceil(tile_points), 1];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(points, targets));
+        let merge =
+            kernels::NearestMerge { scores, candidates, out, point_count: points.count as u32, shares: shares as u32 };
+        rec.dispatch(merge, points.count);
+    }
+
+    fn flops(&self, points: NearestRows, targets: NearestRows) -> u64 {
+        (2 * points.count * targets.count * self.width) as u64
+    }
+}
