@@ -7,7 +7,7 @@ use crate::case::{Case, nearest_kernels, random, random_below};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
-    ops::{Nearest, NearestKernel, NearestTile},
+    ops::{Nearest, NearestKernel, NearestTile, Tiles, Units},
 };
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
@@ -58,24 +58,33 @@ fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
 
 /// Any coordinates: what matrix units choose is farther than the nearest by no more than their bound, and of equal targets the
 /// first. Gives the largest share of the bound.
-fn check_bound(limits: &Limits, name: &str, points: &[f32], targets: &[f32], width: usize) -> f64 {
+fn check_bound(name: &str, points: &[f32], targets: &[f32], width: usize) -> f64 {
+    let matrix = nearest_kernels().into_iter().filter(|kernel| *kernel != NearestKernel::Lanes);
+    matrix.map(|kernel| check_bound_of(device().limits(), kernel, name, [points, targets], width)).fold(0.0, f64::max)
+}
+
+fn check_bound_of(
+    limits: &Limits,
+    kernel: NearestKernel,
+    name: &str,
+    [points, targets]: [&[f32]; 2],
+    width: usize,
+) -> f64 {
     let (wide_points, wide_targets) = (widen(points), widen(targets));
     let distance = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+    let (found, origin) = find(limits, kernel, [points, targets], width, None);
+    let origin = widen(&origin);
+    let truth = two_nearest(&wide_points, &wide_targets, width);
     let mut worst: f64 = 0.0;
-    for kernel in nearest_kernels().into_iter().filter(|kernel| *kernel != NearestKernel::Lanes) {
-        let (found, origin) = find(limits, kernel, [points, targets], width, None);
-        let origin = widen(&origin);
-        let truth = two_nearest(&wide_points, &wide_targets, width);
-        for (i, (point, [(first, least), _])) in wide_points.chunks(width).zip(truth).enumerate() {
-            let target = |index: u32| &wide_targets[index as usize * width..][..width];
-            let bound = |index| error_of_products([point, target(index)].map(|row| distance(row, &origin)), width);
-            let farther = distance(point, target(found[i])).powi(2) - least.powi(2);
-            let share = farther / (bound(first) + bound(found[i]));
-            assert!(share <= 1.0, "{name}: point {i} has {}, {share} bounds farther than {first}", found[i]);
-            let twin = wide_targets.chunks(width).position(|other| other == target(found[i]));
-            assert_eq!(twin, Some(found[i] as usize), "{name}: point {i}, of equal targets the first");
-            worst = worst.max(share);
-        }
+    for (i, (point, [(first, least), _])) in wide_points.chunks(width).zip(truth).enumerate() {
+        let target = |index: u32| &wide_targets[index as usize * width..][..width];
+        let bound = |index| error_of_products([point, target(index)].map(|row| distance(row, &origin)), width);
+        let farther = distance(point, target(found[i])).powi(2) - least.powi(2);
+        let share = farther / (bound(first) + bound(found[i]));
+        assert!(share <= 1.0, "{name}: point {i} has {}, {share} bounds farther than {first}", found[i]);
+        let twin = wide_targets.chunks(width).position(|other| other == target(found[i]));
+        assert_eq!(twin, Some(found[i] as usize), "{name}: point {i}, of equal targets the first");
+        worst = worst.max(share);
     }
     worst
 }
@@ -128,7 +137,7 @@ fn far_from_the_origin() {
 fn matrix_units_stay_within_their_bound() {
     let mut worst: f64 = 0.0;
     let mut within = |name: &str, points: &[f32], targets: &[f32], width: usize| {
-        worst = worst.max(check_bound(device().limits(), &format!("{name}, {width}"), points, targets, width));
+        worst = worst.max(check_bound(&format!("{name}, {width}"), points, targets, width));
     };
     for width in [4, 12, 36, 100, 384] {
         let (points, targets) = (random(10, 67 * width), random(11, 300 * width));
@@ -192,10 +201,15 @@ fn what_is_no_number_is_never_nearest() {
 fn tiles_of_gpus() {
     // On a CPU workgroups take smaller tiles, which compile faster.
     let limits = Limits { cpu: false, ..device().limits().clone() };
+    let [points, targets] = [(16, 150), (17, 700)].map(|(seed, rows)| random(seed, rows * 100));
     for kernel in nearest_kernels() {
         let NearestKernel::Matrix(units) = kernel else { continue };
-        assert!(!NearestTile::candidates(&limits, units).is_empty());
-        check_bound(&limits, "tiles of GPUs", &random(16, 70 * 100), &random(17, 700 * 100), 100);
+        let tiles = NearestTile::candidates(&limits, units);
+        assert!(!tiles.is_empty());
+        for (index, tile) in tiles.iter().enumerate() {
+            let kernel = NearestKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+            check_bound_of(&limits, kernel, &format!("{tile:?}"), [&points, &targets], 100);
+        }
     }
 }
 
