@@ -25,7 +25,7 @@ unsafe impl<T> Sync for Object<T> {}
 
 impl<T> Object<T> {
     pub fn new(destroy: unsafe extern "C" fn(*mut T), make: impl FnOnce(*mut *mut T) -> zs_status) -> Self {
-        Self::try_new(destroy, make).unwrap_or_else(|status| panic!("{status:?}: {}", message()))
+        made(Self::try_new(destroy, make))
     }
 
     /// There is an object where the status is `ZS_OK`, and only there.
@@ -35,7 +35,7 @@ impl<T> Object<T> {
     ) -> Result<Self, zs_status> {
         let mut handle = std::ptr::dangling_mut();
         let status = make(&mut handle);
-        assert_eq!(status == zs_status::ZS_OK, !handle.is_null(), "{status:?}");
+        assert_eq!(status == zs_status::ZS_OK, !handle.is_null(), "{status:?}: {}", message());
         if handle.is_null() { Err(status) } else { Ok(Self { handle, destroy }) }
     }
 }
@@ -45,6 +45,11 @@ impl<T> Drop for Object<T> {
         // SAFETY: made by `new`, destroyed once.
         unsafe { (self.destroy)(self.handle) }
     }
+}
+
+#[track_caller]
+pub fn made<T>(result: Result<T, zs_status>) -> T {
+    result.unwrap_or_else(|status| panic!("{status:?}: {}", message()))
 }
 
 #[track_caller]
@@ -87,11 +92,15 @@ pub fn context() -> Object<zs_context> {
 }
 
 pub fn model(context: &Object<zs_context>) -> Object<zs_model> {
+    made(try_model(context))
+}
+
+pub fn try_model(context: &Object<zs_context>) -> Result<Object<zs_model>, zs_status> {
     let load = |out| {
         // SAFETY: a live context, bytes of that length, no options, and where to put it.
         unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), out) }
     };
-    Object::new(zs_model_destroy, load)
+    Object::try_new(zs_model_destroy, load)
 }
 
 /// Side of the pictures of these tests.
@@ -132,14 +141,26 @@ pub fn reconstruct(
     images: &[zs_image],
     options: &zs_reconstruct_options,
 ) -> Object<zs_scene> {
+    made(try_reconstruct(model, images, options))
+}
+
+pub fn try_reconstruct(
+    model: &Object<zs_model>,
+    images: &[zs_image],
+    options: &zs_reconstruct_options,
+) -> Result<Object<zs_scene>, zs_status> {
     // SAFETY: live objects and arrays of their lengths.
     let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
-    Object::new(zs_scene_destroy, make)
+    Object::try_new(zs_scene_destroy, make)
 }
 
 pub fn renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Object<zs_renderer> {
+    made(try_renderer(context, scene))
+}
+
+pub fn try_renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
     // SAFETY: live objects, and where to put it.
-    Object::new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
+    Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
 }
 
 pub fn render_options(format: zs_pixel_format) -> zs_render_options {
@@ -198,9 +219,20 @@ pub fn c_string(text: impl Into<Vec<u8>>) -> CString {
 
 /// All pixels of one picture.
 pub fn draw(renderer: &Object<zs_renderer>, camera: &zs_camera, options: &zs_render_options, bytes: usize) -> Vec<u8> {
+    made(try_draw(renderer, camera, options, bytes))
+}
+
+pub fn try_draw(
+    renderer: &Object<zs_renderer>,
+    camera: &zs_camera,
+    options: &zs_render_options,
+    bytes: usize,
+) -> Result<Vec<u8>, zs_status> {
     let mut pixels = vec![0; (camera.width * camera.height) as usize * bytes];
     let picture = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
     // SAFETY: live objects, and memory as large as the picture.
-    ok(unsafe { zs_render(renderer.handle, camera, &picture, 1, options) });
-    pixels
+    match unsafe { zs_render(renderer.handle, camera, &picture, 1, options) } {
+        zs_status::ZS_OK => Ok(pixels),
+        status => Err(status),
+    }
 }

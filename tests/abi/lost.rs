@@ -2,7 +2,6 @@
 //! host memory and destroyed, and another context works as before.
 
 use crate::calls::*;
-use std::ptr::{null, null_mut};
 use zipsplat::{
     ffi::{zs_status::ZS_ERROR_DEVICE_LOST, *},
     types::Scene,
@@ -57,9 +56,9 @@ impl App {
     /// A reconstruction and pictures of it, up to what fails.
     fn run(&mut self) -> Result<(Scene, Vec<u8>), zs_status> {
         let context = self.context.insert(context());
-        let model = self.model.insert(load(context)?);
+        let model = self.model.insert(try_model(context)?);
         let scene = self.scene.insert(reconstructed(model)?);
-        let renderer = self.renderer.insert(drawing(context, scene)?);
+        let renderer = self.renderer.insert(try_renderer(context, scene)?);
         let mut pixels = Vec::new();
         for _ in 0..3 {
             pixels.extend(picture(renderer)?);
@@ -73,13 +72,13 @@ impl App {
         let lost = |what: &str, status: Option<zs_status>| {
             assert_eq!(status, Some(ZS_ERROR_DEVICE_LOST), "{what}: {}", message());
         };
-        lost("loading a model", load(context).err());
+        lost("loading a model", try_model(context).err());
         if let Some(model) = &self.model {
             lost("reconstructing", reconstructed(model).err());
         }
         if let Some(scene) = &self.scene {
             assert!(read(scene) == truth.0, "another scene");
-            lost("making a renderer", drawing(context, scene).err());
+            lost("making a renderer", try_renderer(context, scene).err());
             if let Some(renderer) = &self.renderer {
                 lost("drawing", picture(renderer).err());
                 // SAFETY: live objects.
@@ -89,30 +88,10 @@ impl App {
     }
 }
 
-fn load(context: &Object<zs_context>) -> Result<Object<zs_model>, zs_status> {
-    let (bytes, size) = (micro().as_ptr().cast(), micro().len());
-    // SAFETY: a live context, bytes of that length, no options, and where to put it.
-    Object::try_new(zs_model_destroy, |out| unsafe { zs_model_from_memory(context.handle, bytes, size, null(), out) })
-}
-
 fn reconstructed(model: &Object<zs_model>) -> Result<Object<zs_scene>, zs_status> {
-    let (photo, options) = (&photos(1)[0], reconstruct_options());
-    // SAFETY: live objects, one picture, and where to put it.
-    Object::try_new(zs_scene_destroy, |out| unsafe { zs_reconstruct(model.handle, &image_of(photo), 1, &options, out) })
-}
-
-fn drawing(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
-    // SAFETY: live objects, and where to put it.
-    Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
+    try_reconstruct(model, &[image_of(&photos(1)[0])], &reconstruct_options())
 }
 
 fn picture(renderer: &Object<zs_renderer>) -> Result<Vec<u8>, zs_status> {
-    let (camera, options) = (camera(32, 32, 0.0), render_options(zs_pixel_format::ZS_PIXEL_RGBA8));
-    let mut pixels = vec![0; 32 * 32 * 4];
-    let target = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
-    // SAFETY: live objects, and memory as large as the picture.
-    match unsafe { zs_render(renderer.handle, &camera, &target, 1, &options) } {
-        zs_status::ZS_OK => Ok(pixels),
-        status => Err(status),
-    }
+    try_draw(renderer, &camera(32, 32, 0.0), &render_options(zs_pixel_format::ZS_PIXEL_RGBA8), 4)
 }

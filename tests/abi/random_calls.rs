@@ -2,7 +2,7 @@
 //! keeps giving the same bits.
 
 use crate::calls::*;
-use std::ptr::{dangling_mut, null, null_mut};
+use std::ptr::{null, null_mut};
 use zipsplat::ffi::*;
 
 /// splitmix64
@@ -43,28 +43,22 @@ struct World {
     succeeded: [u32; 8],
 }
 
-/// Keeps a new object; a failed call must have left NULL.
+/// Keeps a new object, where there is one.
 fn keep<T>(
     pool: &mut Vec<Object<T>>,
     random: &mut Random,
     destroy: unsafe extern "C" fn(*mut T),
     make: impl FnOnce(*mut *mut T) -> zs_status,
 ) -> bool {
-    let mut handle = dangling_mut();
-    let status = make(&mut handle);
-    assert_eq!(status == zs_status::ZS_OK, !handle.is_null(), "{status:?}: {}", message());
-    if handle.is_null() {
+    let made = Object::try_new(destroy, make);
+    if let Err(status) = made {
         assert!(!message().is_empty() && status != zs_status::ZS_ERROR_INTERNAL, "{status:?}: {}", message());
         return false;
     }
     if pool.len() == POOL {
         pool.swap_remove(random.below(POOL));
     }
-    pool.push(Object::new(destroy, |out| {
-        // SAFETY: where to put it.
-        unsafe { out.write(handle) };
-        zs_status::ZS_OK
-    }));
+    pool.extend(made);
     true
 }
 

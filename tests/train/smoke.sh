@@ -9,7 +9,8 @@ out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 
 "$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out" --minutes 0.5 \
-    --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set log_seconds=1 --set reuse=1000 --set geometry_until=0
+    --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set log_seconds=1 --set reuse=1000 \
+    --set geometry_until=0
 "$python" - "$out/log.csv" <<'END'
 import csv, sys
 losses = [float(row["l1"]) for row in csv.DictReader(open(sys.argv[1])) if row["l1"]]

@@ -234,10 +234,10 @@ def batch(rows, context, targets, points, cells, patch, loose=0.0):
 
 def anywhere(poses):
     """As many poses that are turned about any axis, by any angle, and moved by some median distances."""
-    quats = torch.randn(*poses.shape[:-2], 4, device=poses.device)
-    axis, angle = F.normalize(quats[..., :3], dim=-1), torch.pi * torch.rand_like(quats[..., :1])
+    axis = torch.randn_like(poses[..., :3, 3])
     # Mostly around the vertical, as people go.
     axis = F.normalize(axis * axis.new_tensor((0.4, 1.0, 0.4)), dim=-1)
+    angle = torch.pi * torch.rand_like(axis[..., :1])
     x, y, z = (axis * angle).unbind(-1)
     zero = torch.zeros_like(x)
     turn = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))

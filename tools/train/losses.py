@@ -92,17 +92,27 @@ def signed_log(x):
     return x.sign() * torch.log1p(x.abs())
 
 
+def of_tokens(values, tokens):
+    """values [B, V * T, ...] of the tokens [B, K] that were kept; None stands for all."""
+    if tokens is None:
+        return values
+    return values.gather(1, tokens.view(*tokens.shape, *[1] * (values.ndim - 2)).expand(-1, -1, *values.shape[2:]))
+
+
+def middles(values, tokens, cells):
+    """Means [B, tokens, cells, 3] of the consecutive Gaussians of [B, N, 3] that belong to a cell."""
+    return values.unflatten(1, (tokens, cells, -1)).mean(3)
+
+
 def anchor(means, anchors, tokens):
     """Distance of each token's Gaussians to what the cells of its patch see, on the head's scale.
 
-    `anchors` [B, V * T, cells, 3]; the middle of G / cells consecutive Gaussians belongs to a cell. Not in the paper,
+    `anchors` [B, V * T, cells, 3]; G / cells consecutive Gaussians belong to a cell. Not in the paper,
     whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place tend to merge into
     one opaque cloud. Its weight fades out, so that placement is free in the end.
     """
-    if tokens is not None:
-        anchors = anchors.gather(1, tokens[..., None, None].expand(-1, -1, *anchors.shape[2:]))
-    middles = signed_log(means).unflatten(1, (*anchors.shape[1:3], -1)).mean(3)
-    return F.smooth_l1_loss(middles, signed_log(anchors), beta=0.1)
+    anchors = of_tokens(anchors, tokens)
+    return F.smooth_l1_loss(middles(signed_log(means), *anchors.shape[1:3]), signed_log(anchors), beta=0.1)
 
 
 def colour(constants, batch, tokens):
@@ -112,11 +122,8 @@ def colour(constants, batch, tokens):
     patch, side = math.isqrt(height * width * views // patches), math.isqrt(cells)
     squares = batch.images.unfold(3, patch, patch).unfold(4, patch, patch)  # [B, V, 3, rows, columns, patch, patch]
     means = F.adaptive_avg_pool2d(squares.flatten(0, 4), side).view(*squares.shape[:5], cells)
-    means = means.permute(0, 1, 3, 4, 5, 2).flatten(1, 3)
-    if tokens is not None:
-        means = means.gather(1, tokens[..., None, None].expand(-1, -1, *means.shape[2:]))
-    shown = 0.5 + SH0 * constants.unflatten(1, (*means.shape[1:3], -1)).mean(3)
-    return (shown - means).abs().mean()
+    means = of_tokens(means.permute(0, 1, 3, 4, 5, 2).flatten(1, 3), tokens)
+    return (0.5 + SH0 * middles(constants, *means.shape[1:3]) - means).abs().mean()
 
 
 def ray(means, batch, given, tokens):
@@ -124,15 +131,13 @@ def ray(means, batch, given, tokens):
 
     Depth has to be guessed, this follows from the cameras. Learnt from pictures alone it stays as coarse as the depth.
     """
-    anchors = batch.anchors
-    patches = anchors.shape[1] // batch.poses.shape[1]
+    patches = batch.anchors.shape[1] // batch.poses.shape[1]
     eyes = batch.poses[..., :3, 3].repeat_interleave(patches, 1)[:, :, None]
-    if tokens is not None:
-        anchors, eyes = (x.gather(1, tokens[..., None, None].expand(-1, -1, *x.shape[2:])) for x in (anchors, eyes))
+    anchors, eyes = (of_tokens(x, tokens) for x in (batch.anchors, eyes))
     towards = anchors - eyes
     distance = towards.norm(dim=-1, keepdim=True).clamp_min(0.05)
     direction = towards / distance
-    offset = (means.unflatten(1, (*anchors.shape[1:3], -1)).mean(3) - eyes) / distance
+    offset = (middles(means, *anchors.shape[1:3]) - eyes) / distance
     beside = offset - (offset * direction).sum(-1, keepdim=True) * direction
     beside = beside.square().sum(-1).add(1e-8).sqrt()
     error = F.smooth_l1_loss(beside, torch.zeros_like(beside), reduction="none", beta=0.02)

@@ -192,9 +192,8 @@ class Trainer:
         """Compiles what is compiled at first use, before the clock starts."""
         self.pool.fill(min(self.config["batch_views"], self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
-            data = self.pool.sample(
-                max(self.config["batch_views"] // views, 1), views, self.config["targets"], 0.5, *self.geometry()
-            )
+            scenes = max(self.config["batch_views"] // views, 1)
+            data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry())
             given = torch.ones(len(data.images), device=self.device) > 0
             gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
             weights = self.config["losses"]
