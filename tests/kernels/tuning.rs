@@ -5,8 +5,8 @@ use zipsplat::{
     Error,
     gpu::{Element, Limits, Matrices, MatrixShape, Recorder, Run, WorkgroupMatrices},
     ops::{
-        Arithmetic, AttentionTile, Epilogue, Linear, LinearKernel, LinearTile, Measured, Precision, Tiles, Tuned,
-        Tuning, Units, pack_matrix,
+        Arithmetic, AttentionTile, Epilogue, Linear, LinearKernel, LinearTile, Measured, NearestTile, Precision, Tiles,
+        Tuned, Tuning, Units, pack_matrix,
     },
 };
 use zipsplat_tests::{compare::assert_same, device::device};
@@ -27,6 +27,7 @@ fn measures_every_tile_and_can_be_stopped() {
         let candidates = match measured.kernel {
             Tuned::Linear => LinearTile::candidates(limits, units).len(),
             Tuned::Attention => AttentionTile::candidates(limits, units, 64).len(),
+            Tuned::Nearest => NearestTile::candidates(limits, units).len(),
         };
         assert_eq!(measured.tiles.len(), candidates);
         assert!(measured.tiles.iter().all(|(_, ms)| *ms > 0.0), "{measured:?}");
@@ -48,7 +49,7 @@ fn the_fastest_tile_is_taken() {
             names.iter().cloned().chain([best.into()]).map(|name| (name.clone(), if name == best { 1.0 } else { 2.0 }));
         let measured =
             Measured { kernel: Tuned::Linear, factor: Element::F16, values: 1 << 14, tiles: tiles.collect() };
-        Tuning { measured: vec![measured] }
+        Tuning { measured: vec![measured], ..Tuning::default() }
     };
     for (index, name) in names.iter().enumerate() {
         let tuned = tuning(name).applied(fast, limits);
@@ -81,7 +82,7 @@ fn matrices_of_workgroups_are_taken_where_they_were_fastest() {
         let times = tiles.iter().map(|other| (other.to_string(), if other == tile { 1.0 } else { 2.0 }));
         let measured =
             Measured { kernel: Tuned::Attention, factor: Element::F16, values: 1 << 14, tiles: times.collect() };
-        let tuned = kept(&Tuning { measured: vec![measured] });
+        let tuned = kept(&Tuning { measured: vec![measured], ..Tuning::default() });
         assert_eq!(tuned.applied(fast, &limits).attention.unwrap().tiles, Tiles::always(index));
         // Another device, or a driver that does not offer them any more.
         let without = Limits { workgroup_matrices: Vec::new(), ..limits.clone() };

@@ -15,10 +15,10 @@ const STEPS: [(&str, &str); 12] = [
     ("ops/linear_workgroup", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),
+    ("ops/key_starts", "ops/sort"),
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
     ("render/tile_counts", "render/intersect"),
-    ("render/tile_offsets", "render/intersect"),
 ];
 
 /// Names without a reference of ours, and what takes its place.

@@ -8,7 +8,7 @@ use super::{
     attention_tile::AttentionTile,
     cache::cache_file,
     pack_matrix,
-    tile::{LinearTile, Tiles},
+    tile::{LinearTile, NearestTile, Tiles},
 };
 use crate::{
     Error, Result,
@@ -193,6 +193,9 @@ impl SelfTest {
                 for attention in every_kind(kernel) {
                     test.attention(device, attention, PEAKED)?;
                 }
+            }
+            Tuned::Nearest => {
+                test.nearest_tile(device, units, NearestTile::candidates(device.limits(), units)[index], index)?;
             }
         }
         Ok(test.deviations.iter().all(|(_, deviation)| passes(*deviation)))

@@ -219,13 +219,25 @@ impl WorkgroupTile {
     }
 }
 
+impl fmt::Display for SubgroupTile {
+    /// Subgroups, matrices of each, depth.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { subgroups: [rows, columns], repeats: [m, n], k } = self;
+        write!(f, "{rows}x{columns} of {m}x{n}, k {k}")
+    }
+}
+
+impl fmt::Display for NearestTile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
 impl fmt::Display for LinearTile {
-    /// Subgroups and matrices of each, or sides; depth.
+    /// As [`SubgroupTile`], or sides and depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Subgroups(SubgroupTile { subgroups: [rows, columns], repeats: [m, n], k }) => {
-                write!(f, "{rows}x{columns} of {m}x{n}, k {k}")
-            }
+            Self::Subgroups(tile) => tile.fmt(f),
             Self::Workgroup(WorkgroupTile { sides: [rows, columns], k, .. }) => {
                 write!(f, "workgroup {rows}x{columns}, k {k}")
             }

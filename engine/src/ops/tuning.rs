@@ -1,8 +1,8 @@
 //! The fastest tile of each matrix kernel for results of each size, by measurement on the device at hand.
 
 use super::{
-    Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, SelfTest,
-    Tiles, Units, cache::cache_file, pack_matrix,
+    Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, Nearest,
+    NearestKernel, NearestTile, SelfTest, Tiles, Units, cache::cache_file, pack_matrix,
 };
 use crate::{
     Error, Result,
@@ -16,6 +16,8 @@ use std::{fs, ops::ControlFlow};
 pub struct Tuning {
     /// Of each kernel and size.
     pub measured: Vec<Measured>,
+    /// Tiles that are not used, because what they compute is wrong or the driver refuses them: kernel, type of factors, name.
+    pub unusable: Vec<String>,
 }
 
 /// The tiles of one kernel for one size of its result.
@@ -39,9 +41,11 @@ pub enum Tuned {
     Linear,
     /// ops/attention_matrix and ops/attention_workgroup
     Attention,
+    /// cluster/nearest_matrix
+    Nearest,
 }
 
-/// Columns, or channels of all heads, and terms of a sum, or keys: those of a middling network.
+/// Columns, channels of all heads, or targets, and terms of a sum, or keys: those of a middling network.
 const COLUMNS: usize = 1024;
 const TERMS: usize = 1024;
 /// A size at which one run takes more milliseconds is the largest that is measured; those above take what is best there.
@@ -81,10 +85,11 @@ impl Tuning {
         let units = |factors: &'static [Element]| factors.iter().filter_map(|f| Units::of(*f, device.limits()));
         let linear = units(&Element::FACTORS).map(|units| (Tuned::Linear, units));
         let attention = units(&Element::HALVES).map(|units| (Tuned::Attention, units));
-        let jobs: Vec<_> = linear.chain(attention).collect();
+        let nearest = units(&[Element::F16]).map(|units| (Tuned::Nearest, units));
+        let jobs: Vec<_> = linear.chain(attention).chain(nearest).collect();
         let mut tuning = Self::default();
         for (job, (kernel, units)) in jobs.iter().enumerate() {
-            let tiles = kernel.usable(device, *units)?;
+            let tiles = kernel.usable(device, *units, &mut tuning.unusable)?;
             for class in 0..Tiles::CLASSES {
                 let done = (job as f64 + class as f64 / Tiles::CLASSES as f64) / jobs.len() as f64;
                 let next = |tile: &str| progress(tile, done);
@@ -123,6 +128,7 @@ impl Tuning {
             linear: arithmetic.linear.map(tuned(Tuned::Linear)),
             attention: arithmetic.attention.map(tuned(Tuned::Attention)),
             quantised: arithmetic.quantised.map(tuned(Tuned::Linear)),
+            nearest: arithmetic.nearest.map(tuned(Tuned::Nearest)),
             ..arithmetic
         }
     }
@@ -140,11 +146,14 @@ impl Tuned {
                 let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
                 tiles.iter().map(|tile| (tile.to_string(), tile.is_experimental())).collect()
             }
+            Tuned::Nearest => {
+                NearestTile::candidates(limits, units).iter().map(|tile| (tile.to_string(), false)).collect()
+            }
         }
     }
 
     /// Its candidates by index and name, without those that compute wrongly: the self-test has passed on all others.
-    fn usable(self, device: &Device, units: Units) -> Result<Vec<(usize, String)>> {
+    fn usable(self, device: &Device, units: Units, unusable: &mut Vec<String>) -> Result<Vec<(usize, String)>> {
         let mut usable = Vec::new();
         for (index, (name, is_experimental)) in self.candidates(units, device.limits()).into_iter().enumerate() {
             let passes = || match SelfTest::passes_with(device, self, units, index) {
@@ -154,6 +163,8 @@ impl Tuned {
             };
             if !is_experimental || passes()? {
                 usable.push((index, name));
+            } else {
+                unusable.push(self.of(units, &name));
             }
         }
         Ok(usable)
@@ -170,25 +181,32 @@ impl Tuned {
     ) -> Result<Measured> {
         let mut times = Vec::new();
         for (index, name) in tiles {
-            if next(&format!("{} {} {name}", self.name(), units.factor.name())).is_break() {
+            if next(&self.of(units, name)).is_break() {
                 return Err(Error::Cancelled);
             }
             let units = Units { tiles: Tiles::always(*index), ..units };
             let run = match self {
                 Tuned::Linear => linear_run(device, units, values / COLUMNS),
                 Tuned::Attention => attention_run(device, units, values / COLUMNS),
+                Tuned::Nearest => nearest_run(device, units, values / COLUMNS),
             };
             times.push((name.clone(), median(run?)?));
         }
         Ok(Measured { kernel: self, factor: units.factor, values, tiles: times })
     }
 
-    /// `linear` or `attention`.
+    /// `linear`, `attention` or `nearest`.
     pub fn name(self) -> &'static str {
         match self {
             Tuned::Linear => "linear",
             Tuned::Attention => "attention",
+            Tuned::Nearest => "nearest",
         }
+    }
+
+    /// A tile of it by its full name.
+    fn of(self, units: Units, tile: &str) -> String {
+        format!("{} {} {tile}", self.name(), units.factor.name())
     }
 }
 
@@ -216,6 +234,17 @@ fn attention_run(device: &Device, units: Units, queries: usize) -> Result<Run> {
     let tensors = attention.tensors(&mut rec);
     tensors.iter().for_each(|tensor| rec.fill(*tensor, 0));
     let out = attention.record(&mut rec, tensors);
+    rec.output(out);
+    Run::new(device, rec.finish()?)
+}
+
+fn nearest_run(device: &Device, units: Units, points: usize) -> Result<Run> {
+    let mut rec = Recorder::new(device.limits());
+    let rows = [points, COLUMNS].map(|count| (rec.tensor::<f32>("rows", count * TERMS), count));
+    rows.iter().for_each(|(tensor, _)| rec.fill(*tensor, 0));
+    let nearest = Nearest::among(&mut rec, NearestKernel::Matrix(units), rows[1], TERMS);
+    let [points, targets] = rows.map(|rows| nearest.rows(&mut rec, rows));
+    let out = nearest.record(&mut rec, points, targets);
     rec.output(out);
     Run::new(device, rec.finish()?)
 }

@@ -5,7 +5,11 @@
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::cluster as kernels,
-    ops::{Nearest, NearestKernel, gather_rows},
+    ops::{
+        Nearest, NearestKernel, gather_rows,
+        scan::exclusive_scan,
+        sort::{key_bits, key_starts, sort_pairs},
+    },
 };
 
 /// Rounds of assignment and mean of the reference.
@@ -71,18 +75,11 @@ pub fn record(
     let nearest = Nearest::among(rec, kernel, (tokens, count), width);
     let token_rows = nearest.rows(rec, (tokens, count));
     let centroids = gather_rows(rec, tokens, count, initial, clusters, width);
+    let means = Means::new(rec, [count, clusters, width]);
     for round in 0..rounds {
         let centroid_rows = nearest.rows(rec, (centroids, clusters));
         let cluster_of_point = nearest.record(rec, token_rows, centroid_rows);
-        let kernel = kernels::Mean {
-            points: tokens,
-            cluster_of_point,
-            centroids,
-            point_count: count as u32,
-            cluster_count: clusters as u32,
-            width: width as u32,
-        };
-        rec.dispatch_groups(kernel, clusters);
+        means.record(rec, tokens, cluster_of_point, centroids);
         if round + 1 == rounds {
             rec.observe("assign", cluster_of_point);
         }
@@ -92,4 +89,37 @@ pub fn record(
     let chosen = nearest.record(rec, centroid_rows, token_rows);
     rec.observe("nearest", chosen);
     chosen
+}
+
+/// Means of the points of each cluster.
+#[derive(Clone, Copy, Debug)]
+pub struct Means {
+    /// `[count]` 0, 1, 2 ...
+    points: Tensor,
+    point_count: Tensor,
+    shape: [usize; 3],
+}
+
+impl Means {
+    /// For `[count, clusters, width]`, the last a multiple of 4.
+    pub fn new(rec: &mut Recorder, shape: [usize; 3]) -> Self {
+        let points = rec.tensor::<u32>("points", shape[0]);
+        rec.fill(points, 1);
+        exclusive_scan(rec, points, shape[0]);
+        let point_count = rec.tensor::<u32>("point_count", 1);
+        rec.fill(point_count, shape[0] as u32);
+        Self { points, point_count, shape }
+    }
+
+    /// Writes `centroids` `[clusters, width]`: means of those of `points` `[count, width]` whose `cluster_of_point` is theirs,
+    /// added in their order; zero where there is none.
+    pub fn record(&self, rec: &mut Recorder, points: Tensor, cluster_of_point: Tensor, centroids: Tensor) {
+        let [count, clusters, width] = self.shape;
+        let (sorted, members) =
+            sort_pairs(rec, cluster_of_point, self.points, self.point_count, count, key_bits(clusters));
+        let starts = key_starts(rec, sorted, self.point_count, clusters);
+        let kernel =
+            kernels::Mean { points, members, starts, centroids, cluster_count: clusters as u32, width: width as u32 };
+        rec.dispatch(kernel, clusters * width / 4);
+    }
 }

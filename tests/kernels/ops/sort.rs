@@ -1,8 +1,9 @@
 //! The radix sort against std's stable sort.
 
+use crate::case::Case;
 use zipsplat::{
     gpu::{Recorder, Run},
-    ops::sort::sort_pairs,
+    ops::sort::{key_starts, sort_pairs},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
 
@@ -51,5 +52,21 @@ fn equal_keys_keep_their_order() {
 fn sorts_only_the_items_and_bits_in_use() {
     for (count, bits) in [(0, 32), (1, 0), (3_000, 0), (3_000, 1), (3_000, 13), (1, 31), (4_999, 20)] {
         check(&keys(5_000, u32::MAX), count, bits);
+    }
+}
+
+#[test]
+fn finds_where_each_key_starts() {
+    for (count, key_count) in [(0, 3), (1, 1), (1000, 1), (1000, 100), (5000, 70_000)] {
+        // The items beyond `count` are not in use and hold anything.
+        let mut keys: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(2_654_435_761) % key_count).collect();
+        keys.sort_unstable();
+        let expected: Vec<u32> = (0..=key_count).map(|key| keys.partition_point(|&k| k < key) as u32).collect();
+        keys.resize(count as usize + 5, 0);
+        let mut case = Case::new();
+        let (keys, item_count) = (case.input(&keys), case.input(&[count]));
+        let starts = key_starts(&mut case.rec, keys, item_count, key_count as usize);
+        case.rec.output(starts);
+        assert_same("starts", &case.result::<u32>(starts), &expected);
     }
 }

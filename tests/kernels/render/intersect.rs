@@ -2,7 +2,7 @@
 
 use zipsplat::{
     gpu::{Recorder, Run},
-    kernels::render::{Intersect, TileCounts, TileOffsets},
+    kernels::render::{Intersect, TileCounts},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
 
@@ -107,29 +107,4 @@ fn counts_every_tile_in_depth_order() {
 fn a_sum_that_wraps_is_noticed() {
     let [_, _, status] = intersect(&tile_sets(3), &[0, 1, 2], &[0, 4_000_000_000, 5, 9], 4);
     assert_eq!(status, [4, 9, 1]);
-}
-
-#[test]
-fn finds_where_each_tile_starts() {
-    for (count, tile_count) in [(0, 3), (1, 1), (1000, 1), (1000, 100), (5000, 70_000)] {
-        // The items beyond `count` are not in use and hold anything.
-        let mut tiles: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(2_654_435_761) % tile_count).collect();
-        tiles.sort_unstable();
-        let expected: Vec<u32> = (0..=tile_count).map(|t| tiles.partition_point(|&tile| tile < t) as u32).collect();
-        tiles.resize(count as usize + 5, 0);
-        let mut rec = Recorder::new(device().limits());
-        let kernel = TileOffsets {
-            tiles: rec.input::<u32>("tiles", tiles.len()),
-            item_count: rec.input::<u32>("item_count", 1),
-            tile_offsets: rec.tensor::<u32>("tile_offsets", expected.len()),
-            tile_count,
-        };
-        rec.dispatch(kernel, expected.len());
-        rec.output(kernel.tile_offsets);
-        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-        run.write(kernel.tiles, &tiles).unwrap();
-        run.write(kernel.item_count, &[count]).unwrap();
-        run.execute().unwrap();
-        assert_same("offsets", &run.read::<u32>(kernel.tile_offsets).unwrap(), &expected);
-    }
 }

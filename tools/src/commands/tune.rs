@@ -25,6 +25,7 @@ pub struct Tune {}
 struct Report<'a> {
     device: &'a str,
     measured: &'a [Measured],
+    unusable: &'a [String],
 }
 
 impl Tune {
@@ -58,7 +59,11 @@ impl Tune {
                 ]);
             }
         }
-        let text = format!("{table}{}: measured in {:.1} s", limits.name, time.as_secs_f64());
-        session.report(&Report { device: &limits.name, measured: &tuning.measured }, text)
+        let mut text = format!("{table}{}: measured in {:.1} s", limits.name, time.as_secs_f64());
+        for tile in &tuning.unusable {
+            text += &format!("\nnot used, its results are wrong or the driver refuses it: {tile}");
+        }
+        let Tuning { measured, unusable } = &tuning;
+        session.report(&Report { device: &limits.name, measured, unusable }, text)
     }
 }

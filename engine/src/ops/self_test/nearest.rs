@@ -18,12 +18,20 @@ impl SelfTest {
     pub(super) fn nearest_tiles(&mut self, device: &Device, units: Units) -> Result<()> {
         let tiles = NearestTile::candidates(device.limits(), units);
         self.none_fits(NAME, tiles.is_empty());
-        for (index, tile) in tiles.iter().enumerate() {
-            let [points, targets] = tile.sides(units.shape);
-            let units = Units { tiles: Tiles::always(index), ..units };
-            self.nearest(device, units, 4 * points + 3, 2 * targets + 6)?;
-        }
-        Ok(())
+        tiles.iter().enumerate().try_for_each(|(index, tile)| self.nearest_tile(device, units, *tile, index))
+    }
+
+    /// Several workgroups each way, the last of them not whole.
+    pub(super) fn nearest_tile(
+        &mut self,
+        device: &Device,
+        units: Units,
+        tile: NearestTile,
+        index: usize,
+    ) -> Result<()> {
+        let [points, targets] = tile.sides(units.shape);
+        let units = Units { tiles: Tiles::always(index), ..units };
+        self.nearest(device, units, 4 * points + 3, 2 * targets + 6)
     }
 
     /// How far the targets are that are found nearest. Points lie nearly midway between two, which only the low halves tell

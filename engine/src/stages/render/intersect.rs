@@ -8,8 +8,11 @@
 use super::{FrameShape, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::render::{Intersect, TileCounts, TileOffsets},
-    ops::{scan::exclusive_scan, sort::sort_pairs},
+    kernels::render::{Intersect, TileCounts},
+    ops::{
+        scan::exclusive_scan,
+        sort::{key_bits, key_starts, sort_pairs},
+    },
 };
 
 /// The lists of all tiles, one after the other.
@@ -58,11 +61,8 @@ pub(super) fn record(rec: &mut Recorder, splats: &Splats, shape: FrameShape, cap
     rec.dispatch(kernel, splats.pairs + 1);
 
     let tile_count = shape.tiles();
-    let tile_bits = usize::BITS - (tile_count - 1).leading_zeros();
     let (tiles, pair_indices) =
-        rec.scope("by_tile", |rec| sort_pairs(rec, tiles, pair_indices, status, capacity, tile_bits));
-    let tile_offsets = rec.tensor::<u32>("tile_offsets", tile_count + 1);
-    let kernel = TileOffsets { tiles, item_count: status, tile_offsets, tile_count: tile_count as u32 };
-    rec.dispatch(kernel, tile_count + 1);
+        rec.scope("by_tile", |rec| sort_pairs(rec, tiles, pair_indices, status, capacity, key_bits(tile_count)));
+    let tile_offsets = key_starts(rec, tiles, status, tile_count);
     TileLists { pair_indices, tile_offsets, status }
 }

@@ -1,0 +1,24 @@
+// Finds where the items of each key start.
+//
+// keys [capacity], sorted, the first item_count[0] of them in use; starts [key_count + 1].
+// One invocation owns one key and finds it by binary search.
+#version 460
+layout(local_size_x = 64) in;
+#include "shared/index.glsl"
+
+layout(set = 0, binding = 0) readonly buffer Keys { uint keys[]; };
+layout(set = 0, binding = 1) readonly buffer ItemCount { uint item_count[]; };
+layout(set = 0, binding = 2) writeonly buffer Starts { uint starts[]; };
+layout(push_constant) uniform Push { uint key_count; };
+
+void main() {
+    uint key = global_index();
+    if (key > key_count) return;
+    uint from = 0, to = item_count[0];
+    while (from < to) {
+        uint middle = (from + to) / 2;
+        if (keys[middle] < key) from = middle + 1;
+        else to = middle;
+    }
+    starts[key] = from;
+}
