@@ -13,7 +13,7 @@ import time
 
 import torch
 
-from model import ZipSplat
+import model as network
 from weights import Architecture
 
 
@@ -60,12 +60,15 @@ def main():
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     width, height = args.size
-    model = ZipSplat(Architecture.from_json(args.architecture)).to(device).eval()
+    model = network.ZipSplat(Architecture.from_json(args.architecture)).to(device).eval()
     each = len(args.ratio) // len(args.views)
     rows = []
     for name, (autocast, tf32, compiled) in precisions(device, args.precision).items():
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = tf32
-        network = torch.compile(model) if compiled else model
+        if compiled:
+            # Block by block, as in training: the whole would be compiled anew for every number of views.
+            for kind in (network.Block, network.CrossBlock):
+                kind.forward = torch.compile(kind.forward, dynamic=True)
         for i, ratio in enumerate(args.ratio):
             views = args.views[i // each]
             images = torch.rand(1, views, 3, height, width, device=device)
@@ -76,7 +79,7 @@ def main():
 
             def forward():
                 with torch.autocast(device, autocast, enabled=autocast is not None):
-                    network(images, ratio)
+                    model(images, ratio)
 
             row = {"precision": name, "views": views, "ratio": ratio}
             try:

@@ -28,8 +28,8 @@ SKY = 12.0
 class Shards:
     """A stream of scenes; the record's layout is documented in the generator (tools/src/procedural/shards.rs)."""
 
-    def __init__(self, command):
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    def __init__(self, command, log=subprocess.DEVNULL):
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
         header = np.frombuffer(self.process.stdout.read(HEADER.itemsize), HEADER)
         if len(header) == 0 or (header["magic"][0], header["format"][0]) != (MAGIC, FORMAT):
             raise RuntimeError(f"{' '.join(command)}: found {header}, expected a stream of scenes of format {FORMAT}")
@@ -53,7 +53,8 @@ class Shards:
 
 
 def generator_command(zipsplat, size, views, first_seed, textures=None, scenes=None):
-    command = [zipsplat, "scene", "--shards", "-", "--views", str(views), "--size", f"{size}x{size}"]
+    # Training comes first: the pool has scenes to go on with.
+    command = ["nice", "-n", "5", zipsplat, "scene", "--shards", "-", "--views", str(views), "--size", f"{size}x{size}"]
     command += ["--first-seed", str(first_seed)]
     command += ["--textures", textures] if textures else []
     return command + (["--scenes", str(scenes)] if scenes else [])
@@ -77,7 +78,8 @@ class Pool:
         self.waited = 0.0
         self.rows = self.columns(capacity, device=self.device)
         self.ready, self.free = queue.Queue(), queue.Queue()
-        for _ in range(4):
+        # With a GPU they fill while its kernels are compiled.
+        for _ in range(64 if self.device.type == "cuda" else 4):
             self.free.put((self.columns(self.block, pin_memory=self.device.type == "cuda"), None))
         threading.Thread(target=self.read, daemon=True).start()
 
@@ -128,7 +130,7 @@ class Pool:
                 raise RuntimeError(f"found {self.taken} scenes in the stream or a minute without one, expected {count}")
             self.waited += time.perf_counter() - started
 
-    def sample(self, scenes, views, targets, spread, points, cells, patch, loose=0.0):
+    def sample(self, scenes, views, targets, spread, points, cells, patch, loose=None):
         self.fill(self.block)
         while self.taken < self.capacity or self.drawn >= self.reuse * (self.taken - self.capacity):
             if self.take_in() == 0:
@@ -193,10 +195,10 @@ def inverse(poses):
     return result
 
 
-def batch(rows, context, targets, points, cells, patch, loose=0.0):
+def batch(rows, context, targets, points, cells, patch, loose=None):
     """Moves scenes into the frame of their first context view, where the median distance of what is seen becomes 1.
 
-    With probability `loose` the other cameras of a scene stand anywhere, whatever the pictures say.
+    In the scenes that are `loose` [B] the other cameras stand anywhere, whatever the pictures say.
     """
     poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
     poses[:, :, :3] = rows["poses"]
@@ -208,9 +210,8 @@ def batch(rows, context, targets, points, cells, patch, loose=0.0):
     relative[..., :3, 3] /= scale
     cloud = cloud / scale
     cameras = pick(relative, context)
-    if loose:
-        moved = torch.rand(len(cameras), 1, device=cameras.device) < loose
-        cameras[:, 1:] = torch.where(moved[..., None, None], anywhere(cameras[:, 1:]), cameras[:, 1:])
+    if loose is not None:
+        cameras[:, 1:] = torch.where(loose[:, None, None, None], anywhere(cameras[:, 1:]), cameras[:, 1:])
     # Sky gives no point: a surface's stands in, so that shapes stay fixed.
     seen = cloud.isfinite().all(-1)
     cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
@@ -238,13 +239,14 @@ def anywhere(poses):
     # Mostly around the vertical, as people go.
     axis = F.normalize(axis * axis.new_tensor((0.4, 1.0, 0.4)), dim=-1)
     angle = torch.pi * torch.rand_like(axis[..., :1])
-    x, y, z = (axis * angle).unbind(-1)
+    x, y, z = axis.unbind(-1)
     zero = torch.zeros_like(x)
-    turn = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
-    result = torch.zeros_like(poses)
-    result[..., 3, 3] = 1
-    result[..., :3, :3] = torch.linalg.matrix_exp(turn)
-    result[..., :3, 3] = torch.randn_like(axis) * 2 * torch.rand_like(angle)
+    cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    angle = angle[..., None]
+    turn = angle.sin() * cross + (1 - angle.cos()) * (cross @ cross)  # Rodrigues, without the identity
+    result = torch.eye(4, device=poses.device).expand_as(poses).clone()
+    result[..., :3, :3] += turn
+    result[..., :3, 3] = torch.randn_like(axis) * 2 * torch.rand_like(axis[..., :1])
     return result
 
 

@@ -174,6 +174,7 @@ def seen(means, pictures, batch, sample, perceptual):
     depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)
     parts = {
         "l1": (rgb - truth).abs().mean(),
+        "mse": (rgb - truth).square().mean(),
         "chamfer": chamfer(means, batch.points, ~pictures.reached, sample),
         "depth": (depth_error * surface).mean(),
     }

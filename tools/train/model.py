@@ -299,11 +299,13 @@ def nearest_tokens(tokens, count, iterations=5):
     n = tokens.shape[1]
     clusters = torch.arange(count, device=tokens.device)
     centroids = tokens[:, first_tokens(n, count, tokens.device)]
-    for _ in range(iterations):
-        assigned = (squared_distances(tokens, centroids).argmin(-1, keepdim=True) == clusters).to(tokens)
-        members = assigned.sum(1)[..., None]
-        centroids = (assigned.transpose(1, 2) @ tokens) / members.clamp_min(1)
-    return squared_distances(centroids, tokens).argmin(-1)
+    # Products in bf16 would decide a third of the tokens otherwise.
+    with torch.autocast(tokens.device.type, enabled=False):
+        for _ in range(iterations):
+            assigned = (squared_distances(tokens, centroids).argmin(-1, keepdim=True) == clusters).to(tokens)
+            members = assigned.sum(1)[..., None]
+            centroids = (assigned.transpose(1, 2) @ tokens) / members.clamp_min(1)
+        return squared_distances(centroids, tokens).argmin(-1)
 
 
 def squared_distances(a, b):
@@ -347,7 +349,9 @@ class ZipSplat(nn.Module):
         taps = {} if taps is None else taps
         vit, camera_tokens = self.backbone.backbone, None
         if priors is not None:
-            camera_tokens = self.backbone.cam_enc(*priors, images.shape[-2:])
+            # In bf16 rotations would be off by up to 0.3 degrees.
+            with torch.autocast(images.device.type, enabled=False):
+                camera_tokens = self.backbone.cam_enc(*priors, images.shape[-2:])
             if given is not None:
                 learned = vit.learned_camera_tokens(*images.shape[:2])
                 camera_tokens = torch.where(given[:, None, None], camera_tokens.to(learned.dtype), learned)

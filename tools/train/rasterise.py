@@ -77,9 +77,10 @@ def project(gaussians, viewmats, intrinsics, size, sh_degree):
         visible = visible & (opacity >= MIN_ALPHA) & (det > 0)
         sigmas = (2 * (255 * opacity.clamp_min(MIN_ALPHA)).log()).sqrt().clamp_max(3.33)
         reach = (sigmas[..., None] * torch.stack((var_x, var_y), -1).sqrt()).ceil()
-        limit = torch.tensor((width, height), device=mean.device)
-        low = (mean - reach).floor().clamp_min(0).minimum(limit)
-        high = (mean + reach).ceil().clamp_min(0).minimum(limit)
+        low, high = (
+            torch.stack((bound[..., 0].clamp(0, width), bound[..., 1].clamp(0, height)), -1)
+            for bound in ((mean - reach).floor(), (mean + reach).ceil())
+        )
         high = torch.where(visible[..., None] & high.isfinite() & low.isfinite(), high, 0)
         bounds = torch.cat((low.nan_to_num(0), high), -1).int()
     return splats, bounds

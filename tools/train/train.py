@@ -18,6 +18,7 @@ import csv
 import json
 import math
 import random
+import signal
 import sys
 import time
 from pathlib import Path
@@ -55,6 +56,8 @@ class Trainer:
         self.step = self.samples = self.first_seed = self.steps_before = 0
         self.elapsed = self.seconds_before = 0.0
         self.log = []
+        self.stopped = False
+        signal.signal(signal.SIGTERM, self.stop)
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
         model = initialise(ZipSplat(self.architecture), config["anchor_cells"], **config["initial"])
@@ -77,7 +80,8 @@ class Trainer:
         def command(seed, scenes=None):
             return generator_command(args.zipsplat, config["size"], config["record_views"], seed, args.textures, scenes)
 
-        self.shards = Shards(command(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"]))
+        generator_log = open(self.out / "generator.log", "ab")
+        self.shards = Shards(command(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"]), generator_log)
         capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.processes / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
         self.evaluated = self.pool
@@ -86,6 +90,10 @@ class Trainer:
             self.evaluated = Pool(unseen, UNSEEN_SCENES, self.device)
             self.evaluated.fill(UNSEEN_SCENES)
             unseen.close()
+
+    def stop(self, *_):
+        """Ends the run after the step that is under way, and saves."""
+        self.stopped = True
 
     def resume(self, model):
         """Takes weights over from --resume; gives the rest of the state of a run that goes on."""
@@ -146,9 +154,10 @@ class Trainer:
         views, ratio = self.schedule.draw(self.elapsed, self.rng)
         scenes = max(self.config["batch_views"] // self.processes // views, 1)
         draw = self.schedule.draws_pictures(self.elapsed, self.rng)
-        loose = 0 if draw else self.config["loose"]
-        data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry(), loose)
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
+        # Cameras that the model is not told are where the pictures say.
+        loose = None if draw else given & (torch.rand(scenes, device=self.device) < self.config["loose"])
+        data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry(), loose)
         gaussians, tokens, pictures = self.forward(self.model, data, ratio, given, draw)
         weights = self.schedule.weights(self.elapsed)
         sample = self.config["chamfer_gaussians"]
@@ -175,17 +184,17 @@ class Trainer:
             return {name: value.detach() for name, value in parts.items()}
 
     def share_gradients(self):
-        """Averages them over all processes, and moves the clock of all to the first one's time."""
+        """Averages them over all processes, moves the clock of all to the first one's time, and stops all where one is to."""
         now = time.perf_counter() - self.started
         if self.processes == 1:
             self.elapsed = now
             return
         gradients = [parameter.grad for parameter in self.model.parameters()]
-        clock = torch.tensor([now if self.rank == 0 else 0.0], device=self.device)
+        clock = torch.tensor([now if self.rank == 0 else 0.0, float(self.stopped)], device=self.device)
         flat = torch.cat([gradient.flatten() for gradient in gradients] + [clock])
         dist.all_reduce(flat)
-        self.elapsed = flat[-1].item()
-        for gradient, mean in zip(gradients, (flat[:-1] / self.processes).split([g.numel() for g in gradients])):
+        self.elapsed, self.stopped = flat[-2].item(), flat[-1].item() > 0
+        for gradient, mean in zip(gradients, (flat[:-2] / self.processes).split([g.numel() for g in gradients])):
             gradient.copy_(mean.view_as(gradient))
 
     def warm_up(self):
@@ -211,7 +220,7 @@ class Trainer:
         self.started = time.perf_counter() - before
         saved = logged = before
         measured, first_sample = {}, self.samples
-        while self.elapsed < end:
+        while self.elapsed < end and not self.stopped:
             for name, value in self.train_step().items():
                 measured.setdefault(name, []).append(value)
             if self.rank > 0:
@@ -247,6 +256,7 @@ class Trainer:
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
     @torch.no_grad()
+    @torch.compiler.set_stance("force_eager")  # graphs of its own would take minutes to compile
     def evaluate(self):
         """PSNR of the averaged weights on the unseen scenes (or on the fixed ones to learn by heart), and a picture."""
         views, targets = self.config["evaluate"]
@@ -287,8 +297,16 @@ class Trainer:
         pixels = (torch.cat(lines).float().clamp(0, 1) * 255).byte().cpu().numpy()
         Image.fromarray(pixels).save(self.out / "samples" / f"{self.step + self.steps_before:07}.png")
 
+    def attempt(self, part):
+        """What it gives; a failure of what is only to be looked at never costs the run."""
+        try:
+            return part()
+        except Exception as error:
+            print(f"{part.__name__} failed: {error}", flush=True)
+            return {}
+
     def save(self):
-        scores = self.evaluate()
+        scores = self.attempt(self.evaluate)
         print(
             ("learned" if self.config["scenes"] else "unseen")
             + " PSNR: "
@@ -317,7 +335,7 @@ class Trainer:
                 writer = csv.DictWriter(file, names)
                 writer.writeheader()
                 writer.writerows(self.log)
-            self.curve()
+            self.attempt(self.curve)
 
     def curve(self):
         import matplotlib
@@ -357,7 +375,8 @@ def main():
         "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
     )
     args = parser.parse_args()
-    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+    torch.backends.cudnn.allow_tf32 = True
+    torch.backends.cuda.enable_cudnn_sdp(False)  # it plans anew for every number of views and tokens
     sys.stdout.reconfigure(line_buffering=True)
     Trainer(args, read_config(args.config, args.set)).run()
 
