@@ -58,7 +58,7 @@ impl Element {
                 "GL_EXT_shader_explicit_arithmetic_types_float16",
                 "float16_t",
                 "float",
-                "uvec2(packHalf2x16((value).xy), packHalf2x16((value).zw))",
+                "uvec2(packFloat2x16(f16vec2((value).xy)), packFloat2x16(f16vec2((value).zw)))",
             ),
             Element::Bf16 => ("GL_EXT_bfloat16", "bfloat16_t", "float", "bf16_packed(value)"),
             Element::I8 => ("GL_EXT_shader_explicit_arithmetic_types_int8", "int8_t", "int", "uvec2(0)"),

@@ -31,8 +31,13 @@ layout(push_constant) uniform Push {
 const uint LEAST_EXPONENT = 27;
 const uint MOST_EXPONENT = 254;
 
-// To the 11 bits that f16 has. A conversion there and back would be the device's to round, or to leave out.
-vec4 rounded(vec4 x) { return uintBitsToFloat((floatBitsToUint(x) + 0x1000u) & 0xffffe000u); }
+// To the 11 bits that f16 has. A conversion there and back would be the device's to round, or to leave out. What is no number
+// stays none: the bits of some carry over into the sign.
+vec4 rounded(vec4 x) {
+    uvec4 bits = floatBitsToUint(x);
+    uvec4 near = (bits + 0x1000u) & 0xffffe000u;
+    return uintBitsToFloat(mix(near, bits, greaterThan(bits & 0x7fffffffu, uvec4(0x7f800000u))));
+}
 
 void main() {
     uint row = group_index();

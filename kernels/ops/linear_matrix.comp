@@ -31,11 +31,12 @@ const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
 const uint TILE_M = SUBGROUPS / SUBGROUPS_N * SUBGROUP_M;
 const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
-// Shared memory in pieces; rows are one longer than they need, so that a matrix's rows lie in different banks.
+// Shared memory in pieces; rows are 16 bytes longer than they need, so that a matrix's rows lie in different banks and yet
+// where matrices may be loaded from.
 const uint PIECES = TILE_K / 8;
-const uint STRIDE = PIECES + 1;
+const uint STRIDE = PIECES + QUAD;
 const uint STAGE = (TILE_M + TILE_N) * STRIDE;
-const uint STRIP_STRIDE = SUBGROUP_N / 4 * QUAD + 1;
+const uint STRIP_STRIDE = (SUBGROUP_N / 4 + 1) * QUAD;
 const uint STRIP = MATRIX_M * STRIP_STRIDE; // a row of a subgroup's matrices, as the epilogue reads it
 const uint SHARED = 2 * STAGE > SUBGROUPS * STRIP ? 2 * STAGE : SUBGROUPS * STRIP;
 const uint THREADS = gl_WorkGroupSize.x;

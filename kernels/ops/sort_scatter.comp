@@ -47,8 +47,7 @@ void main() {
             place = next[digit];
             next[digit] = place + subgroupBallotBitCount(equal);
         }
-        subgroupMemoryBarrierShared();
-        // Every lane waits here for what the leaders read, so none reads in the next round what they have yet to write.
+        subgroupBarrier(); // what the leaders write now, others read in the next round
         place = subgroupShuffle(place, subgroupBallotFindLSB(equal)) + rank;
         if (inside) {
             sorted_keys[place] = key;

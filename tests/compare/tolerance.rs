@@ -120,6 +120,13 @@ impl Tolerance {
         Tolerance { max: 8.0 * walk, rms: 2.0 * walk }
     }
 
+    /// The tolerance of sums that a GPU's matrix units make in so many steps: they may cut off rather than round, so that a
+    /// sum that has grown as a random walk drifts by a third of an ulp a step.
+    pub fn sum_cut_off(steps: usize) -> Tolerance {
+        let drift = F32_ROUNDING * 2.0 / 3.0 * steps as f64;
+        Tolerance { max: 4.0 * drift, rms: drift }
+    }
+
     /// The tolerance of a result stored in this type.
     pub fn stored_in(self, element: Element) -> Tolerance {
         // Half a unit in the last place, relative to an element, which may be eight times the rms.

@@ -74,7 +74,7 @@ impl Device {
         let [instance, physical, device, queue] = handles.map(|handle| handle as usize as u64);
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
-        let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
+        let (mut limits, found) = probe(&instance, physical);
         // What the app did not have to enable.
         (limits.half_storage, limits.matrices) = (false, Matrices::default());
         limits.workgroup_matrices.clear();
@@ -88,10 +88,21 @@ impl Device {
         if !families.get(family as usize).is_some_and(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE)) {
             return Err(Error::argument("queue family", family, "one that can compute"));
         }
+        limits.timestamp_bits = families[family as usize].timestamp_valid_bits;
         // SAFETY: the caller vouches for the device.
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), vk::Device::from_raw(device)) };
         let queue = Queue::new(vk::Queue::from_raw(queue), adopted.queue_lock);
-        let parts = SharedParts { instance, physical, raw, owned: false, queue, family, limits, staged: false };
+        let parts = SharedParts {
+            instance,
+            physical,
+            raw,
+            owned: false,
+            queue,
+            family,
+            limits,
+            staged: false,
+            passed_over: Vec::new(),
+        };
         Shared::new(parts, found.subgroup_control).map(|shared| Self(Arc::new(shared)))
     }
 }

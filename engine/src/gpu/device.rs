@@ -5,13 +5,12 @@ use super::{
     instance::Instance,
     limits::{Limits, Matrices, probe},
     queue::Queue,
-    schedule::first_guess,
 };
 use crate::{Error, Result};
 use ash::{ext, khr, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::{
-    collections::HashMap,
+    collections::{HashMap, hash_map::Entry},
     sync::{
         Arc, Mutex, MutexGuard,
         atomic::{AtomicBool, AtomicU64},
@@ -55,10 +54,12 @@ pub(super) struct Shared {
     pub limits: Limits,
     /// Bytes of device memory that blocks hold.
     pub allocated: AtomicU64,
-    /// Arithmetic per millisecond seen so far, for splitting long plans.
-    pub flops_per_ms: AtomicU64,
+    /// Arithmetic per millisecond seen so far in each stage, for splitting long plans: how it is counted differs.
+    pub flops_per_ms: Mutex<HashMap<String, u64>>,
     /// See [`DeviceOptions::staged`].
     pub staged: bool,
+    /// See [`Device::passed_over`].
+    passed_over: Vec<String>,
     /// See [`super::lost`].
     pub lost: AtomicBool,
     subgroup_control: bool,
@@ -80,6 +81,7 @@ pub(super) struct SharedParts {
     pub family: u32,
     pub limits: Limits,
     pub staged: bool,
+    pub passed_over: Vec<String>,
 }
 
 #[derive(Clone, Copy)]
@@ -118,26 +120,37 @@ impl Device {
         let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
         let matching: Vec<_> = devices
             .iter()
-            .filter(|(_, d)| match &options.selector {
-                Some(s) => s.parse() == Ok(d.index) || d.limits.name.to_lowercase().contains(&s.to_lowercase()),
-                None => true,
-            })
+            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector, devices.len())))
             .collect();
         if matching.is_empty() {
             let selector = options.selector.clone().unwrap_or_default();
-            return Err(Error::NoDevice(format!("none matches '{selector}'; there are {}", names().join(", "))));
+            return Err(Error::NoDevice(format!(
+                "none is '{selector}'; those of this machine: {}",
+                names().join(", ")
+            )));
         }
-        let Some((physical, _)) = matching
+        let Some((physical, chosen)) = matching
             .iter()
             .filter(|(_, d)| d.missing.is_empty())
             .min_by_key(|(_, d)| (d.limits.cpu, !d.limits.discrete, d.index))
         else {
-            let why: Vec<_> =
-                matching.iter().map(|(_, d)| format!("{} lacks {}", d.limits.name, d.missing.join(", "))).collect();
+            let why: Vec<_> = matching.iter().map(|(_, d)| d.lacks()).collect();
             return Err(Error::NoDevice(why.join("; ")));
         };
         let physical = *physical;
-        Shared::open(instance, physical, options).map(|s| Self(Arc::new(s)))
+        let passed_over: Vec<_> =
+            matching.iter().filter(|(_, d)| chosen.limits.cpu && !d.limits.cpu).map(|(_, d)| d.lacks()).collect();
+        Shared::open(instance, physical, options, passed_over).map(|s| Self(Arc::new(s)))
+    }
+
+    /// GPUs that matched and cannot be used, and why, where a CPU was taken for them.
+    pub fn passed_over(&self) -> &[String] {
+        &self.0.passed_over
+    }
+
+    /// Whether it runs under the validation layer.
+    pub fn is_validated(&self) -> bool {
+        self.0.debug.is_some()
     }
 
     /// What the device is and can do.
@@ -147,13 +160,21 @@ impl Device {
 }
 
 impl Shared {
-    fn open(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
-        let (mut limits, found) = probe(&instance.entry, &instance.raw, physical);
+    fn open(
+        instance: Instance,
+        physical: vk::PhysicalDevice,
+        options: &DeviceOptions,
+        passed_over: Vec<String>,
+    ) -> Result<Self> {
+        let (mut limits, found) = probe(&instance, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
         limits.memory_bytes = limits.memory_bytes.min(options.max_memory_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let mut extensions = vec![khr::push_descriptor::NAME.as_ptr()];
+        if found.portability_subset {
+            extensions.push(khr::portability_subset::NAME.as_ptr());
+        }
         let matrices = limits.matrices != Matrices::default();
         let (bf16, i8) = (limits.matrices.bf16.is_some(), limits.matrices.i8.is_some());
         let mut v11 = vk::PhysicalDeviceVulkan11Features::default().storage_buffer16_bit_access(limits.half_storage);
@@ -203,12 +224,12 @@ impl Shared {
         // SAFETY: the family and queue were asked for above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
         let staged = options.staged;
-        let parts = SharedParts { instance, physical, raw, owned: true, queue, family, limits, staged };
+        let parts = SharedParts { instance, physical, raw, owned: true, queue, family, limits, staged, passed_over };
         Self::new(parts, found.subgroup_control)
     }
 
     pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
-        let SharedParts { instance, physical, raw, owned, queue, family, limits, staged } = parts;
+        let SharedParts { instance, physical, raw, owned, queue, family, limits, staged, passed_over } = parts;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -224,8 +245,9 @@ impl Shared {
             queue,
             family,
             allocated: AtomicU64::new(0),
-            flops_per_ms: AtomicU64::new(first_guess(&limits)),
+            flops_per_ms: Mutex::default(),
             staged,
+            passed_over,
             lost: AtomicBool::new(false),
             subgroup_control,
             pipelines: Mutex::default(),
@@ -279,8 +301,11 @@ impl Shared {
             .module(layout.module)
             .name(c"main")
             .specialization_info(&specialization);
-        if whole_subgroups && self.subgroup_control {
-            stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut size);
+        if whole_subgroups {
+            stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
+            if self.subgroup_control {
+                stage = stage.push_next(&mut size);
+            }
         }
         let info = vk::ComputePipelineCreateInfo::default()
             .flags(vk::PipelineCreateFlags::DISPATCH_BASE)
@@ -291,9 +316,15 @@ impl Shared {
             |(_, e)| Error::Driver { call: "vkCreateComputePipelines", result: format!("{}: {e}", module.name) },
         )?[0];
         self.label(raw, module.name);
-        let pipeline = Pipeline { raw, layout: layout.pipeline };
-        lock(&self.pipelines).insert(key, pipeline);
-        Ok(pipeline)
+        match lock(&self.pipelines).entry(key) {
+            // Another thread was faster.
+            Entry::Occupied(known) => {
+                // SAFETY: made above, and in no use.
+                unsafe { self.raw.destroy_pipeline(raw, None) };
+                Ok(*known.get())
+            }
+            Entry::Vacant(place) => Ok(*place.insert(Pipeline { raw, layout: layout.pipeline })),
+        }
     }
 
     fn layout(&self, module: &'static Module) -> Result<Layout> {

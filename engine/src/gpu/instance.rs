@@ -2,7 +2,7 @@
 
 use super::limits::{Limits, missing_features, probe};
 use crate::{Error, Result};
-use ash::{ext, vk};
+use ash::{ext, khr, vk};
 use std::{
     ffi::{CStr, c_void},
     sync::Mutex,
@@ -16,6 +16,8 @@ pub(super) struct Instance {
     pub debug: Option<ext::debug_utils::Instance>,
     messenger: vk::DebugUtilsMessengerEXT,
     pub messages: Box<Mutex<Vec<String>>>,
+    /// Version of Vulkan that the validation layer was made for, where it is on.
+    layer_version: Option<u32>,
     /// Whether it is ours to destroy.
     owned: bool,
     pub entry: ash::Entry,
@@ -30,6 +32,21 @@ pub struct DeviceInfo {
     pub missing: Vec<String>,
     /// Name, driver and what it can do.
     pub limits: Limits,
+}
+
+impl DeviceInfo {
+    /// Whether a selector means it, one of `count`: the number of one is nothing else, all others are a part of a name.
+    pub(super) fn is_selected(&self, selector: &str, count: usize) -> bool {
+        match selector.parse::<usize>() {
+            Ok(index) if index < count => self.index == index,
+            _ => self.limits.name.to_lowercase().contains(&selector.to_lowercase()),
+        }
+    }
+
+    /// Why it cannot be used.
+    pub(super) fn lacks(&self) -> String {
+        format!("{} lacks {}", self.limits.name, self.missing.join(", "))
+    }
 }
 
 /// Every Vulkan device, usable or not.
@@ -47,13 +64,18 @@ impl Instance {
         let messages = Box::new(Mutex::new(Vec::new()));
         let app = vk::ApplicationInfo::default().application_name(c"zipsplat").api_version(vk::API_VERSION_1_3);
         let layers = if validation { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
-        let layer_settings = validation && has_layer_extension(&entry, ext::layer_settings::NAME);
+        let layer_settings = validation && has_extension(&entry, Some(VALIDATION_LAYER), ext::layer_settings::NAME);
         let mut extensions = Vec::new();
         if validation {
             extensions.push(ext::debug_utils::NAME.as_ptr());
         }
         if layer_settings {
             extensions.push(ext::layer_settings::NAME.as_ptr());
+        }
+        // Else a loader hides drivers on top of another interface, such as MoltenVK.
+        let portable = has_extension(&entry, None, khr::portability_enumeration::NAME);
+        if portable {
+            extensions.push(khr::portability_enumeration::NAME.as_ptr());
         }
         let on = vk::TRUE.to_ne_bytes();
         let settings = [c"validate_sync", c"syncval_shader_accesses_heuristic"].map(|name| {
@@ -70,6 +92,9 @@ impl Instance {
             .application_info(&app)
             .enabled_layer_names(&layers)
             .enabled_extension_names(&extensions);
+        if portable {
+            info = info.flags(vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR);
+        }
         if layer_settings {
             info = info.push_next(&mut settings);
         } else if validation {
@@ -83,8 +108,9 @@ impl Instance {
             e => Error::NoDevice(format!("vkCreateInstance: {e}")),
         })?;
         let messenger = vk::DebugUtilsMessengerEXT::null();
-        let mut instance = Self { debug: None, messenger, messages, owned: true, raw, entry };
+        let mut instance = Self { debug: None, messenger, messages, layer_version: None, owned: true, raw, entry };
         if validation {
+            instance.layer_version = Some(layer_version(&instance.entry));
             instance.listen()?;
         }
         Ok(instance)
@@ -104,7 +130,12 @@ impl Instance {
         // SAFETY: the caller vouches for the instance.
         let raw = unsafe { ash::Instance::load(entry.static_fn(), instance) };
         let messenger = vk::DebugUtilsMessengerEXT::null();
-        Ok(Self { debug: None, messenger, messages: Box::default(), owned: false, raw, entry })
+        Ok(Self { debug: None, messenger, messages: Box::default(), layer_version: None, owned: false, raw, entry })
+    }
+
+    /// Whether validation, where it is on, knows what came with a version; older layers take that for mistakes.
+    pub fn validates(&self, version: u32) -> bool {
+        self.layer_version.is_none_or(|layer| layer >= version)
     }
 
     fn listen(&mut self) -> Result<()> {
@@ -130,7 +161,7 @@ impl Instance {
             return Err(Error::NoDevice("no Vulkan driver is installed".into()));
         }
         let info = |(index, device): (usize, vk::PhysicalDevice)| {
-            let (limits, found) = probe(&self.entry, &self.raw, device);
+            let (limits, found) = probe(self, device);
             (device, DeviceInfo { index, missing: missing_features(&limits, &found), limits })
         };
         Ok(physical.into_iter().enumerate().map(info).collect())
@@ -157,9 +188,17 @@ fn load() -> Result<ash::Entry> {
         .map_err(|e| Error::NoDevice(format!("no Vulkan loader ({e}): install libvulkan1 and a driver")))
 }
 
-fn has_layer_extension(entry: &ash::Entry, name: &CStr) -> bool {
+fn layer_version(entry: &ash::Entry) -> u32 {
     // SAFETY: plain query.
-    let found = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION_LAYER)) };
+    let layers = unsafe { entry.enumerate_instance_layer_properties() }.unwrap_or_default();
+    let validation = layers.iter().find(|layer| layer.layer_name_as_c_str() == Ok(VALIDATION_LAYER));
+    validation.map_or(0, |layer| layer.spec_version)
+}
+
+/// Whether a layer, or without one the loader or a driver, has an extension of instances.
+fn has_extension(entry: &ash::Entry, layer: Option<&CStr>, name: &CStr) -> bool {
+    // SAFETY: plain query.
+    let found = unsafe { entry.enumerate_instance_extension_properties(layer) };
     found.is_ok_and(|list| list.iter().any(|e| e.extension_name_as_c_str() == Ok(name)))
 }
 

@@ -1,6 +1,6 @@
 //! What a device is and can do, and what it would need to have.
 
-use super::{Element, bfloat16, cooperative_matrix2};
+use super::{Element, bfloat16, cooperative_matrix2, instance::Instance};
 use ash::{khr, vk};
 use std::ffi::CStr;
 
@@ -29,8 +29,10 @@ pub struct Limits {
     pub shared_bytes: u32,
     /// Bytes of the memory that kernels work in.
     pub memory_bytes: u64,
-    /// Nanoseconds of one timestamp tick; 0 where there are no timestamps.
+    /// Nanoseconds of one timestamp tick.
     pub timestamp_ns: f64,
+    /// Bits of a timestamp; 0 where there are no timestamps.
+    pub timestamp_bits: u32,
     /// Invocations that a workgroup may have.
     pub max_invocations: u32,
     /// Whether kernels may read and write 16-bit floats.
@@ -102,6 +104,7 @@ impl Default for Limits {
             shared_bytes: 32 << 10,
             memory_bytes: u64::MAX,
             timestamp_ns: 1.0,
+            timestamp_bits: 64,
             max_invocations: 1024,
             half_storage: true,
             matrices: Matrices {
@@ -133,13 +136,16 @@ pub(super) struct Found {
     pub api: u32,
     pub queue_family: Option<u32>,
     pub push_descriptor: bool,
+    pub portability_subset: bool,
     pub features: Vec<(&'static str, bool)>,
     pub subgroup_control: bool,
     pub llvmpipe_major: Option<u32>,
 }
 
 /// Reads what a device is and can do.
-pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
+pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
+    let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
+    let (entry, instance) = (&instance.entry, &instance.raw);
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
@@ -159,10 +165,10 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
         .push_next(&mut f12)
         .push_next(&mut f13)
         .push_next(&mut cooperative);
-    if has(bfloat16::NAME) {
+    if has(bfloat16::NAME) && knows(4, 313) {
         features = features.push_next(&mut bf16);
     }
-    if has(cooperative_matrix2::NAME) {
+    if has(cooperative_matrix2::NAME) && knows(4, 304) {
         features = features.push_next(&mut workgroup);
     }
     // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
@@ -178,12 +184,12 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
     let text = |s: Option<&std::ffi::CStr>| s.map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let compute = vk::QueueFlags::COMPUTE;
     let queue_family = families.iter().position(|f| f.queue_flags.contains(compute)).map(|i| i as u32);
-    let timestamps = queue_family.is_some_and(|f| families[f as usize].timestamp_valid_bits > 0);
     let kind = base.device_type;
     let api = base.api_version;
     let driver_version = text(v12.driver_info_as_c_str().ok());
     let half_storage = f11.storage_buffer16_bit_access == vk::TRUE;
     let matrices = has(khr::cooperative_matrix::NAME)
+        && knows(3, 255)
         && cooperative.cooperative_matrix == vk::TRUE
         && half_storage
         && f12.shader_float16 == vk::TRUE
@@ -210,7 +216,8 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
             .map(|h| h.size)
             .max()
             .unwrap_or(0),
-        timestamp_ns: if timestamps { base.limits.timestamp_period as f64 } else { 0.0 },
+        timestamp_ns: base.limits.timestamp_period as f64,
+        timestamp_bits: queue_family.map_or(0, |f| families[f as usize].timestamp_valid_bits),
         max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
         half_storage,
         matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },
@@ -228,6 +235,7 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
         | vk::SubgroupFeatureFlags::SHUFFLE;
     let subgroups = v11.subgroup_supported_operations.contains(operations)
         && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
     let offered = [
         f12.timeline_semaphore,
         f12.scalar_block_layout,
@@ -243,11 +251,13 @@ pub(super) fn probe(entry: &ash::Entry, instance: &ash::Instance, device: vk::Ph
         api,
         queue_family,
         push_descriptor: has(khr::push_descriptor::NAME),
+        portability_subset: has(khr::portability_subset::NAME),
         features: required
             .into_iter()
             .chain([("subgroup arithmetic, ballot and shuffle in compute", subgroups)])
+            .chain([("subgroups of one size", subgroup_control || v13.min_subgroup_size == v13.max_subgroup_size)])
             .collect(),
-        subgroup_control: v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        subgroup_control,
         llvmpipe_major: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
             .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),
     };

@@ -165,9 +165,11 @@ impl Block {
             block.free(shared);
             return Err(refused());
         };
-        let coherent = allocation.memory_properties().contains(vk::MemoryPropertyFlags::HOST_COHERENT);
-        let staged = shared.staged && location == MemoryLocation::GpuOnly;
-        block.mapped = coherent && !staged && allocation.mapped_ptr().is_some();
+        let is = |property| allocation.memory_properties().contains(property);
+        // The host reads very slowly what it does not cache.
+        let direct = is(vk::MemoryPropertyFlags::HOST_CACHED) && !shared.staged;
+        let seen = is(vk::MemoryPropertyFlags::HOST_COHERENT) && (direct || location != MemoryLocation::GpuOnly);
+        block.mapped = seen && allocation.mapped_ptr().is_some();
         // SAFETY: both were made for each other and are bound once.
         let bound = unsafe { shared.raw.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
         block.allocation = Some(allocation);

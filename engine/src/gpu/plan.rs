@@ -94,6 +94,9 @@ pub(super) struct Allocation {
     pub name: String,
     pub bytes: u64,
     pub role: Role,
+    /// Whether its bytes stay to the end.
+    pub kept: bool,
+    /// Whether the host reads it, too.
     pub output: bool,
 }
 

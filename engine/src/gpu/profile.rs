@@ -6,7 +6,7 @@ use super::{
     plan::{Command, Operation, Plan},
     schedule::{Cursor, MAX_PIECES},
 };
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
 use std::{collections::HashMap, time::Duration};
 
@@ -80,8 +80,12 @@ impl Run {
     /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
     ///
     /// # Errors
-    /// As [`Run::execute`].
+    /// As [`Run::execute`]; [`Error::NoDevice`] where the device has no timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
+        let limits = self.device.limits();
+        if limits.timestamp_bits == 0 {
+            return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", limits.name)));
+        }
         self.settle()?;
         self.check_inputs()?;
         if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {
@@ -103,12 +107,12 @@ impl Run {
     }
 
     fn profiled(&self, queries: vk::QueryPool, count: u32) -> Result<Vec<f64>> {
-        let raw = &self.device.0.raw;
+        let (raw, limits) = (&self.device.0.raw, self.device.limits());
         let mut times = vec![0.0; self.plan.commands.len()];
         let mut cursor = Cursor::default();
         let commands = self.command_buffer()?;
         while cursor.command < self.plan.commands.len() {
-            let (pieces, _) = cursor.next_pieces(&self.plan, self.budget());
+            let (pieces, _) = cursor.next_pieces(&self.plan, self.budget(cursor.command));
             self.record(commands, &pieces, Some((queries, count)))?;
             let value = self.timeline_value()? + 1;
             self.submit_as(commands, value)?;
@@ -118,7 +122,8 @@ impl Run {
             unsafe { raw.get_query_pool_results(queries, 0, &mut stamps, vk::QueryResultFlags::TYPE_64) }
                 .map_err(|e| self.device.0.failed("vkGetQueryPoolResults", e))?;
             for (piece, t) in pieces.iter().zip(stamps.chunks_exact(2)) {
-                times[piece.command] += t[1].wrapping_sub(t[0]) as f64 * self.device.0.limits.timestamp_ns;
+                let ticks = t[1].wrapping_sub(t[0]) & (u64::MAX >> (64 - limits.timestamp_bits));
+                times[piece.command] += ticks as f64 * limits.timestamp_ns;
             }
         }
         // SAFETY: not in use any more.

@@ -64,6 +64,14 @@ impl Recorder {
         if let Home::Arena(id) = tensor.home {
             self.allocations[id as usize].output = true;
         }
+        self.keep(tensor);
+    }
+
+    /// Keeps a tensor to the end, for [`Run::present`](super::Run::present).
+    pub fn keep(&mut self, tensor: Tensor) {
+        if let Home::Arena(id) = tensor.home {
+            self.allocations[id as usize].kept = true;
+        }
     }
 
     /// From here on, [`Recorder::observe`] keeps what it is shown.
@@ -183,7 +191,7 @@ impl Recorder {
         let bytes = (len as u64).saturating_mul(size_of::<T>() as u64);
         let scope = &self.scopes[self.scope as usize];
         let name = if scope.is_empty() { name.to_owned() } else { format!("{scope}/{name}") };
-        self.allocations.push(Allocation { name, bytes, role, output: false });
+        self.allocations.push(Allocation { name, bytes, role, kept: false, output: false });
         Tensor { home: Home::Arena(self.allocations.len() as u32 - 1), offset: 0, bytes }
     }
 
@@ -236,7 +244,7 @@ impl Recorder {
                 Role::Input => life.first = 0,
                 Role::Scratch => {}
             }
-            if allocation.output {
+            if allocation.kept {
                 life.last = end;
             }
             life.first = life.first.min(life.last);

@@ -8,9 +8,10 @@ pub use present::{ImagePlace, Point, Target};
 use super::{
     Device, Plan, Resident, Tensor,
     commands::{Bound, Encoder, driver},
+    device::lock,
     memory::Memory,
     plan::{Command, Home, Role},
-    schedule::{Cursor, Piece, SUBMISSION, learned},
+    schedule::{Cursor, Piece, SUBMISSION, first_guess, learned},
     twins::Twins,
 };
 use crate::{Error, Result};
@@ -19,7 +20,7 @@ use bytemuck::Pod;
 use std::{
     collections::VecDeque,
     ops::ControlFlow,
-    sync::{Arc, atomic::Ordering},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -198,9 +199,12 @@ impl Run {
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.settle()?;
         self.check_inputs()?;
+        // Also for whoever unwinds out of `progress`.
+        self.under_way = true;
         let result = self.submit_all(&mut progress);
         // Whatever is under way ends before anything it uses may change.
         let idle = self.wait(self.signalled);
+        self.under_way = false;
         self.forget_inputs();
         if result.is_err() {
             // A recording that was cut short is not replayed.
@@ -252,7 +256,7 @@ impl Run {
         let late = self.timeline_value()? >= value;
         self.wait(value)?;
         let (took, batch) = (clock.last.elapsed(), &self.batches[index]);
-        self.learn(batch.cost, submitted.max(clock.last).elapsed(), late);
+        self.learn(batch, submitted.max(clock.last).elapsed(), late);
         clock.last = Instant::now();
         clock.done += batch.cost;
         clock.times.add(self.plan.stage(batch.first_command), took);
@@ -296,7 +300,7 @@ impl Run {
 
     fn encode(&self, cursor: &mut Cursor) -> Result<Batch> {
         let first_command = cursor.command;
-        let (pieces, cost) = cursor.next_pieces(&self.plan, self.budget());
+        let (pieces, cost) = cursor.next_pieces(&self.plan, self.budget(first_command));
         let commands = self.command_buffer()?;
         match self.record(commands, &pieces, None) {
             Ok(()) => Ok(Batch { commands, cost, first_command }),
@@ -322,15 +326,21 @@ impl Run {
         encoder.end()
     }
 
-    /// Cost of one submission.
-    pub(super) fn budget(&self) -> u64 {
-        self.device.0.flops_per_ms.load(Ordering::Relaxed) * SUBMISSION.as_millis() as u64
+    /// Cost of a submission that begins with a command.
+    pub(super) fn budget(&self, command: usize) -> u64 {
+        self.speed(self.plan.stage(command)) * SUBMISSION.as_millis() as u64
     }
 
-    /// Moves the estimate of the device's speed towards what a submission took.
-    fn learn(&self, cost: u64, took: Duration, late: bool) {
-        let (rate, patient) = (&self.device.0.flops_per_ms, self.device.limits().cpu);
-        rate.store(learned(rate.load(Ordering::Relaxed), cost, took, late, patient), Ordering::Relaxed);
+    fn speed(&self, stage: &str) -> u64 {
+        let known = lock(&self.device.0.flops_per_ms).get(stage).copied();
+        known.unwrap_or_else(|| first_guess(self.device.limits()))
+    }
+
+    /// Moves the estimate of the device's speed in a stage towards what a submission took.
+    fn learn(&self, batch: &Batch, took: Duration, late: bool) {
+        let stage = self.plan.stage(batch.first_command);
+        let next = learned(self.speed(stage), batch.cost, took, late, self.device.limits().cpu);
+        lock(&self.device.0.flops_per_ms).insert(stage.to_owned(), next);
     }
 
     fn discard_batches(&mut self) {

@@ -23,7 +23,9 @@ use std::{fs, path::Path, time::Duration};
 const LINEAR_LIMIT: f64 = 1e-3;
 const ATTENTION_LIMIT: f64 = 40.0;
 
-/// A test without a result for longer than this, which it takes in seconds, has failed.
+/// How often a test is begun that never ends, because the driver ends the process or hangs, or somebody else ends it.
+const ATTEMPTS: u32 = 2;
+/// A test that was begun longer ago than this, which it takes in seconds, did not end.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What the kernels of one device were found to do.
@@ -32,6 +34,13 @@ pub struct SelfTest {
     /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
     /// None where it gave no number.
     pub deviations: Vec<(String, Option<f64>)>,
+}
+
+/// What is known of a device: the result, and until there is one how often a test was begun.
+#[derive(Default, serde::Serialize, serde::Deserialize)]
+struct Record {
+    begun: u32,
+    result: Option<SelfTest>,
 }
 
 impl Precision {
@@ -70,16 +79,29 @@ impl Chosen {
         let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
         let note = |(kernel, deviation): &(String, Option<f64>)| match deviation {
             Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
+            None if kernel == UNFINISHED => unfinished(device),
             None => format!("{kernel} gave no result on {}: not used", limits.name),
         };
-        let notes = failed.map(note).collect();
+        let notes: Vec<_> = failed.map(note).collect();
         let Some(arithmetic) = test.allowed(arithmetic) else {
-            let found = format!("{}, which failed its self-test", wanted.name());
+            let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));
             return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
         };
         let arithmetic = Tuning::known(device).unwrap_or_default().applied(arithmetic, limits);
         Ok(Self { precision: wanted, arithmetic, notes })
     }
+}
+
+/// Stands for all kernels of a test that was begun [`ATTEMPTS`] times and never ended.
+const UNFINISHED: &str = "the self-test";
+
+fn unfinished(device: &Device) -> String {
+    let file = cache_file(device, "self-test").unwrap_or_default();
+    let again = format!("remove {} to try again", file.display());
+    format!(
+        "{UNFINISHED} of fast kernels was begun {ATTEMPTS} times on {} and never ended; {again}",
+        device.limits().name
+    )
 }
 
 fn lacking(precision: Precision, limits: &Limits) -> Error {
@@ -94,6 +116,25 @@ fn refused(found: String, limits: &Limits) -> Error {
     Error::argument("precision", found, format!("exact on {}", limits.name))
 }
 
+impl Record {
+    /// What is kept in a file. One that is damaged is not there, and a test that is under way was not begun.
+    fn read(file: &Path) -> Option<Self> {
+        let mut known: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
+        let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);
+        known.result = known.result.filter(|test| !test.deviations.is_empty());
+        known.begun -= u32::from(known.begun > 0 && age < PATIENCE);
+        Some(known)
+    }
+
+    /// What cannot be kept is found anew.
+    fn keep(&self, file: Option<&Path>) {
+        if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
+            let folder = file.parent().map(fs::create_dir_all);
+            let _ = folder.and_then(Result::ok).map(|()| write_atomic(file, |out| out.write_all(&bytes)));
+        }
+    }
+}
+
 impl SelfTest {
     /// The result for a device, out of the user's cache where it was found before.
     ///
@@ -101,38 +142,24 @@ impl SelfTest {
     /// [`Error::DeviceLost`], [`Error::Memory`]; other failures are those of its kernels.
     pub fn of(device: &Device) -> Result<Self> {
         let file = cache_file(device, "self-test");
-        // A driver that ends this process, or hangs, is not asked again.
-        let no_result = Self { deviations: vec![("the self-test".into(), None)] };
-        if let Some(test) = file.as_deref().and_then(|file| Self::kept(file, &no_result)) {
+        let known = file.as_deref().and_then(Record::read).unwrap_or_default();
+        if let Some(test) = known.result {
             return Ok(test);
         }
-        no_result.keep(file.as_deref());
-        let test = match Self::run(device) {
-            Err(Error::DeviceLost) => return Err(Error::DeviceLost),
-            Err(error @ Error::Memory { .. }) => {
-                // Another time there may be enough.
-                let _ = file.map(fs::remove_file);
-                return Err(error);
-            }
-            result => result.unwrap_or(no_result),
-        };
-        test.keep(file.as_deref());
-        Ok(test)
-    }
-
-    /// What was kept in a file, unless that is damaged, or another process may be at work on it.
-    fn kept(file: &Path, no_result: &Self) -> Option<Self> {
-        let test: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
-        let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);
-        (!test.deviations.is_empty() && (test != *no_result || age >= PATIENCE)).then_some(test)
-    }
-
-    /// A test that cannot be remembered is run again.
-    fn keep(&self, file: Option<&Path>) {
-        if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
-            let folder = file.parent().map(fs::create_dir_all);
-            let _ = folder.and_then(Result::ok).map(|()| write_atomic(file, |out| out.write_all(&bytes)));
+        if known.begun >= ATTEMPTS {
+            return Ok(Self { deviations: vec![(UNFINISHED.into(), None)] });
         }
+        Record { begun: known.begun + 1, result: None }.keep(file.as_deref());
+        let mut test = Self::default();
+        let outcome = test.run_all(device);
+        if let Err(error @ Error::Memory { .. }) = outcome {
+            // Another time there may be enough.
+            let _ = file.map(fs::remove_file);
+            return Err(error);
+        }
+        // Also where the device was lost: the kernel that was at work then is not used again.
+        Record { begun: 0, result: Some(test.clone()) }.keep(file.as_deref());
+        outcome.map(|()| test)
     }
 
     /// Runs every fast kernel that the device can run.
@@ -140,10 +167,14 @@ impl SelfTest {
     /// # Errors
     /// A failure of the device.
     pub fn run(device: &Device) -> Result<Self> {
-        let limits = device.limits();
         let mut test = Self::default();
+        test.run_all(device).map(|()| test)
+    }
+
+    fn run_all(&mut self, device: &Device) -> Result<()> {
+        let (test, limits) = (self, device.limits());
         if !limits.half_storage {
-            return Ok(test);
+            return Ok(());
         }
         for element in Element::HALVES {
             test.linear(device, LinearKernel::Panels(element), [35, 40])?;
@@ -175,7 +206,20 @@ impl SelfTest {
                 }
             }
         }
-        Ok(test)
+        Ok(())
+    }
+
+    /// Runs the test of a kernel. One that a driver refuses, or that loses the device, gave no result; only what would stop the
+    /// others, too, is an error.
+    fn outcome(&mut self, kernel: &str, test: impl FnOnce(&mut Self) -> Result<()>) -> Result<()> {
+        let outcome = test(self);
+        if outcome.as_ref().is_err_and(|error| !matches!(error, Error::Memory { .. })) {
+            self.deviations.push((kernel.into(), None));
+        }
+        match outcome {
+            Err(error @ (Error::DeviceLost | Error::Memory { .. })) => Err(error),
+            _ => Ok(()),
+        }
     }
 
     /// Whether a kernel computes rightly with the candidate at an index.
@@ -274,11 +318,14 @@ impl SelfTest {
         };
         let mut activations = vec![Activation::None, Activation::Gelu];
         activations.extend(columns.is_multiple_of(8).then_some(Activation::SwiGlu));
-        for what in activations {
-            let (exact, fast) = (run(LinearKernel::Panels(Element::F32), what)?, run(kernel, what)?);
-            self.compare(&linear_name(kernel), LINEAR_LIMIT, &exact, &fast);
-        }
-        Ok(())
+        let name = linear_name(kernel);
+        self.outcome(&name, |test| {
+            for what in activations {
+                let (exact, fast) = (run(LinearKernel::Panels(Element::F32), what)?, run(kernel, what)?);
+                test.compare(&name, LINEAR_LIMIT, &exact, &fast);
+            }
+            Ok(())
+        })
     }
 
     /// Scores `peaked` times as far apart as those of random queries and keys.
@@ -308,10 +355,12 @@ impl SelfTest {
             run.execute()?;
             Ok(element.decode(&run.read::<u8>(out)?))
         };
-        let (exact, fast) = (run(AttentionKernel::Lanes(Element::F32))?, run(kernel)?);
-        let limit = ATTENTION_LIMIT * element.roundoff();
-        self.compare(&attention_name(kernel), limit, &exact, &fast);
-        Ok(())
+        let (name, limit) = (attention_name(kernel), ATTENTION_LIMIT * element.roundoff());
+        self.outcome(&name, |test| {
+            let (exact, fast) = (run(AttentionKernel::Lanes(Element::F32))?, run(kernel)?);
+            test.compare(&name, limit, &exact, &fast);
+            Ok(())
+        })
     }
 }
 

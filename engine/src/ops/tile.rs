@@ -140,10 +140,9 @@ impl SubgroupTile {
     fn fits(&self, limits: &Limits, units: Units) -> bool {
         let subgroups = self.subgroups[0] * self.subgroups[1];
         let [rows, columns] = self.sides(units.shape);
-        let piece = 8 * units.factor.bytes() as u32;
-        let stages = 2 * (rows + columns) as u32 * (self.k / 8 + 1);
-        let strips = subgroups * units.shape.m * (self.repeats[1] * units.shape.n * 4 / piece + 1);
-        piece * stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
+        let stages = 2 * (rows + columns) as u32 * (self.k * units.factor.bytes() as u32 + 16);
+        let strips = subgroups * units.shape.m * (self.repeats[1] * units.shape.n * 4 + 16);
+        stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
     }
 }
 

@@ -35,7 +35,7 @@ impl Tune {
         if limits.matrices == Matrices::default() {
             return Err(Error::NoDevice(format!("{} has no matrix units, whose tiles could be chosen", limits.name)));
         }
-        if limits.timestamp_ns == 0.0 {
+        if limits.timestamp_bits == 0 {
             return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", limits.name)));
         }
         let (tuning, time) = session.stage("tune", |stage| {

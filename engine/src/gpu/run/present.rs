@@ -115,7 +115,7 @@ impl Run {
 
     fn record_copy(&self, commands: vk::CommandBuffer, tensor: Tensor, place: Place) -> Result<()> {
         let id = arena_id(tensor);
-        assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
+        assert!(self.plan.allocations[id].kept, "{} is not kept", self.plan.allocations[id].name);
         let from = self.plan.placements[id];
         let (source, offset) = (self.arena.buffer(from.block), from.offset + tensor.offset);
         let raw = &self.device.0.raw;

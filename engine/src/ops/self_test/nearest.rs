@@ -61,8 +61,10 @@ impl SelfTest {
             };
             Ok(from.chunks(WIDTH).zip(run.read(out)?).map(squared).collect())
         };
-        let (exact, fast) = (distances(NearestKernel::Lanes)?, distances(NearestKernel::Matrix(units))?);
-        self.compare(NAME, LIMIT, &exact, &fast);
-        Ok(())
+        self.outcome(NAME, |test| {
+            let (exact, fast) = (distances(NearestKernel::Lanes)?, distances(NearestKernel::Matrix(units))?);
+            test.compare(NAME, LIMIT, &exact, &fast);
+            Ok(())
+        })
     }
 }

@@ -36,9 +36,9 @@ pub struct FrameShape {
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped); alpha; depth; normal x, y, z; token
-    /// red, green, blue those asked for.
+    /// red, green, blue those asked for. For the host, where no [`RenderRequest::layout`] was given.
     pub frames: Tensor,
-    /// The frames as [`RenderRequest::layout`] has them.
+    /// The frames in that layout, for other programs on the device.
     pub pixels: Tensor,
     /// `[3]` u32: intersections that were drawn, intersections that there are modulo 2^32, and whether that number
     /// wrapped. The frames hold only where the first two are equal and the third is 0; see [`RenderOutputs::needed`].
@@ -68,7 +68,11 @@ pub fn record(
         let lists = intersect::record(rec, &splats, shape, capacity);
         let frames = rasterise::record(rec, &splats, &lists, shape, request);
         let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
-        rec.output(frames);
+        match request.layout {
+            // Then only the app reads them, on the device.
+            Some(_) => rec.keep(pixels),
+            None => rec.output(frames),
+        }
         rec.output(lists.status);
         RenderOutputs { frames, pixels, status: lists.status }
     })

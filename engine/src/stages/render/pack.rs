@@ -26,7 +26,7 @@ impl PixelLayout {
 /// Pixels of one dispatch: bindings are bounded, and parts start at multiples of 256 bytes.
 const PART: usize = 64;
 
-/// Records the conversion of `frames`, `[pixels, 4]` f32, to an output of `layout`.
+/// Records the conversion of `frames`, `[pixels, 4]` f32, to `layout`.
 pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) -> Tensor {
     if layout == PixelLayout::RgbaF32 {
         return frames;
@@ -44,6 +44,5 @@ pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) ->
         };
         rec.dispatch(kernel, count);
     }
-    rec.output(packed);
     packed
 }

@@ -94,7 +94,7 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
             ("workgroups", format!("{x} x {y} x {z}")),
             (
                 "timestamps",
-                if limits.timestamp_ns > 0.0 { format!("{} ns", limits.timestamp_ns) } else { "none".into() },
+                if limits.timestamp_bits > 0 { format!("{} ns", limits.timestamp_ns) } else { "none".into() },
             ),
         ];
         // Writing to a string cannot fail.
