@@ -254,6 +254,7 @@ pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, conte
             queue: given.queue,
             queue_family: given.queue_family,
             queue_lock,
+            fast: false,
         };
         // SAFETY: the caller vouches for the handles, as the header says.
         Ok(zs_context { device: unsafe { Device::adopt(adopted) }?, adopted: true })

@@ -4,7 +4,7 @@ use super::{
     Device,
     device::{Shared, SharedParts},
     instance::Instance,
-    limits::{Matrices, REQUIRED_FEATURES, missing_features, probe},
+    limits::{FAST_FEATURES, Matrices, REQUIRED_FEATURES, missing_features, probe},
     queue::Queue,
 };
 use crate::{Error, Result};
@@ -32,11 +32,21 @@ pub enum Requirement {
     },
 }
 
-/// Everything that has to be enabled; nothing else is used.
+/// Everything that has to be enabled.
 pub fn requirements() -> Vec<Requirement> {
     let extensions = [Requirement::DeviceExtension(ash::khr::push_descriptor::NAME)];
-    let features = REQUIRED_FEATURES.map(|(name, structure)| Requirement::Feature { name, structure });
+    let features = REQUIRED_FEATURES.map(feature);
     [Requirement::ApiVersion(c"1.3")].into_iter().chain(extensions).chain(features).collect()
+}
+
+/// What matrix units and 16-bit floats need, for precisions other than exact. Nothing else is used.
+pub fn fast_requirements() -> Vec<Requirement> {
+    let extension = Requirement::DeviceExtension(ash::khr::cooperative_matrix::NAME);
+    [extension].into_iter().chain(FAST_FEATURES.map(feature)).collect()
+}
+
+fn feature((name, structure): (&'static CStr, &'static CStr)) -> Requirement {
+    Requirement::Feature { name, structure }
 }
 
 /// An app's Vulkan handles. They are used, never destroyed.
@@ -55,13 +65,15 @@ pub struct Adopted {
     pub queue_family: u32,
     /// How the app's use of the queue and the engine's keep out of each other's way; `None` where only the engine uses it.
     pub queue_lock: Option<QueueLock>,
+    /// Whether everything in [`fast_requirements`] is enabled that the physical device has.
+    pub fast: bool,
 }
 
 impl Device {
     /// Works on an app's device.
     ///
     /// # Safety
-    /// The handles are valid and belong together, everything in [`requirements`] is enabled on them, and they stay valid
+    /// The handles are valid and belong together, everything in [`requirements`] and, where `fast` says so, in [`fast_requirements`] is enabled on them, and they stay valid
     /// until the last user of this device is gone.
     ///
     /// # Errors
@@ -76,8 +88,10 @@ impl Device {
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, found) = probe(&instance, physical);
         // What the app did not have to enable.
-        (limits.half_storage, limits.matrices) = (false, Matrices::default());
-        limits.workgroup_matrices.clear();
+        (limits.matrices.bf16, limits.workgroup_matrices) = (None, Vec::new());
+        if !adopted.fast {
+            (limits.half_storage, limits.matrices) = (false, Matrices::default());
+        }
         let missing = missing_features(&limits, &found);
         if !missing.is_empty() {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));

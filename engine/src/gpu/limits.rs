@@ -131,6 +131,19 @@ pub(super) const REQUIRED_FEATURES: [(&CStr, &CStr); 6] = [
     (c"computeFullSubgroups", FEATURES_13),
 ];
 
+const FEATURES_11: &CStr = c"VkPhysicalDeviceVulkan11Features";
+const FEATURES_MATRIX: &CStr = c"VkPhysicalDeviceCooperativeMatrixFeaturesKHR";
+
+/// Features that matrix units and 16-bit floats need.
+pub(super) const FAST_FEATURES: [(&CStr, &CStr); 6] = [
+    (c"storageBuffer16BitAccess", FEATURES_11),
+    (c"shaderFloat16", FEATURES_12),
+    (c"shaderInt8", FEATURES_12),
+    (c"vulkanMemoryModel", FEATURES_12),
+    (c"vulkanMemoryModelDeviceScope", FEATURES_12),
+    (c"cooperativeMatrix", FEATURES_MATRIX),
+];
+
 /// Properties that decide whether a device can be used, beside [`Limits`].
 pub(super) struct Found {
     pub api: u32,

@@ -16,6 +16,7 @@ mod kernel;
 mod limits;
 mod lost;
 mod memory;
+mod pipelines;
 mod plan;
 mod profile;
 mod queue;
@@ -24,7 +25,7 @@ mod run;
 mod schedule;
 mod twins;
 
-pub use adopt::{Adopted, QueueLock, Requirement, requirements};
+pub use adopt::{Adopted, QueueLock, Requirement, fast_requirements, requirements};
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};
 pub use kernel::{Binding, Element, Kernel, LocalSize, Module, Needs};

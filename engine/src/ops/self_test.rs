@@ -1,32 +1,26 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
 mod nearest;
+mod record;
+
+pub(super) use record::{UNFINISHED, unfinished};
 
 use super::{
-    Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Precision, Tuned,
-    Tuning, Units,
+    Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Tuned, Units,
     attention_tile::AttentionTile,
-    cache::cache_file,
     pack_matrix,
     tile::{LinearTile, NearestTile, Tiles},
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Element, Limits, Recorder, Run},
-    types::write_atomic,
+    gpu::{Device, Element, Recorder, Run},
 };
-use std::{fs, path::Path, time::Duration};
 
 /// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same factors, so a linear
 /// layer differs by the order of its sums, attention by the rounding of queries, weights and results, which is this many
 /// times the unit roundoff.
 const LINEAR_LIMIT: f64 = 1e-3;
 const ATTENTION_LIMIT: f64 = 40.0;
-
-/// How often a test is begun that never ends, because the driver ends the process or hangs, or somebody else ends it.
-const ATTEMPTS: u32 = 2;
-/// A test that was begun longer ago than this, which it takes in seconds, did not end.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What the kernels of one device were found to do.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -36,132 +30,7 @@ pub struct SelfTest {
     pub deviations: Vec<(String, Option<f64>)>,
 }
 
-/// What is known of a device: the result, and until there is one how often a test was begun.
-#[derive(Default, serde::Serialize, serde::Deserialize)]
-struct Record {
-    begun: u32,
-    result: Option<SelfTest>,
-}
-
-impl Precision {
-    /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
-    /// which convert f16 slowly.
-    pub fn best(limits: &Limits) -> Self {
-        if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
-    }
-}
-
-/// A precision and its arithmetic on a device.
-#[derive(Clone, Debug)]
-pub struct Chosen {
-    /// The precision.
-    pub precision: Precision,
-    /// Its arithmetic.
-    pub arithmetic: Arithmetic,
-    /// Kernels that failed their self-test.
-    pub notes: Vec<String>,
-}
-
-impl Chosen {
-    /// The arithmetic of a precision on a device; of its best, where none is asked for.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where the device cannot compute in the precision asked for; a failure of the device.
-    pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
-        let exact = |notes| Self { precision: Precision::Exact, arithmetic: Arithmetic::EXACT, notes };
-        let limits = device.limits();
-        let wanted = precision.unwrap_or(Precision::best(limits));
-        if wanted == Precision::Exact {
-            return Ok(exact(Vec::new()));
-        }
-        let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
-        let test = SelfTest::of(device)?;
-        let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
-        let note = |(kernel, deviation): &(String, Option<f64>)| match deviation {
-            Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
-            None if kernel == UNFINISHED => unfinished(device),
-            None => format!("{kernel} gave no result on {}: not used", limits.name),
-        };
-        let notes: Vec<_> = failed.map(note).collect();
-        let Some(arithmetic) = test.allowed(arithmetic) else {
-            let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));
-            return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
-        };
-        let arithmetic = Tuning::known(device).unwrap_or_default().applied(arithmetic, limits);
-        Ok(Self { precision: wanted, arithmetic, notes })
-    }
-}
-
-/// Stands for all kernels of a test that was begun [`ATTEMPTS`] times and never ended.
-const UNFINISHED: &str = "the self-test";
-
-fn unfinished(device: &Device) -> String {
-    let file = cache_file(device, "self-test").unwrap_or_default();
-    let again = format!("remove {} to try again", file.display());
-    format!(
-        "{UNFINISHED} of fast kernels was begun {ATTEMPTS} times on {} and never ended; {again}",
-        device.limits().name
-    )
-}
-
-fn lacking(precision: Precision, limits: &Limits) -> Error {
-    let what = match precision {
-        Precision::Turbo if limits.half_storage => "matrix units for 8-bit integers",
-        _ => "16-bit floats in buffers",
-    };
-    refused(format!("{}, without {what}", precision.name()), limits)
-}
-
-fn refused(found: String, limits: &Limits) -> Error {
-    Error::argument("precision", found, format!("exact on {}", limits.name))
-}
-
-impl Record {
-    /// What is kept in a file. One that is damaged is not there, and a test that is under way was not begun.
-    fn read(file: &Path) -> Option<Self> {
-        let mut known: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
-        let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);
-        known.result = known.result.filter(|test| !test.deviations.is_empty());
-        known.begun -= u32::from(known.begun > 0 && age < PATIENCE);
-        Some(known)
-    }
-
-    /// What cannot be kept is found anew.
-    fn keep(&self, file: Option<&Path>) {
-        if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
-            let folder = file.parent().map(fs::create_dir_all);
-            let _ = folder.and_then(Result::ok).map(|()| write_atomic(file, |out| out.write_all(&bytes)));
-        }
-    }
-}
-
 impl SelfTest {
-    /// The result for a device, out of the user's cache where it was found before.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Memory`]; other failures are those of its kernels.
-    pub fn of(device: &Device) -> Result<Self> {
-        let file = cache_file(device, "self-test");
-        let known = file.as_deref().and_then(Record::read).unwrap_or_default();
-        if let Some(test) = known.result {
-            return Ok(test);
-        }
-        if known.begun >= ATTEMPTS {
-            return Ok(Self { deviations: vec![(UNFINISHED.into(), None)] });
-        }
-        Record { begun: known.begun + 1, result: None }.keep(file.as_deref());
-        let mut test = Self::default();
-        let outcome = test.run_all(device);
-        if let Err(error @ Error::Memory { .. }) = outcome {
-            // Another time there may be enough.
-            let _ = file.map(fs::remove_file);
-            return Err(error);
-        }
-        // Also where the device was lost: the kernel that was at work then is not used again.
-        Record { begun: 0, result: Some(test.clone()) }.keep(file.as_deref());
-        outcome.map(|()| test)
-    }
-
     /// Runs every fast kernel that the device can run.
     ///
     /// # Errors
@@ -253,7 +122,7 @@ impl SelfTest {
     }
 
     /// An arithmetic without the matrix kernels that failed; `None` where those that would replace them failed, too.
-    fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
+    pub(super) fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
         let element = wanted.element;
         let lanes = [linear_name(LinearKernel::Panels(element)), attention_name(AttentionKernel::Lanes(element))];
         let passed = |units: &Units| self.passed(&linear_name(LinearKernel::Matrix(*units)));
@@ -408,7 +277,8 @@ fn every_kind(kernel: AttentionKernel) -> [Attention; 5] {
     ]
 }
 
-fn passes(deviation: Option<f64>) -> bool {
+/// Whether a deviation is one that may be.
+pub(super) fn passes(deviation: Option<f64>) -> bool {
     deviation.is_some_and(|times| times <= 1.0)
 }
 
