@@ -57,7 +57,9 @@ offers_device() {
 find_gpu() {
   local gpu='DISCRETE_GPU|INTEGRATED_GPU'
   compgen -G '/dev/dri/renderD*' > /dev/null || compgen -G '/dev/nvidia[0-9]*' > /dev/null || return 1
-  apt_install libvulkan1 vulkan-tools || return 1
+  command -v vulkaninfo > /dev/null || apt_install libvulkan1 vulkan-tools ||
+    die "this machine seems to have a GPU, and without vulkaninfo its driver cannot be looked for. Install it as above, or" \
+      "set ZIPSPLAT_DRIVER=system to take what the Vulkan loader finds, or ZIPSPLAT_DRIVER=lavapipe to run on the CPU"
   offers_device "$gpu" && return
   if [[ -e /dev/dri ]] && apt_install mesa-vulkan-drivers && offers_device "$gpu"; then return; fi
   say "no Vulkan 1.3 driver answers for this machine's GPU (missing, too old, or no permission to use it)"
