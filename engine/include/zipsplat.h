@@ -431,9 +431,9 @@ typedef struct zs_reconstruct_options {
 typedef struct zs_render_options {
     // sizeof(zs_render_options); zs_render_options_default sets it.
     uint32_t struct_size;
-    // Of the pixels that are written. 8-bit values are clamped and truncated, f32 values are neither. Where there is alpha it
-    // is what covers the background, and colour contains the background's share: on black, the default, it is premultiplied.
-    // Default ZS_PIXEL_RGBA8.
+    // Of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
+    // is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
+    // background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
     zs_pixel_format format;
     // Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
     zs_depth depth;

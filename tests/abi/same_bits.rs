@@ -123,12 +123,13 @@ fn rust_camera(camera: &zs_camera) -> Camera {
 /// A frame as the bytes of a format.
 fn pixels(frame: &Frame, format: zs_pixel_format) -> Vec<u8> {
     let (rgb, alpha) = (frame.rgb.as_ref().unwrap(), frame.alpha.as_ref().unwrap());
+    let nearest_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
     let byte = |value: f32| Image::from_rgb_f32(1, 1, &[value; 3]).unwrap().rgb[0];
     let words = |values: &[f32]| values.iter().flat_map(|v| v.to_ne_bytes()).collect::<Vec<u8>>();
     let pixel = |(c, a): (&[f32], &f32)| match format {
         zs_pixel_format::ZS_PIXEL_RGB8 => [c[0], c[1], c[2]].map(byte).to_vec(),
-        zs_pixel_format::ZS_PIXEL_RGBA8 => [c[0], c[1], c[2], *a].map(byte).to_vec(),
-        zs_pixel_format::ZS_PIXEL_BGRA8 => [c[2], c[1], c[0], *a].map(byte).to_vec(),
+        zs_pixel_format::ZS_PIXEL_RGBA8 => vec![byte(c[0]), byte(c[1]), byte(c[2]), nearest_byte(*a)],
+        zs_pixel_format::ZS_PIXEL_BGRA8 => vec![byte(c[2]), byte(c[1]), byte(c[0]), nearest_byte(*a)],
         zs_pixel_format::ZS_PIXEL_RGB_F32 => words(c),
         zs_pixel_format::ZS_PIXEL_RGBA_F32 => words(&[c[0], c[1], c[2], *a]),
     };

@@ -49,9 +49,9 @@ pub(super) type zs_depth_value = i32;
 pub struct zs_render_options {
     /// sizeof(zs_render_options); zs_render_options_default sets it.
     pub struct_size: u32,
-    /// Of the pixels that are written. 8-bit values are clamped and truncated, f32 values are neither. Where there is alpha it
-    /// is what covers the background, and colour contains the background's share: on black, the default, it is premultiplied.
-    /// Default ZS_PIXEL_RGBA8.
+    /// Of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
+    /// is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
+    /// background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
     pub format: zs_pixel_format_value,
     /// Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
     pub depth: zs_depth_value,
@@ -258,9 +258,9 @@ fn encode_row(row: &mut [u8], colours: &[f32], alpha: &[f32], format: zs_pixel_f
     let pixels = row.chunks_exact_mut(format.bytes()).zip(colours.chunks_exact(3)).zip(alphas);
     for ((pixel, rgb), alpha) in pixels {
         match format {
-            zs_pixel_format::ZS_PIXEL_RGB8 => pixel.copy_from_slice(&[rgb[0], rgb[1], rgb[2]].map(byte)),
-            zs_pixel_format::ZS_PIXEL_RGBA8 => pixel.copy_from_slice(&[rgb[0], rgb[1], rgb[2], alpha].map(byte)),
-            zs_pixel_format::ZS_PIXEL_BGRA8 => pixel.copy_from_slice(&[rgb[2], rgb[1], rgb[0], alpha].map(byte)),
+            zs_pixel_format::ZS_PIXEL_RGB8 => pixel.copy_from_slice(&[r, g, b]),
+            zs_pixel_format::ZS_PIXEL_RGBA8 => pixel.copy_from_slice(&[r, g, b, a]),
+            zs_pixel_format::ZS_PIXEL_BGRA8 => pixel.copy_from_slice(&[b, g, r, a]),
             zs_pixel_format::ZS_PIXEL_RGB_F32 => pixel.copy_from_slice(bytemuck::cast_slice(rgb)),
             zs_pixel_format::ZS_PIXEL_RGBA_F32 => {
                 pixel.copy_from_slice(bytemuck::cast_slice(&[rgb[0], rgb[1], rgb[2], alpha]));
@@ -268,3 +268,5 @@ fn encode_row(row: &mut [u8], colours: &[f32], alpha: &[f32], format: zs_pixel_f
         }
     }
 }
+    let alpha_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
+        let ([r, g, b], a) = ([rgb[0], rgb[1], rgb[2]].map(byte), alpha_byte(alpha));
