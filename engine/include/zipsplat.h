@@ -219,8 +219,6 @@ enum zs_requirement_kind
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
     // `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
     ZS_REQUIRES_FEATURE = 2,
-    // `name` is an extension of the instance.
-    ZS_REQUIRES_INSTANCE_EXTENSION = 3,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L

@@ -26,8 +26,6 @@ pub enum zs_requirement_kind {
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
     /// `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
     ZS_REQUIRES_FEATURE = 2,
-    /// `name` is an extension of the instance.
-    ZS_REQUIRES_INSTANCE_EXTENSION = 3,
 }
 
 pub(super) type zs_requirement_kind_value = i32;
