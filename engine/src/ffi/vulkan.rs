@@ -3,7 +3,7 @@
 use super::{
     context::zs_context,
     picture::{zs_camera, zs_pixel_format},
-    pointers::{POINTER, Versioned, array, borrow, produce, read_versioned, write_defaults},
+    pointers::{POINTER, Versioned, array, borrow, produce, read_given, read_versioned, write_defaults},
     renderer::{zs_render_options, zs_renderer},
     status::{Failure, guard, zs_status},
 };
@@ -296,7 +296,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
     guard(|| {
         // SAFETY: an object or NULL; structures or NULL.
         let (renderer, camera, options) =
-            unsafe { (borrow(renderer, "renderer")?, borrow(camera, "camera")?.camera(), read_versioned(options)?) };
+            unsafe { (borrow(renderer, "renderer")?, read_given(camera)?.camera()?, read_versioned(options)?) };
         if !renderer.adopted {
             return Err(Failure::argument("renderer", "one on a device of the engine's", "one of zs_context_adopt"));
         }
