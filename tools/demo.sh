@@ -13,8 +13,6 @@ weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out"
 rm -f "$out"/[0-9][0-9][0-9].png "$out"/place/[0-9][0-9][0-9].png
 
-zipsplat() { cargo run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli -- "$@"; }
-
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
 stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
 stage reconstruct zipsplat eval "$out/place" --views 8 "${weights[@]}" -o "$out/place"

@@ -3,17 +3,28 @@
 # need to find them. PREFIX can be moved afterwards.
 # usage: tools/install.sh PREFIX
 #   DESTDIR         put before PREFIX, for packages
-#   ZIPSPLAT_LIBS   a folder that has the libraries already: nothing is built
+#   ZIPSPLAT_LIBS   a folder that has the libraries already: nothing is built. For a PREFIX that only root can write:
+#                   cargo build --release -p zipsplat && sudo ZIPSPLAT_LIBS=target/release tools/install.sh /usr/local
 set -euo pipefail
 
+die() { echo "zipsplat: $*" >&2; exit 1; }
+
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-prefix=${DESTDIR:-}$(realpath -m "${1:?usage: tools/install.sh PREFIX}")
+prefix=${1:?usage: tools/install.sh PREFIX}
+[[ $prefix == /* ]] || prefix=$PWD/$prefix
+prefix=${DESTDIR:-}$prefix
 libs=${ZIPSPLAT_LIBS:-}
+for folder in include lib lib/pkgconfig lib/cmake/zipsplat; do
+  { mkdir -p "$prefix/$folder" && [[ -w $prefix/$folder ]]; } ||
+    die "cannot write to $prefix/$folder; where that takes root, build as yourself and install as root:" \
+      "cargo build --release -p zipsplat && sudo ZIPSPLAT_LIBS=target/release tools/install.sh $1"
+done
 if [[ -z $libs ]]; then
   PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
   cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat --lib
   libs=${CARGO_TARGET_DIR:-$root/target}/release
 fi
+[[ -e $libs/libzipsplat.a ]] || die "there is no libzipsplat.a in $libs: cargo build --release -p zipsplat makes it"
 
 header=$root/engine/include/zipsplat.h
 number() { awk -v name="ZS_$1" '$1 == "#define" && $2 == name { print $3 }' "$header"; }
@@ -24,7 +35,6 @@ case $(uname -s) in
   *) shared=libzipsplat.so.$abi link=libzipsplat.so system='-lgcc_s -lpthread -ldl -lm' ;;
 esac
 
-install -d "$prefix"/{include,lib/pkgconfig,lib/cmake/zipsplat}
 install -m 644 "$header" "$prefix/include/zipsplat.h"
 install -m 755 "$libs/$link" "$prefix/lib/$shared"
 ln -sf "$shared" "$prefix/lib/$link"

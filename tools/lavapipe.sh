@@ -12,19 +12,27 @@ exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run ]] || exit 0
 
 say() { echo "zipsplat: $*" >&2; }
+# The mirror that is used already, where this is Debian.
 # shellcheck disable=SC2016 # $(REPO_URI) is apt's
 mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' |
   awk '/\/debian(\.list)?\/?$/ { mirror = $0 } END { print mirror }')
-[[ -n $mirror ]] || { say "no Debian mirror among the apt sources to fetch a current lavapipe from"; exit 1; }
-say "unpacking lavapipe from $suite in $prefix (84 MB to download)"
+mirror=${mirror:-https://deb.debian.org/debian}
+say "unpacking lavapipe from $suite of $mirror in $prefix (84 MB to download)"
 
 apt=$prefix/apt root=$prefix/root
 rm -rf "$apt" "$root"
 mkdir -p "$apt"/{lists,archives}/partial "$root"/usr/{bin,lib,lib64,sbin}
 for dir in bin lib lib64 sbin; do ln -s "usr/$dir" "$root/$dir"; done
 
+# Debian's keys, by which apt checks all that it fetches. Ubuntu has them as a package of its own, checked by Ubuntu's.
+keyring=/usr/share/keyrings/debian-archive-keyring.gpg
+if [[ ! -e $keyring ]]; then
+  (cd "$apt" && apt-get -qq download debian-archive-keyring > /dev/null && dpkg-deb -x debian-archive-keyring_*.deb .) ||
+    { say "that needs Debian's keys: sudo apt-get update && sudo apt-get install debian-archive-keyring"; exit 1; }
+  keyring=$apt$keyring
+fi
 for s in trixie trixie-backports; do
-  echo "deb [arch=amd64 signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] $mirror $s main"
+  echo "deb [arch=amd64 signed-by=$keyring] $mirror $s main"
 done > "$apt/sources.list"
 : > "$apt/status" # nothing counts as installed: every dependency is fetched
 cat > "$apt/apt.conf" << END

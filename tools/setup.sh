@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Chooses the Vulkan driver, installs what is missing, and exports what cargo needs to run programs on that driver.
-# demo.sh, test.sh and .ci/run source this file; on its own it runs a cargo command in the same way.
+# zipsplat, demo.sh, test.sh and .ci/run source this file; on its own it runs a cargo command in the same way.
 # usage: tools/setup.sh [cargo run --release -- info]
 #   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25
 #   ZIPSPLAT_CACHE   drivers, compiled shaders and libshaderc; default ~/.cache/zipsplat
@@ -13,7 +13,11 @@ export MESA_SHADER_CACHE_DIR="$cache/mesa" # a lavapipe kernel takes up to a sec
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 
 say() { echo "zipsplat: $*" >&2; }
+note() { [[ -n ${quiet:-} ]] || say "$@"; }
 die() { say "$@"; exit 1; }
+
+# zipsplat ARGS...: the command, built where something changed, in the caller's folder on the driver that was chosen.
+zipsplat() { cargo run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli -- "$@"; }
 
 # stage NAME COMMAND...: runs COMMAND and says how long it took.
 stage() {
@@ -57,7 +61,9 @@ offers_device() {
 find_gpu() {
   local gpu='DISCRETE_GPU|INTEGRATED_GPU'
   compgen -G '/dev/dri/renderD*' > /dev/null || compgen -G '/dev/nvidia[0-9]*' > /dev/null || return 1
-  apt_install libvulkan1 vulkan-tools || return 1
+  command -v vulkaninfo > /dev/null || apt_install libvulkan1 vulkan-tools ||
+    die "this machine seems to have a GPU, and without vulkaninfo its driver cannot be looked for. Install it as above, or" \
+      "set ZIPSPLAT_DRIVER=system to take what the Vulkan loader finds, or ZIPSPLAT_DRIVER=lavapipe to run on the CPU"
   offers_device "$gpu" && return
   if [[ -e /dev/dri ]] && apt_install mesa-vulkan-drivers && offers_device "$gpu"; then return; fi
   say "no Vulkan 1.3 driver answers for this machine's GPU (missing, too old, or no permission to use it)"
@@ -71,7 +77,7 @@ use_lavapipe() {
   if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
   if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
     export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
-    say "Vulkan on the CPU: $prefix"
+    note "Vulkan on the CPU: $prefix"
     return
   fi
   apt_install libvulkan1 mesa-vulkan-drivers
@@ -80,7 +86,7 @@ use_lavapipe() {
     die "this system's lavapipe (Mesa $version) computes wrong results: needs Mesa 25 or a GPU with a Vulkan 1.3 driver"
   VK_DRIVER_FILES=$(compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json')
   export VK_DRIVER_FILES
-  say "Vulkan on the CPU: Mesa $version"
+  note "Vulkan on the CPU: Mesa $version"
 }
 
 [[ -e /etc/debian_version ]] || offers_device '.*' ||
@@ -91,7 +97,7 @@ check_rust
 if [[ -e /etc/debian_version ]]; then
   command -v cc > /dev/null || apt_install gcc libc6-dev
   case ${ZIPSPLAT_DRIVER:-auto} in
-    auto) if find_gpu; then say "Vulkan on the GPU"; else use_lavapipe 26 trixie-backports; fi ;;
+    auto) if find_gpu; then note "Vulkan on the GPU"; else use_lavapipe 26 trixie-backports; fi ;;
     system) apt_install libvulkan1 ;;
     lavapipe) use_lavapipe 26 trixie-backports ;;
     lavapipe25) use_lavapipe 25 trixie ;;

@@ -196,17 +196,18 @@ static void wait_for(VkDevice device, VkSemaphore timeline, uint64_t value) {
 
 /* Three Gaussians before the camera: red, green and blue. */
 static zs_scene *make_scene(void) {
-    float means[] = {-0.5f, 0, 3, 0, 0, 4, 0.5f, 0.2f, 3}, scales[] = {0.3f, 0.1f, 0.2f, 0.5f, 0.5f, 0.5f, 0.1f, 0.4f, 0.1f};
-    float quats[] = {1, 0, 0, 0, 1, 0, 0, 0.5f, 1, 0.3f, 0, 0}, opacities[] = {0.9f, 0.7f, 0.8f};
-    float colours[] = {1.5f, -1, -1, -1, 1.5f, -1, -1, -1, 1.5f};
-    zs_gaussians arrays = {sizeof arrays, 0, 3, means, scales, quats, opacities, colours};
+    const float means[] = {-0.5f, 0, 3, 0, 0, 4, 0.5f, 0.2f, 3}, scales[] = {0.3f, 0.1f, 0.2f, 0.5f, 0.5f, 0.5f, 0.1f, 0.4f, 0.1f};
+    const float quats[] = {1, 0, 0, 0, 1, 0, 0, 0.5f, 1, 0.3f, 0, 0}, opacities[] = {0.9f, 0.7f, 0.8f};
+    const float colours[] = {1.5f, -1, -1, -1, 1.5f, -1, -1, -1, 1.5f};
+    const zs_gaussians arrays = {sizeof arrays, 0, 3, means, scales, quats, opacities, colours};
     zs_scene *scene;
     zs(zs_scene_create(&arrays, &scene), "scene");
     return scene;
 }
 
 static zs_camera camera_of_frame(int frame) {
-    zs_camera camera = {SIDE, SIDE, SIDE, SIDE, SIDE / 2.0, SIDE / 2.0, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.1 * frame, 0, 0}};
+    zs_camera camera = {.struct_size = sizeof camera, .width = SIDE, .height = SIDE, .rotation = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
+    camera.fx = camera.fy = SIDE, camera.cx = camera.cy = SIDE / 2.0, camera.translation[0] = 0.1 * frame;
     return camera;
 }
 
@@ -286,7 +287,7 @@ int main(void) {
 
     /* The same picture into the second half of a buffer, and through the host. */
     const zs_camera camera = camera_of_frame(FRAMES - 1);
-    const zs_picture picture = {expected, 0, NULL, NULL};
+    const zs_picture picture = {.struct_size = sizeof picture, .pixels = expected};
     free_again.value = 2 * FRAMES, drawn.value = 2 * FRAMES + 1;
     target.image = 0, target.buffer = (uint64_t)(uintptr_t)buffer;
     target.buffer_offset = BYTES, target.buffer_size = BYTES;

@@ -1,9 +1,8 @@
 /* Photos to a scene and a picture of it:
  *     cc reconstruct.c $(pkg-config --cflags --libs zipsplat) -o reconstruct
- *     ./reconstruct MODEL scene.ply picture.png PHOTO...      MODEL: a checkpoint, seeded:vits, or embedded */
+ *     ./reconstruct MODEL scene.ply picture.png PHOTO...      MODEL: embedded, a checkpoint, or seeded:vits */
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 #include <zipsplat.h>
 
 #define CHECK(call)                                                                \
@@ -39,12 +38,9 @@ int main(int argc, char **argv) {
     unsigned char *pixels = malloc(4 * SIDE * SIDE);
 
     CHECK(zs_context_create(NULL, &context));
-    if (strcmp(argv[1], "embedded") == 0) {
-        CHECK(zs_model_embedded(context, NULL, &model));
-    } else {
-        CHECK(zs_model_open(context, argv[1], NULL, &model));
-    }
+    CHECK(zs_model_open(context, argv[1], NULL, &model));
     for (size_t i = 0; i < count; i++) {
+        images[i].struct_size = sizeof images[i];
         CHECK(zs_photo_open(argv[4 + i], &photos[i]));
         CHECK(zs_photo_get_image(photos[i], &images[i]));
     }
@@ -55,11 +51,12 @@ int main(int argc, char **argv) {
     CHECK(zs_scene_save(scene, argv[2], NULL));
 
     /* From where the first photo was taken, which is the world's origin, with a field of view of 60 degrees. */
-    zs_camera camera = {SIDE, SIDE, 0.866 * SIDE, 0.866 * SIDE, SIDE / 2.0, SIDE / 2.0, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0}};
-    zs_picture picture = {pixels, 0, NULL, NULL};
+    zs_camera camera = {.struct_size = sizeof camera, .width = SIDE, .height = SIDE, .rotation = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
+    camera.fx = camera.fy = 0.866 * SIDE, camera.cx = camera.cy = 0.5 * SIDE;
+    zs_picture picture = {.struct_size = sizeof picture, .pixels = pixels};
     CHECK(zs_renderer_create(context, scene, &renderer));
     CHECK(zs_render(renderer, &camera, &picture, 1, NULL));
-    zs_image drawn = {pixels, 0, SIDE, SIDE, ZS_PIXEL_RGBA8, 0};
+    zs_image drawn = {sizeof drawn, ZS_PIXEL_RGBA8, SIDE, SIDE, 0, pixels};
     CHECK(zs_image_save_png(&drawn, argv[3]));
     result = EXIT_SUCCESS;
 

@@ -1,6 +1,6 @@
 // As reconstruct.c, in C++17: objects destroy themselves, failures are exceptions, Gaussians are vectors.
 //     c++ -std=c++17 reconstruct.cpp $(pkg-config --cflags --libs zipsplat) -o reconstruct
-//     ./reconstruct MODEL scene.ply PHOTO...
+//     ./reconstruct MODEL scene.ply picture.png PHOTO...      MODEL: embedded, a checkpoint, or seeded:vits
 #include <cstdio>
 #include <exception>
 #include <memory>
@@ -35,6 +35,7 @@ using Context = Handle<zs_context, zs_context_destroy>;
 using Model = Handle<zs_model, zs_model_destroy>;
 using Photo = Handle<zs_photo, zs_photo_destroy>;
 using Scene = Handle<zs_scene, zs_scene_destroy>;
+using Renderer = Handle<zs_renderer, zs_renderer_destroy>;
 
 // make<Scene>(zs_scene_open, "scene.ply"): calls a function that hands out an object through its last argument.
 template <class H, class Function, class... Arguments>
@@ -44,49 +45,63 @@ H make(Function function, Arguments... arguments) {
     return H(object);
 }
 
+// A structure of zeroes that says its size.
+template <class T>
+T sized() {
+    T structure{};
+    structure.struct_size = sizeof structure;
+    return structure;
+}
+
 struct Gaussians {
     std::vector<float> means, scales, quats, opacities, sh_coeffs;
 
     explicit Gaussians(const zs_scene *scene) {
-        zs_scene_info info{};
-        info.struct_size = sizeof info;
-        check(zs_scene_get_info(scene, &info));
-        const auto n = static_cast<size_t>(info.count);
-        const size_t k = (info.sh_degree + 1) * (info.sh_degree + 1);
-        means.resize(3 * n), scales.resize(3 * n), quats.resize(4 * n), opacities.resize(n), sh_coeffs.resize(3 * k * n);
-        zs_gaussians arrays{};
-        arrays.struct_size = sizeof arrays;
-        arrays.sh_degree = info.sh_degree;
-        arrays.count = info.count;
-        arrays.means = means.data(), arrays.scales = scales.data(), arrays.quats = quats.data();
-        arrays.opacities = opacities.data(), arrays.sh_coeffs = sh_coeffs.data();
-        check(zs_scene_read(scene, &arrays));
+        auto found = sized<zs_gaussians>();
+        check(zs_scene_get_gaussians(scene, &found));
+        const auto n = static_cast<size_t>(found.count);
+        const size_t k = (found.sh_degree + 1) * (found.sh_degree + 1);
+        means.assign(found.means, found.means + 3 * n), scales.assign(found.scales, found.scales + 3 * n);
+        quats.assign(found.quats, found.quats + 4 * n), opacities.assign(found.opacities, found.opacities + n);
+        sh_coeffs.assign(found.sh_coeffs, found.sh_coeffs + 3 * k * n);
     }
 };
+
+// Draws from where the first photo was taken, which is the world's origin, with a field of view of 60 degrees.
+inline void draw(const zs_context *context, const zs_scene *scene, uint32_t side, const char *path) {
+    auto camera = sized<zs_camera>();
+    camera.width = camera.height = side;
+    camera.fx = camera.fy = 0.866 * side, camera.cx = camera.cy = 0.5 * side;
+    camera.rotation[0] = camera.rotation[4] = camera.rotation[8] = 1;
+    std::vector<unsigned char> pixels(size_t{4} * side * side);
+    auto picture = sized<zs_picture>();
+    picture.pixels = pixels.data();
+    const auto renderer = make<Renderer>(zs_renderer_create, context, scene);
+    check(zs_render(renderer.get(), &camera, &picture, 1, nullptr));
+    auto image = sized<zs_image>();
+    image.format = ZS_PIXEL_RGBA8, image.width = image.height = side, image.pixels = pixels.data();
+    check(zs_image_save_png(&image, path));
+}
 
 } // namespace zs
 
 int main(int argc, char **argv) try {
-    if (argc < 4) {
-        std::fprintf(stderr, "usage: %s MODEL scene.ply PHOTO...\n", argv[0]);
+    if (argc < 5) {
+        std::fprintf(stderr, "usage: %s MODEL scene.ply picture.png PHOTO...\n", argv[0]);
         return 2;
     }
-    auto context = zs::make<zs::Context>(zs_context_create, nullptr);
-    auto model = zs::make<zs::Model>(zs_model_open, context.get(), argv[1], nullptr);
-    context.reset(); // the model keeps what it needs
-
+    const auto context = zs::make<zs::Context>(zs_context_create, nullptr);
+    const auto model = zs::make<zs::Model>(zs_model_open, context.get(), argv[1], nullptr);
     std::vector<zs::Photo> photos;
     std::vector<zs_image> images;
-    for (int i = 3; i < argc; i++) {
+    for (int i = 4; i < argc; i++) {
         photos.push_back(zs::make<zs::Photo>(zs_photo_open, argv[i]));
-        images.emplace_back();
+        images.push_back(zs::sized<zs_image>());
         zs::check(zs_photo_get_image(photos.back().get(), &images.back()));
     }
-    zs_reconstruct_options options{};
-    zs::check(zs_reconstruct_options_default(&options, sizeof options));
-    options.ratio = ZS_RATIO_AUTO;
-    auto scene = zs::make<zs::Scene>(zs_reconstruct, model.get(), images.data(), images.size(), &options);
+    const auto scene = zs::make<zs::Scene>(zs_reconstruct, model.get(), images.data(), images.size(), nullptr);
     zs::check(zs_scene_save(scene.get(), argv[2], nullptr));
+    zs::draw(context.get(), scene.get(), 256, argv[3]);
 
     const zs::Gaussians gaussians(scene.get());
     double opacity = 0;

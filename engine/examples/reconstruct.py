@@ -1,8 +1,9 @@
-"""Photos to a scene, with ctypes and NumPy and nothing to build.
+"""As reconstruct.c, with ctypes and NumPy and nothing to build.
 
-usage: ZIPSPLAT_LIBRARY=/prefix/lib/libzipsplat.so python3 reconstruct.py MODEL scene.ply PHOTO...
+usage: ZIPSPLAT_LIBRARY=/prefix/lib/libzipsplat.so python3 reconstruct.py MODEL scene.ply picture.png PHOTO...
+MODEL: embedded, a checkpoint, or seeded:vits
 
-Pictures go in as arrays [height, width, 3] of uint8 or float32, Gaussians come out as arrays of float32.
+Pictures go in and come out as arrays [height, width, channels] of uint8 or float32, Gaussians come out as arrays of float32.
 """
 
 import ctypes
@@ -17,28 +18,40 @@ u32, u64, i32, i64, f64, pointer = (
 
 
 def fields(**named):
-    return list(named.items())
+    return [("struct_size", u32), *named.items()]
 
 
-class Image(ctypes.Structure):
-    _fields_ = fields(pixels=pointer, stride=i64, width=u32, height=u32, format=i32, reserved=u32)
+class Sized(ctypes.Structure):
+    """A structure that says its size."""
+
+    def __init__(self, **values):
+        super().__init__(struct_size=ctypes.sizeof(self), **values)
 
 
-class SceneInfo(ctypes.Structure):
-    _fields_ = fields(struct_size=u32, sh_degree=u32, count=u64)
+class Image(Sized):
+    _fields_ = fields(format=i32, width=u32, height=u32, stride=i64, pixels=pointer)
 
 
-class Gaussians(ctypes.Structure):
-    _fields_ = fields(struct_size=u32, sh_degree=u32, count=u64, means=pointer, scales=pointer, quats=pointer,
-                      opacities=pointer, sh_coeffs=pointer)
+class Camera(Sized):
+    _fields_ = fields(reserved=u32, width=u32, height=u32, fx=f64, fy=f64, cx=f64, cy=f64, rotation=9 * f64,
+                      translation=3 * f64)
 
 
-class ReconstructOptions(ctypes.Structure):
-    _fields_ = fields(struct_size=u32, reserved=u32, ratio=f64, selection=i32, width=u32, height=u32, camera_count=u32,
-                      seed=u64, cameras=pointer, progress=pointer, user_data=pointer)
+class Picture(Sized):
+    _fields_ = fields(reserved=u32, stride=i64, pixels=pointer, alpha=pointer, depth=pointer)
 
 
-RGB8, RGB_F32 = 1, 4
+class Gaussians(Sized):
+    _fields_ = fields(sh_degree=u32, count=u64, means=pointer, scales=pointer, quats=pointer, opacities=pointer,
+                      sh_coeffs=pointer)
+
+
+class ReconstructOptions(Sized):
+    _fields_ = fields(reserved=u32, ratio=f64, selection=i32, width=u32, height=u32, camera_count=u32, seed=u64,
+                      cameras=pointer, progress=pointer, user_data=pointer)
+
+
+RGB8, RGBA8, RGB_F32 = 1, 2, 4
 ABI_VERSION = 1
 
 library = ctypes.CDLL(os.environ.get("ZIPSPLAT_LIBRARY") or ctypes.util.find_library("zipsplat") or "libzipsplat.so")
@@ -64,18 +77,22 @@ class Object:
         getattr(library, f"zs_{self.kind}_destroy")(self.handle)
 
 
+def copied(address, kind, *shape):
+    """What lies in memory of the library, as an array."""
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(kind)), shape).copy()
+
+
 def photo(path):
     """A picture file as an array [height, width, 3] of uint8."""
     opened, image = Object("photo", "zs_photo_open", os.fsencode(path)), Image()
     call("zs_photo_get_image", opened.handle, ctypes.byref(image))
-    data = (ctypes.c_uint8 * (3 * image.width * image.height)).from_address(image.pixels)
-    return np.ctypeslib.as_array(data).reshape(image.height, image.width, 3).copy()
+    return copied(image.pixels, ctypes.c_uint8, image.height, image.width, 3)
 
 
 def reconstruct(model, pictures, ratio=1.0):
     pictures = [np.ascontiguousarray(p, np.uint8 if p.dtype == np.uint8 else np.float32) for p in pictures]
     images = (Image * len(pictures))(*(
-        Image(p.ctypes.data, p.strides[0], p.shape[1], p.shape[0], RGB8 if p.dtype == np.uint8 else RGB_F32, 0)
+        Image(format=RGB8 if p.dtype == np.uint8 else RGB_F32, width=p.shape[1], height=p.shape[0], pixels=p.ctypes.data)
         for p in pictures))
     options = ReconstructOptions()
     call("zs_reconstruct_options_default", ctypes.byref(options), ctypes.c_size_t(ctypes.sizeof(options)))
@@ -84,25 +101,41 @@ def reconstruct(model, pictures, ratio=1.0):
     return Object("scene", "zs_reconstruct", model.handle, images, count, ctypes.byref(options))
 
 
+def draw(context, scene, side):
+    """RGBA [side, side, 4] of uint8 from the world's origin, with a field of view of 60 degrees."""
+    focal, identity = 0.866 * side, (9 * f64)(1, 0, 0, 0, 1, 0, 0, 0, 1)
+    camera = Camera(width=side, height=side, fx=focal, fy=focal, cx=side / 2, cy=side / 2, rotation=identity)
+    pixels = np.empty((side, side, 4), np.uint8)
+    picture = Picture(pixels=pixels.ctypes.data)
+    renderer = Object("renderer", "zs_renderer_create", context.handle, scene.handle)
+    call("zs_render", renderer.handle, ctypes.byref(camera), ctypes.byref(picture), ctypes.c_size_t(1), None)
+    return pixels
+
+
+def save(pixels, path):
+    """Writes a picture of `draw` as PNG."""
+    height, width, _ = pixels.shape
+    image = Image(format=RGBA8, width=width, height=height, pixels=pixels.ctypes.data)
+    call("zs_image_save_png", ctypes.byref(image), os.fsencode(path))
+
+
 def gaussians(scene):
     """A scene as a dictionary of arrays."""
-    info = SceneInfo(struct_size=ctypes.sizeof(SceneInfo))
-    call("zs_scene_get_info", scene.handle, ctypes.byref(info))
-    n, k = info.count, (info.sh_degree + 1) ** 2
-    shapes = fields(means=(n, 3), scales=(n, 3), quats=(n, 4), opacities=(n,), sh_coeffs=(n, k, 3))
-    arrays = {name: np.empty(shape, np.float32) for name, shape in shapes}
-    pointers = {name: array.ctypes.data for name, array in arrays.items()}
-    given = Gaussians(ctypes.sizeof(Gaussians), info.sh_degree, n, **pointers)
-    call("zs_scene_read", scene.handle, ctypes.byref(given))
-    return arrays
+    found = Gaussians()
+    call("zs_scene_get_gaussians", scene.handle, ctypes.byref(found))
+    n, k = found.count, (found.sh_degree + 1) ** 2
+    shapes = dict(means=(n, 3), scales=(n, 3), quats=(n, 4), opacities=(n,), sh_coeffs=(n, k, 3))
+    return {name: copied(getattr(found, name), ctypes.c_float, *shape) for name, shape in shapes.items()}
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 4:
+    if len(sys.argv) < 5:
         sys.exit(__doc__)
+    model_path, scene_path, picture_path, *photo_paths = sys.argv[1:]
     context = Object("context", "zs_context_create", None)
-    network = Object("model", "zs_model_open", context.handle, os.fsencode(sys.argv[1]), None)
-    result = reconstruct(network, [photo(path) for path in sys.argv[3:]], ratio=0.5)
-    call("zs_scene_save", result.handle, os.fsencode(sys.argv[2]), None)
-    for name, array in gaussians(result).items():
+    model = Object("model", "zs_model_open", context.handle, os.fsencode(model_path), None)
+    scene = reconstruct(model, [photo(path) for path in photo_paths])
+    call("zs_scene_save", scene.handle, os.fsencode(scene_path), None)
+    save(draw(context, scene, 256), picture_path)
+    for name, array in gaussians(scene).items():
         print(f"{name:10} {str(array.shape):14} from {array.min():.3f} to {array.max():.3f}")

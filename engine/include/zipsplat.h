@@ -14,21 +14,34 @@
  * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
  * host has no memory left at all.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _embedded or zs_reconstruct hands out is yours; give it back
- * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
- * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
- * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that
- * you get from functions returning const char * are never yours to free.
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory or zs_reconstruct hands out is yours; give it back to its
+ * zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive what
+ * they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on them.
+ * Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
+ * get from functions returning const char * are never yours to free.
  *
  * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
- * zs_renderer wait for each other. Callbacks run on the thread that made the call.
+ * zs_renderer wait for each other. Callbacks run on the thread that made the call. Photos, weights and files are prepared by a
+ * pool of threads, as many as there are cores or RAYON_NUM_THREADS says, which starts when it is first needed and ends with
+ * the process; none of them calls you or touches your queue.
+ *
+ * Files. Besides the paths that you pass, a library keeps small ones in a folder of the user's: what the test of a device's
+ * fast kernels found, and which tiles `zipsplat tune` found fastest. The folder is ZIPSPLAT_CACHE, or `zipsplat` in
+ * XDG_CACHE_HOME or LOCALAPPDATA, or .cache/zipsplat in HOME, the first of these environment variables that is set. Where none
+ * is, or nothing can be written, the test runs again in every process that needs it. Devices of yours (zs_context_adopt) and
+ * ZS_PRECISION_EXACT need none of it.
  *
  * Structures that begin with struct_size may grow at their end in later versions. Where there is a ..._default function call
- * it, then set what you want to be different; otherwise set struct_size to the sizeof. A library takes the structures of its
- * own version and of all earlier ones of the same ZS_ABI_VERSION, and refuses larger ones. All others never change.
+ * it, then set what you want to be different; otherwise set all fields to 0, then struct_size to the sizeof, in every element
+ * of an array. A library takes the structures of its own version and of all earlier ones of the same ZS_ABI_VERSION, and
+ * refuses larger ones. All others never change.
  *
  * Numbers in structures that stand for something (int32_t of an enumeration) are checked; one that is not known is refused.
- * Sizes are in bytes, counts in elements, lengths of pictures in pixels. The world's unit is the scene's own.
+ * Sizes are in bytes, counts in elements, lengths of pictures in pixels.
+ *
+ * World. Axes are x right, y down, z forward. That of a scene from photos is the first photo's camera. Where cameras are
+ * given their unit is kept. Where none are, the scale is not metric: the network is trained to put what the photos see at a
+ * median distance of about 1 from the first of them. That of a scene from a file or from arrays is its own.
  *
  * Bits. The same call with the same inputs gives the same bits on the same device and driver, whatever else runs.
  */
@@ -219,8 +232,6 @@ enum zs_requirement_kind
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
     // `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
     ZS_REQUIRES_FEATURE = 2,
-    // `name` is an extension of the instance.
-    ZS_REQUIRES_INSTANCE_EXTENSION = 3,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -285,49 +296,41 @@ typedef struct zs_context_options {
 // A photo in your memory, read during the call only. Its first row is the top one. Alpha is ignored; f32 values are clamped
 // to 0..1 and rounded to 8 bits, which is what networks are trained with.
 typedef struct zs_image {
-    // The first pixel of the top row; of any alignment.
-    const void *pixels;
-    // Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
-    int64_t stride;
+    // sizeof(zs_image); set it before the call.
+    uint32_t struct_size;
+    // How a pixel lies in memory.
+    zs_pixel_format format;
     // Pixels a row, 1 to 32768.
     uint32_t width;
     // Rows, 1 to 32768.
     uint32_t height;
-    // How a pixel lies in memory.
-    zs_pixel_format format;
-    // Must be 0.
-    uint32_t reserved;
+    // Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
+    int64_t stride;
+    // The first pixel of the top row; of any alignment.
+    const void *pixels;
 } zs_image;
 
-// How large a scene is.
-typedef struct zs_scene_info {
-    // sizeof(zs_scene_info); set it before the call.
+// Gaussians as arrays, one a property, each as long as it says.
+typedef struct zs_gaussians {
+    // sizeof(zs_gaussians); set it before the call.
     uint32_t struct_size;
     // Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
     uint32_t sh_degree;
     // N, the number of Gaussians.
     uint64_t count;
-} zs_scene_info;
-
-// Gaussians as arrays of yours, one a property, each as long as it says. The world is the first photo's camera: x right, y
-// down, z forward; its unit is the scene's own unless cameras were given.
-typedef struct zs_gaussians {
-    // sizeof(zs_gaussians); set it before the call.
-    uint32_t struct_size;
-    // Highest band of spherical harmonics, 0 to 3.
-    uint32_t sh_degree;
-    // N, the number of Gaussians that the arrays have room for.
-    uint64_t count;
     // N x 3 centres.
-    float *means;
+    const float *means;
     // N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
-    float *scales;
+    const float *scales;
     // N x 4 rotations as quaternions w, x, y, z; of any length but zero.
-    float *quats;
+    const float *quats;
     // N opacities from 0 to 1.
-    float *opacities;
-    // N x K x 3 coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
-    float *sh_coeffs;
+    const float *opacities;
+    // N x K x 3 coefficients of spherical harmonics for red, green, blue: those of 3D Gaussian Splatting's files. The basis is
+    // real and orthonormal, band after band and from m = -l to l in each, negative where m is odd. It begins with 0.282095,
+    // -0.488603 y, 0.488603 z, -0.488603 x, where (x, y, z) is the unit vector in the world from the camera to the Gaussian's
+    // centre. Colour is 0.5 plus the sum of basis times coefficients, and not below 0.
+    const float *sh_coeffs;
 } zs_gaussians;
 
 // How a scene is written.
@@ -375,11 +378,18 @@ typedef struct zs_model_info {
     zs_precision precision;
     // Bytes of its weights on the device.
     uint64_t weight_bytes;
+    // Kernels that failed the test before their first use, by how much, one a line: they are not used, and where that leaves
+    // too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where none did. The model's own memory, there until it is destroyed.
+    const char *notes;
 } zs_model_info;
 
 // A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
 // picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
 typedef struct zs_camera {
+    // sizeof(zs_camera); set it before the call.
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
     // Pixels a row.
     uint32_t width;
     // Rows.
@@ -418,8 +428,9 @@ typedef struct zs_reconstruct_options {
     uint32_t camera_count;
     // For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
     uint64_t seed;
-    // Cameras of the whole photos as you pass them, where they are known; their world becomes that of the first. Their unit
-    // is kept; best is one near the median distance of what the first photo sees. Default NULL.
+    // Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world. Their unit is
+    // kept, and what they see should be at a median distance of about 1 from the first, which the network is trained with:
+    // scale them where it is not. Default NULL.
     const struct zs_camera *cameras;
     // Told how far it is; may stop it. Default NULL.
     zs_progress progress;
@@ -431,9 +442,9 @@ typedef struct zs_reconstruct_options {
 typedef struct zs_render_options {
     // sizeof(zs_render_options); zs_render_options_default sets it.
     uint32_t struct_size;
-    // Of the pixels that are written. 8-bit values are clamped and truncated, f32 values are neither. Where there is alpha it
-    // is what covers the background, and colour contains the background's share: on black, the default, it is premultiplied.
-    // Default ZS_PIXEL_RGBA8.
+    // Of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
+    // is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
+    // background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
     zs_pixel_format format;
     // Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
     zs_depth depth;
@@ -448,11 +459,15 @@ typedef struct zs_render_options {
 
 // Where a picture goes: memory of yours for what you want of it, NULL for what you do not.
 typedef struct zs_picture {
+    // sizeof(zs_picture); set it before the call.
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // Bytes from a row of `pixels` to the one below it; negative to store the picture bottom-up; 0 for row after row. What
+    // lies between rows is left as it is.
+    int64_t stride;
     // The first pixel of the top row, in the format of the options; of any alignment.
     void *pixels;
-    // Bytes from a row to the one below it; negative to store the picture bottom-up; 0 for row after row. What lies between
-    // rows is left as it is.
-    int64_t stride;
     // height x width: alpha from 0 to 1.
     float *alpha;
     // height x width: depth in world units.
@@ -592,7 +607,7 @@ zs_status zs_photo_open(const char *path,
                         struct zs_photo **photo);
 
 // Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
-// memory, there until it is destroyed.
+// memory, there until it is destroyed. Set its struct_size before the call.
 zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
 
 // Destroys a photo. NULL is allowed.
@@ -603,12 +618,10 @@ void zs_photo_destroy(struct zs_photo *photo);
 zs_status zs_image_save_png(const struct zs_image *image,
                             const char *path);
 
-// Says how large a scene is, to make the arrays for zs_scene_read.
-zs_status zs_scene_get_info(const struct zs_scene *scene, struct zs_scene_info *info);
-
-// Copies a scene's Gaussians into your arrays; those that are NULL are left out. `gaussians.count` and
-// `gaussians.sh_degree` must be the scene's, as zs_scene_get_info says them.
-zs_status zs_scene_read(const struct zs_scene *scene, const struct zs_gaussians *gaussians);
+// Fills `gaussians` with how large a scene is and where its arrays are: the scene's own memory, there until it is destroyed.
+// Set its struct_size before the call.
+zs_status zs_scene_get_gaussians(const struct zs_scene *scene,
+                                 struct zs_gaussians *gaussians);
 
 // Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
 zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
@@ -639,8 +652,9 @@ void zs_scene_destroy(struct zs_scene *scene);
 // Fills `options` with the defaults. `size` is sizeof(zs_model_options).
 zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
 
-// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), or random numbers for
-// "seeded:VARIANT", to try things out. `options` may be NULL.
+// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), the model that is built
+// into the library for "embedded" (ZS_ERROR_UNSUPPORTED where none is), or random numbers for "seeded:VARIANT", to try things
+// out. `options` may be NULL.
 zs_status zs_model_open(const struct zs_context *context,
                         const char *path,
                         const struct zs_model_options *options,
@@ -652,11 +666,6 @@ zs_status zs_model_from_memory(const struct zs_context *context,
                                size_t size,
                                const struct zs_model_options *options,
                                struct zs_model **model);
-
-// As zs_model_open, with the model that is built into the library. ZS_ERROR_UNSUPPORTED where none is.
-zs_status zs_model_embedded(const struct zs_context *context,
-                            const struct zs_model_options *options,
-                            struct zs_model **model);
 
 // Says what a model is.
 zs_status zs_model_get_info(const struct zs_model *model, struct zs_model_info *info);

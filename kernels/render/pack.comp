@@ -1,9 +1,10 @@
 // Pictures of 8 bits a channel.
 //
 // Frames [count] red, green, blue, alpha as f32
-// Packed [count] the same, clamped to 0..1, times 255 and truncated; red in the lowest byte, blue where BLUE_FIRST
+// Packed [count] the same, clamped to 0..1 and times 255, colour truncated and alpha rounded; red in the lowest byte, blue
+//   where BLUE_FIRST
 //
-// One invocation a pixel. The rounding is that of gsplat's viewer, which pictures in files have too.
+// One invocation a pixel. Colour is truncated as in gsplat's viewer, which pictures in files have too.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
@@ -20,7 +21,8 @@ layout(push_constant) uniform Push { uint count; };
 void main() {
     uint i = global_index();
     if (i < count) {
-        uvec4 bytes = uvec4(clamp(frames[i], 0.0, 1.0) * 255.0);
+        vec4 scaled = clamp(frames[i], 0.0, 1.0) * 255.0;
+        uvec4 bytes = uvec4(scaled.rgb, roundEven(scaled.a));
         if (BLUE_FIRST) {
             bytes = bytes.bgra;
         }

@@ -2,11 +2,15 @@
 
 use crate::calls::*;
 use std::{
-    ffi::{c_char, c_void},
+    ffi::{CStr, c_char, c_void},
     ptr::{dangling_mut, null, null_mut},
     sync::atomic::{AtomicU32, Ordering},
+    thread::{self, ThreadId},
 };
-use zipsplat::ffi::{zs_status::*, *};
+use zipsplat::{
+    ffi::{zs_status::*, *},
+    reconstruct::MAX_VIEWS,
+};
 
 #[test]
 fn null_is_refused_everywhere() {
@@ -20,8 +24,7 @@ fn null_is_refused_everywhere() {
         unsafe { zs_photo_open(null(), null_mut()) },
         unsafe { zs_photo_get_image(null(), null_mut()) },
         unsafe { zs_image_save_png(null(), null()) },
-        unsafe { zs_scene_get_info(null(), null_mut()) },
-        unsafe { zs_scene_read(null(), null()) },
+        unsafe { zs_scene_get_gaussians(null(), null_mut()) },
         unsafe { zs_scene_create(null(), null_mut()) },
         unsafe { zs_scene_open(null(), null_mut()) },
         unsafe { zs_scene_open_dropping_invalid(null(), null_mut(), null_mut()) },
@@ -30,7 +33,6 @@ fn null_is_refused_everywhere() {
         unsafe { zs_model_options_default(null_mut(), 32) },
         unsafe { zs_model_open(null(), null(), null(), null_mut()) },
         unsafe { zs_model_from_memory(null(), null(), 0, null(), null_mut()) },
-        unsafe { zs_model_embedded(null(), null(), null_mut()) },
         unsafe { zs_model_get_info(null(), null_mut()) },
         unsafe { zs_reconstruct_options_default(null_mut(), 64) },
         unsafe { zs_reconstruct(null(), null(), 0, null(), null_mut()) },
@@ -103,6 +105,34 @@ fn structures_of_other_sizes_are_refused() {
 }
 
 #[test]
+fn structures_of_arrays_say_their_size() {
+    let context = context();
+    let model = model(&context);
+    let photos = photos(2);
+    let good = image_of(&photos[0]);
+    for struct_size in [0, good.struct_size - 1, good.struct_size + 8, u32::MAX] {
+        for images in [[zs_image { struct_size, ..good }, good], [good, zs_image { struct_size, ..good }]] {
+            assert_eq!(try_reconstruct(&model, &images, &reconstruct_options()).err(), Some(ZS_ERROR_ARGUMENT));
+            assert!(message().starts_with("zs_image, struct_size"), "{}", message());
+        }
+    }
+    let camera = zs_camera { struct_size: 8, ..camera(SIDE, SIDE, 0.0) };
+    let options = zs_reconstruct_options { cameras: &camera, camera_count: 1, ..reconstruct_options() };
+    assert_eq!(try_reconstruct(&model, &[good], &options).err(), Some(ZS_ERROR_ARGUMENT));
+    assert!(message().starts_with("zs_camera, struct_size"), "{}", message());
+    let mut photo = zs_image { struct_size: 0, ..good };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("photo.png");
+    photos[0].save_png(&path).expect("a photo can be written");
+    let path = c_string(path.to_str().expect("UTF-8"));
+    // SAFETY: a string, and where to put it.
+    let opened = Object::new(zs_photo_destroy, |out| unsafe { zs_photo_open(path.as_ptr(), out) });
+    // SAFETY: a live photo; nothing is written where the size is refused.
+    let status = unsafe { zs_photo_get_image(opened.handle, &mut photo) };
+    fails(status, ZS_ERROR_ARGUMENT, &["zs_image, struct_size"]);
+}
+
+#[test]
 fn devices_are_described() {
     let mut count = 0;
     // SAFETY: where to put it.
@@ -172,12 +202,38 @@ fn progress_is_told_and_can_stop() {
     reconstruct(&model, &images, &reconstruct_options());
 }
 
-fn model_options() -> zs_model_options {
-    let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
-    unsafe {
-        ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
-        options.assume_init()
+/// What a callback is told on the thread of the call, and when it stops that.
+struct Told {
+    stages: Vec<(f64, String)>,
+    most: usize,
+    thread: ThreadId,
+}
+
+unsafe extern "C" fn listen(told: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
+    // SAFETY: the test's own, which waits for the call.
+    let (told, stage) = unsafe { (&mut *told.cast::<Told>(), CStr::from_ptr(stage)) };
+    assert_eq!(told.thread, thread::current().id());
+    told.stages.push((fraction, stage.to_str().expect("UTF-8").to_owned()));
+    (told.stages.len() == told.most).into()
+}
+
+#[test]
+fn photos_are_prepared_with_progress() {
+    let context = context();
+    let model = model(&context);
+    let at_once = rayon::current_num_threads().min(MAX_VIEWS / 3);
+    let photos = photos(2 * at_once as u32 + 1);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    for (most, status) in [(2, ZS_ERROR_CANCELLED), (usize::MAX, ZS_OK)] {
+        let mut told = Told { stages: Vec::new(), most, thread: thread::current().id() };
+        let user_data = (&raw mut told).cast();
+        let options = zs_reconstruct_options { progress: Some(listen), user_data, ..reconstruct_options() };
+        assert_eq!(try_reconstruct(&model, &images, &options).err().unwrap_or(ZS_OK), status);
+        let (fractions, stages): (Vec<f64>, Vec<String>) = told.stages.into_iter().unzip();
+        let prepared = stages.iter().take_while(|stage| *stage == "photos").count();
+        assert_eq!(prepared, most.min(3), "{stages:?}");
+        assert!(fractions.is_sorted() && fractions[0] == 0.0 && fractions.iter().all(|f| *f <= 1.0), "{fractions:?}");
+        assert!(status != ZS_OK || stages.len() > prepared, "{stages:?}");
     }
 }
 
@@ -208,7 +264,6 @@ fn what_cannot_be_reconstructed_is_refused() {
         refused(&[zs_image { format, ..image }], 1, &options, &["pixel format"]);
     }
     refused(&[zs_image { pixels: null(), ..image }], 1, &options, &["image 0", "NULL"]);
-    refused(&[zs_image { reserved: 1, ..image }], 1, &options, &["image 0", "reserved"]);
     for ratio in [-0.5, 1.5, f64::NAN, f64::INFINITY] {
         refused(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
     }
@@ -232,7 +287,7 @@ fn what_cannot_be_drawn_is_refused() {
     let renderer = renderer(&context, &scene);
     let good = camera(16, 16, 0.0);
     let mut pixels = [0u8; 4 * 16 * 16];
-    let picture = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
+    let picture = picture_at(pixels.as_mut_ptr());
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
     let refused = |camera: &zs_camera, picture: &zs_picture, count: usize, options: &zs_render_options, word: &str| {
         // SAFETY: what is too large is refused before anything is touched.
@@ -247,6 +302,8 @@ fn what_cannot_be_drawn_is_refused() {
         refused(&zs_camera { fx: focal, ..good }, &picture, 1, &options, "fx");
     }
     refused(&zs_camera { rotation: [0.0; 9], ..good }, &picture, 1, &options, "rotation");
+    refused(&zs_camera { reserved: 1, ..good }, &picture, 1, &options, "zs_camera, reserved");
+    refused(&good, &zs_picture { reserved: 1, ..picture }, 1, &options, "picture 0, reserved");
     refused(&good, &zs_picture { stride: 63, ..picture }, 1, &options, "stride");
     refused(&good, &zs_picture { stride: i64::MIN, ..picture }, 1, &options, "stride");
     refused(&good, &zs_picture { pixels: null_mut(), ..picture }, 1, &options, "no output");
@@ -263,7 +320,7 @@ fn what_cannot_be_drawn_is_refused() {
 
 #[test]
 fn what_is_no_scene_is_refused() {
-    let mut gaussians = zipsplat::types::Scene {
+    let gaussians = zipsplat::types::Scene {
         means: vec![[0.0; 3]],
         scales: vec![[1.0; 3]],
         quats: vec![[1.0, 0.0, 0.0, 0.0]],
@@ -271,7 +328,7 @@ fn what_is_no_scene_is_refused() {
         sh_coeffs: vec![[0.0; 3]],
         sh_degree: 0,
     };
-    let array = arrays(&mut gaussians);
+    let array = arrays(&gaussians);
     let refused = |array: &zs_gaussians, word: &str| {
         let mut scene = dangling_mut();
         // SAFETY: what is too large is refused before anything is read.
@@ -283,15 +340,15 @@ fn what_is_no_scene_is_refused() {
     }
     refused(&zs_gaussians { sh_degree: 4, ..array }, "sh_degree");
     refused(&zs_gaussians { sh_degree: u32::MAX, ..array }, "sh_degree");
-    refused(&zs_gaussians { means: null_mut(), ..array }, "means");
+    refused(&zs_gaussians { means: null(), ..array }, "means");
     refused(&zs_gaussians { struct_size: 999, ..array }, "struct_size");
-    let mut opacity = [2.0f32];
-    refused(&zs_gaussians { opacities: opacity.as_mut_ptr(), ..array }, "opacities");
+    let opacity = [2.0f32];
+    refused(&zs_gaussians { opacities: opacity.as_ptr(), ..array }, "opacities");
     // SAFETY: arrays of their lengths.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
-    // SAFETY: a live scene and a structure of its size; what does not fit is refused.
-    let status = unsafe { zs_scene_read(scene.handle, &zs_gaussians { count: 2, ..array }) };
-    fails(status, ZS_ERROR_ARGUMENT, &["gaussians"]);
+    // SAFETY: a live scene; nothing is written where the size is refused.
+    let status = unsafe { zs_scene_get_gaussians(scene.handle, &mut zs_gaussians { struct_size: 0, ..array }) };
+    fails(status, ZS_ERROR_ARGUMENT, &["zs_gaussians", "struct_size"]);
     let path = c_string("scene.unknown");
     // SAFETY: a live scene and a string.
     fails(unsafe { zs_scene_save(scene.handle, path.as_ptr(), null()) }, ZS_ERROR_ARGUMENT, &["scene file"]);

@@ -7,7 +7,7 @@ use std::{
 };
 use zipsplat::{
     ffi::*,
-    types::{Image, Scene},
+    types::{Image, Intrinsics, Scene},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_tests::architectures;
@@ -96,11 +96,24 @@ pub fn model(context: &Object<zs_context>) -> Object<zs_model> {
 }
 
 pub fn try_model(context: &Object<zs_context>) -> Result<Object<zs_model>, zs_status> {
+    try_model_with(context, &model_options())
+}
+
+pub fn try_model_with(context: &Object<zs_context>, options: &zs_model_options) -> Result<Object<zs_model>, zs_status> {
     let load = |out| {
-        // SAFETY: a live context, bytes of that length, no options, and where to put it.
-        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), out) }
+        // SAFETY: a live context, bytes of that length, options, and where to put it.
+        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), options, out) }
     };
     Object::try_new(zs_model_destroy, load)
+}
+
+pub fn model_options() -> zs_model_options {
+    let mut options = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the options, which are filled where it succeeds.
+    unsafe {
+        ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
+        options.assume_init()
+    }
 }
 
 /// Side of the pictures of these tests.
@@ -114,14 +127,13 @@ pub fn photos(count: u32) -> Vec<Image> {
 }
 
 pub fn image_of(photo: &Image) -> zs_image {
-    let format = zs_pixel_format::ZS_PIXEL_RGB8 as i32;
     zs_image {
-        pixels: photo.rgb.as_ptr().cast(),
-        stride: 0,
+        struct_size: size_of::<zs_image>() as u32,
+        format: zs_pixel_format::ZS_PIXEL_RGB8 as i32,
         width: photo.width,
         height: photo.height,
-        format,
-        reserved: 0,
+        stride: 0,
+        pixels: photo.rgb.as_ptr().cast(),
     }
 }
 
@@ -177,39 +189,52 @@ pub fn camera(width: u32, height: u32, right: f64) -> zs_camera {
     let focal = f64::from(width);
     let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
-    zs_camera { width, height, fx: focal, fy: focal, cx, cy, rotation, translation: [right, 0.0, 0.0] }
+    let translation = [right, 0.0, 0.0];
+    camera_of(Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, rotation, translation)
+}
+
+pub fn camera_of(intrinsics: Intrinsics, rotation: [f64; 9], translation: [f64; 3]) -> zs_camera {
+    let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
+    let struct_size = size_of::<zs_camera>() as u32;
+    zs_camera { struct_size, reserved: 0, width, height, fx, fy, cx, cy, rotation, translation }
+}
+
+/// A picture without alpha and depth.
+pub fn picture_at(pixels: *mut u8) -> zs_picture {
+    let (struct_size, none) = (size_of::<zs_picture>() as u32, null_mut());
+    zs_picture { struct_size, reserved: 0, stride: 0, pixels: pixels.cast(), alpha: none, depth: none }
 }
 
 /// A scene's Gaussians, by way of arrays.
 pub fn read(scene: &Object<zs_scene>) -> Scene {
-    let mut info = zs_scene_info { struct_size: size_of::<zs_scene_info>() as u32, sh_degree: 0, count: 0 };
+    let mut found = arrays(&Scene::default());
     // SAFETY: a live scene and a structure of its size.
-    ok(unsafe { zs_scene_get_info(scene.handle, &mut info) });
-    let (n, k) = (info.count as usize, (info.sh_degree as usize + 1).pow(2));
-    let mut found = Scene {
-        means: vec![[0.0; 3]; n],
-        scales: vec![[0.0; 3]; n],
-        quats: vec![[0.0; 4]; n],
-        opacities: vec![0.0; n],
-        sh_coeffs: vec![[0.0; 3]; n * k],
-        sh_degree: info.sh_degree,
-    };
-    // SAFETY: a live scene and arrays of its lengths.
-    ok(unsafe { zs_scene_read(scene.handle, &arrays(&mut found)) });
-    found
+    ok(unsafe { zs_scene_get_gaussians(scene.handle, &mut found) });
+    let (n, k) = (found.count as usize, (found.sh_degree as usize + 1).pow(2));
+    // SAFETY: arrays of the scene, which lives, of the lengths that the header says.
+    unsafe {
+        Scene {
+            means: std::slice::from_raw_parts(found.means.cast(), n).to_vec(),
+            scales: std::slice::from_raw_parts(found.scales.cast(), n).to_vec(),
+            quats: std::slice::from_raw_parts(found.quats.cast(), n).to_vec(),
+            opacities: std::slice::from_raw_parts(found.opacities, n).to_vec(),
+            sh_coeffs: std::slice::from_raw_parts(found.sh_coeffs.cast(), n * k).to_vec(),
+            sh_degree: found.sh_degree,
+        }
+    }
 }
 
 /// A scene's arrays, as long as the scene lives.
-pub fn arrays(scene: &mut Scene) -> zs_gaussians {
+pub fn arrays(scene: &Scene) -> zs_gaussians {
     zs_gaussians {
         struct_size: size_of::<zs_gaussians>() as u32,
         sh_degree: scene.sh_degree,
         count: scene.means.len() as u64,
-        means: scene.means.as_mut_ptr().cast(),
-        scales: scene.scales.as_mut_ptr().cast(),
-        quats: scene.quats.as_mut_ptr().cast(),
-        opacities: scene.opacities.as_mut_ptr(),
-        sh_coeffs: scene.sh_coeffs.as_mut_ptr().cast(),
+        means: scene.means.as_ptr().cast(),
+        scales: scene.scales.as_ptr().cast(),
+        quats: scene.quats.as_ptr().cast(),
+        opacities: scene.opacities.as_ptr(),
+        sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
     }
 }
 
@@ -229,7 +254,7 @@ pub fn try_draw(
     bytes: usize,
 ) -> Result<Vec<u8>, zs_status> {
     let mut pixels = vec![0; (camera.width * camera.height) as usize * bytes];
-    let picture = zs_picture { pixels: pixels.as_mut_ptr().cast(), stride: 0, alpha: null_mut(), depth: null_mut() };
+    let picture = picture_at(pixels.as_mut_ptr());
     // SAFETY: live objects, and memory as large as the picture.
     match unsafe { zs_render(renderer.handle, camera, &picture, 1, options) } {
         zs_status::ZS_OK => Ok(pixels),

@@ -1,6 +1,9 @@
 //! The header compiles everywhere, and programs find the library in every way that is offered.
 
-use crate::installation::{Linking, installation, runner, success};
+use crate::{
+    header::root,
+    installation::{Linking, installation, runner, success},
+};
 use std::process::Command;
 
 const PROGRAM: &str = r#"
@@ -15,6 +18,36 @@ fn as_c99_and_cpp17_shared_and_static() {
             success(runner(&installation().compile_text(name, PROGRAM, linking)));
         }
     }
+}
+
+/// Its own line, in a folder with an app.
+#[test]
+fn as_the_readme_says() {
+    let readme = std::fs::read_to_string(root().join("README.md")).expect("the README");
+    let line = readme.lines().map(str::trim).find(|line| line.starts_with("cc app.c ")).expect("how to compile an app");
+    let app = line.split_once(" -o ").map_or("a.out", |(_, rest)| rest.split(' ').next().unwrap_or(rest));
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("app.c"), PROGRAM).expect("a source");
+    let lib = installation().prefix.join("lib");
+    for line in [line, &format!("./{app}")] {
+        let mut command = Command::new("bash");
+        command.args(["-c", line]).current_dir(&folder);
+        command.env("PKG_CONFIG_PATH", lib.join("pkgconfig")).env("LD_LIBRARY_PATH", &lib);
+        success(command);
+    }
+}
+
+#[test]
+fn a_prefix_that_cannot_be_written_is_refused_before_anything_is_built() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").expect("a file");
+    let mut install = Command::new(root().join("tools/install.sh"));
+    // Without a cargo, as under sudo.
+    install.arg(file.join("prefix")).env_remove("ZIPSPLAT_LIBS").env("CARGO_HOME", folder.path());
+    let failed = install.env("PATH", "/usr/bin:/bin").output().expect("the script runs");
+    let message = String::from_utf8_lossy(&failed.stderr);
+    assert!(!failed.status.success() && message.contains("cannot write to"), "{message}");
 }
 
 #[test]

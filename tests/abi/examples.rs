@@ -12,7 +12,7 @@ use std::{
 };
 use tempfile::TempDir;
 use zipsplat::{
-    reconstruct::{Model, Ratio, Request},
+    reconstruct::{Model, Request},
     types::{Image, preprocess::fit, read_ply},
     weights::Checkpoint,
 };
@@ -34,13 +34,35 @@ fn inputs() -> (TempDir, Vec<PathBuf>) {
 }
 
 /// Means of the scene that Rust makes of the same photos at the default size.
-fn expected_means(folder: &Path, photos: &[PathBuf], ratio: Ratio) -> Vec<[f32; 3]> {
-    let checkpoint = Checkpoint::open(folder.join("micro.safetensors"), None).expect("a network");
-    let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), 252, 252).expect("a view").image;
+fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> {
+    let side = checkpoint.picture_side();
+    let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
     let images: Vec<_> = photos.iter().map(view).collect();
-    let model = Model::load(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("a model");
-    let request = Request { ratio, ..Request::default() };
-    model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).expect("a scene").scene.means
+    let model = Model::load(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
+    let done = model.reconstruct(&images, &Request::default(), |_| ControlFlow::Continue(()));
+    done.expect("a scene").scene.means
+}
+
+/// Holds that an example makes Rust's scene and a picture with a checkpoint and with the embedded model, and that it says what
+/// it should of so many Gaussians.
+fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> String) {
+    let (folder, photos) = inputs();
+    let micro = folder.path().join("micro.safetensors");
+    let checkpoints = [
+        (micro.clone(), Checkpoint::open(&micro, None).expect("a network")),
+        ("embedded".into(), Checkpoint::embedded().expect("a model")),
+    ];
+    for (model, checkpoint) in checkpoints {
+        let [scene, picture] = ["scene.ply", "picture.png"].map(|name| folder.path().join(name));
+        let mut command = example();
+        command.arg(&model).args([&scene, &picture]).args(&photos);
+        let out = success(command);
+        let (means, expected) = (read_ply(&scene).expect("a scene").means, expected_means(&checkpoint, &photos));
+        assert_same(&format!("means, {}", model.display()), means.as_flattened(), expected.as_flattened());
+        assert!(out.contains(&said(means.len())), "{out}");
+        let picture = Image::open(&picture).expect("a picture");
+        assert!((picture.width, picture.height) == (256, 256) && picture.rgb.iter().any(|byte| *byte > 0));
+    }
 }
 
 #[test]
@@ -48,18 +70,28 @@ fn reconstruct_in_c() {
     let source = example("reconstruct.c");
     let lines = std::fs::read_to_string(&source).expect("the example").lines().count();
     assert!(lines < 80, "{lines} lines");
-    let (folder, photos) = inputs();
-    let expected = expected_means(folder.path(), &photos, Ratio::Fixed(1.0));
     for linking in [Linking::Shared, Linking::Static] {
-        let mut command = runner(&installation().compile(&source, linking, &[]));
-        let [scene, picture] = ["scene.ply", "picture.png"].map(|name| folder.path().join(name));
-        command.arg(folder.path().join("micro.safetensors")).arg(&scene).arg(&picture).args(&photos);
-        success(command);
-        let means = read_ply(&scene).expect("a scene").means;
-        assert_same("means", means.as_flattened(), expected.as_flattened());
-        let picture = Image::open(&picture).expect("a picture");
-        assert!((picture.width, picture.height) == (256, 256) && picture.rgb.iter().any(|byte| *byte > 0));
+        let program = installation().compile(&source, linking, &[]);
+        assert_reconstructs(|| runner(&program), |_| String::new());
     }
+}
+
+#[test]
+fn reconstruct_in_cpp() {
+    let program = installation().compile(&example("reconstruct.cpp"), Linking::Shared, &[]);
+    assert_reconstructs(|| runner(&program), |count| format!("{count} Gaussians"));
+}
+
+#[test]
+fn reconstruct_in_python() {
+    let python = python_with_numpy().expect("a python3 with NumPy; tools/test.sh installs one");
+    let run = || {
+        let mut command = runner(&python);
+        command.arg(example("reconstruct.py"));
+        command.env("ZIPSPLAT_LIBRARY", installation().prefix.join("lib/libzipsplat.so"));
+        command
+    };
+    assert_reconstructs(run, |count| format!("({count}, 3)"));
 }
 
 /// The whole process: the engine's memory as well as the example's.
@@ -79,31 +111,6 @@ fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     let failed = run(&folder.path().join("none")).output().expect("the program runs");
     let message = String::from_utf8_lossy(&failed.stderr);
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
-}
-
-#[test]
-fn reconstruct_in_cpp() {
-    let (folder, photos) = inputs();
-    let mut command = runner(&installation().compile(&example("reconstruct.cpp"), Linking::Shared, &[]));
-    let scene = folder.path().join("scene.ply");
-    command.arg(folder.path().join("micro.safetensors")).arg(&scene).args(&photos);
-    let expected = expected_means(folder.path(), &photos, Ratio::Auto);
-    assert!(success(command).starts_with(&format!("{} Gaussians", expected.len())));
-    assert_same("means", read_ply(&scene).expect("a scene").means.as_flattened(), expected.as_flattened());
-}
-
-#[test]
-fn reconstruct_in_python() {
-    let (folder, photos) = inputs();
-    let python = python_with_numpy().expect("a python3 with NumPy; tools/test.sh installs one");
-    let mut command = runner(&python);
-    let scene = folder.path().join("scene.ply");
-    command.arg(example("reconstruct.py")).arg(folder.path().join("micro.safetensors")).arg(&scene).args(&photos);
-    command.env("ZIPSPLAT_LIBRARY", installation().prefix.join("lib/libzipsplat.so"));
-    let expected = expected_means(folder.path(), &photos, Ratio::Fixed(0.5));
-    let out = success(command);
-    assert!(out.contains(&format!("({}, 3)", expected.len())), "{out}");
-    assert_same("means", read_ply(&scene).expect("a scene").means.as_flattened(), expected.as_flattened());
 }
 
 /// The interpreter itself, which is not always what `python3` is.

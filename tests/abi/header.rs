@@ -4,7 +4,8 @@ use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, La
 use std::path::{Path, PathBuf};
 
 /// Sources in the order of the header.
-const SOURCES: [&str; 9] = ["version", "status", "context", "picture", "photo", "scene", "model", "renderer", "vulkan"];
+const SOURCES: [&str; 10] =
+    ["version", "status", "context", "picture", "photo", "scene", "model", "reconstruct", "renderer", "vulkan"];
 
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")

@@ -27,18 +27,19 @@ fn structures() -> Vec<(String, usize)> {
     layout! {
         zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing }
         zs_context_options { struct_size, validation, max_memory_bytes, device }
-        zs_image { pixels, stride, width, height, format, reserved }
-        zs_camera { width, height, fx, fy, cx, cy, rotation, translation }
-        zs_scene_info { struct_size, sh_degree, count }
+        zs_image { struct_size, format, width, height, stride, pixels }
+        zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
         zs_save_options { struct_size, spz_version }
         zs_model_options { struct_size, precision, variant, progress, user_data }
-        zs_model_info { struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes }
+        zs_model_info {
+            struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes, notes
+        }
         zs_reconstruct_options {
             struct_size, reserved, ratio, selection, width, height, camera_count, seed, cameras, progress, user_data
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
-        zs_picture { pixels, stride, alpha, depth }
+        zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
         zs_vulkan_requirement { kind, reserved, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
@@ -66,9 +67,7 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
-        zs_requirement_kind {
-            ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE, ZS_REQUIRES_INSTANCE_EXTENSION
-        }
+        zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
     };
     let versions = [ZS_VERSION_MAJOR, ZS_VERSION_MINOR, ZS_VERSION_PATCH, ZS_ABI_VERSION];
     let names = ["ZS_VERSION_MAJOR", "ZS_VERSION_MINOR", "ZS_VERSION_PATCH", "ZS_ABI_VERSION"];

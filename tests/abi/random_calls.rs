@@ -135,10 +135,8 @@ impl World {
         camera.translation[2] = random.mostly(0.0, &[f64::INFINITY, 1e300, -1e9]);
         let mut pixels = vec![0u8; 16 * 33 * 33];
         let picture = zs_picture {
-            pixels: random.mostly(pixels.as_mut_ptr().cast(), &[null_mut()]),
             stride: random.mostly(0, &[1, i64::MAX, i64::MIN]),
-            alpha: null_mut(),
-            depth: null_mut(),
+            ..picture_at(random.mostly(pixels.as_mut_ptr(), &[null_mut()]))
         };
         let mut options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
         let format = 1 + random.below(5) as i32;

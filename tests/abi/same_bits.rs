@@ -89,9 +89,8 @@ fn options_and_cameras_give_rusts_scene() {
         })
         .collect();
     let in_c = |camera: &Camera| {
-        let Intrinsics { width, height, fx, fy, cx, cy } = camera.intrinsics;
         let rotation = camera.pose.rotation.transpose().to_cols_array();
-        zs_camera { width, height, fx, fy, cx, cy, rotation, translation: camera.pose.translation.to_array() }
+        camera_of(camera.intrinsics, rotation, camera.pose.translation.to_array())
     };
     let c_cameras: Vec<_> = cameras.iter().map(in_c).collect();
     let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
@@ -124,11 +123,12 @@ fn rust_camera(camera: &zs_camera) -> Camera {
 fn pixels(frame: &Frame, format: zs_pixel_format) -> Vec<u8> {
     let (rgb, alpha) = (frame.rgb.as_ref().unwrap(), frame.alpha.as_ref().unwrap());
     let byte = |value: f32| Image::from_rgb_f32(1, 1, &[value; 3]).unwrap().rgb[0];
+    let nearest_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
     let words = |values: &[f32]| values.iter().flat_map(|v| v.to_ne_bytes()).collect::<Vec<u8>>();
     let pixel = |(c, a): (&[f32], &f32)| match format {
         zs_pixel_format::ZS_PIXEL_RGB8 => [c[0], c[1], c[2]].map(byte).to_vec(),
-        zs_pixel_format::ZS_PIXEL_RGBA8 => [c[0], c[1], c[2], *a].map(byte).to_vec(),
-        zs_pixel_format::ZS_PIXEL_BGRA8 => [c[2], c[1], c[0], *a].map(byte).to_vec(),
+        zs_pixel_format::ZS_PIXEL_RGBA8 => vec![byte(c[0]), byte(c[1]), byte(c[2]), nearest_byte(*a)],
+        zs_pixel_format::ZS_PIXEL_BGRA8 => vec![byte(c[2]), byte(c[1]), byte(c[0]), nearest_byte(*a)],
         zs_pixel_format::ZS_PIXEL_RGB_F32 => words(c),
         zs_pixel_format::ZS_PIXEL_RGBA_F32 => words(&[c[0], c[1], c[2], *a]),
     };
@@ -172,8 +172,9 @@ fn pictures_are_rusts() {
         .map(|(camera, (pixels, alpha, depth))| {
             let row = 3 * camera.width as usize + 5;
             let top = (camera.height as usize - 1) * row;
-            let pixels = pixels[top..].as_mut_ptr().cast();
-            zs_picture { pixels, stride: -(row as i64), alpha: alpha.as_mut_ptr(), depth: depth.as_mut_ptr() }
+            let pixels = pixels[top..].as_mut_ptr();
+            let (alpha, depth) = (alpha.as_mut_ptr(), depth.as_mut_ptr());
+            zs_picture { stride: -(row as i64), alpha, depth, ..picture_at(pixels) }
         })
         .collect();
     let options = zs_render_options { background, ..render_options(zs_pixel_format::ZS_PIXEL_RGB8) };
@@ -194,8 +195,8 @@ fn scenes_come_back_from_arrays_and_files() {
     let context = context();
     let photos = photos(1);
     let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
-    let mut gaussians = read(&scene);
-    let array = arrays(&mut gaussians);
+    let gaussians = read(&scene);
+    let array = arrays(&gaussians);
     // SAFETY: arrays of their lengths, and where to put it.
     let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
     assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));

@@ -1,24 +1,17 @@
-//! Models, and reconstruction.
+//! Models.
 
 use super::{
     context::zs_context,
-    picture::{zs_camera, zs_image},
     pointers::{
         POINTER, Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_defaults,
         write_versioned,
     },
-    scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
 use crate::{
     Error,
-    gpu::Progress,
     ops::{Chosen, Precision},
-    reconstruct::{MAX_VIEWS, Model, Ratio, Request, Selection, Shape},
-    types::{
-        Camera,
-        preprocess::{fit, view_cameras},
-    },
+    reconstruct::Model,
     weights::Checkpoint,
 };
 use std::{
@@ -28,10 +21,12 @@ use std::{
 
 /// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
 pub struct zs_model {
-    model: Model,
+    pub(super) model: Model,
     /// Side of the pictures it is best with.
-    picture_side: u32,
+    pub(super) picture_side: u32,
     precision: Precision,
+    /// Kernels that are not used, one a line.
+    notes: CString,
 }
 
 /// Called now and then while something takes long, on the thread that made the call, with the share that is done (0 to 1) and
@@ -75,6 +70,9 @@ pub struct zs_model_info {
     pub precision: zs_precision_value,
     /// Bytes of its weights on the device.
     pub weight_bytes: u64,
+    /// Kernels that failed the test before their first use, by how much, one a line: they are not used, and where that leaves
+    /// too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where none did. The model's own memory, there until it is destroyed.
+    pub notes: *const c_char,
 }
 
 /// Number formats of the network. Geometry is f32 always.
@@ -93,54 +91,29 @@ pub enum zs_precision {
     ZS_PRECISION_TURBO = 4,
 }
 
-/// Which tokens are kept where the ratio is below 1.
-#[repr(i32)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_selection {
-    /// The nearest token of each centroid of k-means: the method's own.
-    ZS_SELECT_KMEANS = 0,
-    /// Evenly spread.
-    ZS_SELECT_STRIDE = 1,
-    /// Random, by `seed`.
-    ZS_SELECT_RANDOM = 2,
+impl zs_precision {
+    /// What a number asks for; `None` is the device's best.
+    fn wanted(number: i32) -> Result<Option<Precision>, Failure> {
+        if number == Self::ZS_PRECISION_BEST as i32 {
+            return Ok(None);
+        }
+        let found = Precision::ALL.into_iter().find(|precision| Self::from(*precision) as i32 == number);
+        found.map(Some).ok_or_else(|| Failure::argument("precision", number, "a zs_precision"))
+    }
+}
+
+impl From<Precision> for zs_precision {
+    fn from(precision: Precision) -> Self {
+        match precision {
+            Precision::Exact => Self::ZS_PRECISION_EXACT,
+            Precision::Fast => Self::ZS_PRECISION_FAST,
+            Precision::FastBf16 => Self::ZS_PRECISION_FAST_BF16,
+            Precision::Turbo => Self::ZS_PRECISION_TURBO,
+        }
+    }
 }
 
 pub(super) type zs_precision_value = i32;
-pub(super) type zs_selection_value = i32;
-
-/// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
-pub const ZS_RATIO_AUTO: f64 = 0.0;
-
-/// What to reconstruct.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct zs_reconstruct_options {
-    /// sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
-    pub struct_size: u32,
-    /// Must be 0.
-    pub reserved: u32,
-    /// Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
-    /// Default 1.
-    pub ratio: f64,
-    /// Which tokens are kept. Default ZS_SELECT_KMEANS.
-    pub selection: zs_selection_value,
-    /// Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
-    /// to this shape and scaled to it. 0 for the model's own. Default 0.
-    pub width: u32,
-    /// Height of it; 0 together with `width`. Default 0.
-    pub height: u32,
-    /// Number of `cameras`: 0, or one for each photo. Default 0.
-    pub camera_count: u32,
-    /// For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
-    pub seed: u64,
-    /// Cameras of the whole photos as you pass them, where they are known; their world becomes that of the first. Their unit
-    /// is kept; best is one near the median distance of what the first photo sees. Default NULL.
-    pub cameras: *const zs_camera,
-    /// Told how far it is; may stop it. Default NULL.
-    pub progress: zs_progress,
-    /// Given to `progress`.
-    pub user_data: *mut c_void,
-}
 
 // SAFETY: repr(C), two u32 and pointers: no padding.
 unsafe impl Versioned for zs_model_options {
@@ -153,10 +126,10 @@ unsafe impl Versioned for zs_model_options {
     }
 }
 
-// SAFETY: repr(C), six u32 and a u64: no padding.
+// SAFETY: repr(C), six u32, a u64 and a pointer: no padding but at the end, where pointers have 4 bytes.
 unsafe impl Versioned for zs_model_info {
     const NAME: &str = "zs_model_info";
-    const FIRST_SIZE: usize = 32;
+    const FIRST_SIZE: usize = 32 + POINTER;
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>() as u32,
@@ -166,27 +139,7 @@ unsafe impl Versioned for zs_model_info {
             sh_degree: 0,
             precision: zs_precision::ZS_PRECISION_EXACT as i32,
             weight_bytes: 0,
-        }
-    }
-}
-
-// SAFETY: repr(C), pairs of u32, an f64, a u64 and pointers: no padding.
-unsafe impl Versioned for zs_reconstruct_options {
-    const NAME: &str = "zs_reconstruct_options";
-    const FIRST_SIZE: usize = 40 + 3 * POINTER;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            reserved: 0,
-            ratio: 1.0,
-            selection: zs_selection::ZS_SELECT_KMEANS as i32,
-            width: 0,
-            height: 0,
-            camera_count: 0,
-            seed: 0,
-            cameras: std::ptr::null(),
-            progress: None,
-            user_data: std::ptr::null_mut(),
+            notes: c"".as_ptr(),
         }
     }
 }
@@ -198,8 +151,9 @@ pub unsafe extern "C" fn zs_model_options_default(options: *mut zs_model_options
     unsafe { write_defaults(options, size) }
 }
 
-/// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), or random numbers for
-/// "seeded:VARIANT", to try things out. `options` may be NULL.
+/// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), the model that is built
+/// into the library for "embedded" (ZS_ERROR_UNSUPPORTED where none is), or random numbers for "seeded:VARIANT", to try things
+/// out. `options` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_open(
     context: *const zs_context,
@@ -208,7 +162,10 @@ pub unsafe extern "C" fn zs_model_open(
     model: *mut *mut zs_model,
 ) -> zs_status {
     // SAFETY: a string or NULL.
-    let checkpoint = |variant: Option<&str>| Ok(Checkpoint::parse(unsafe { text(path, "path") }?, variant)?);
+    let checkpoint = |variant: Option<&str>| match unsafe { text(path, "path") }? {
+        "embedded" => embedded(),
+        path => Ok(Checkpoint::parse(path, variant)?),
+    };
     // SAFETY: the caller's objects.
     unsafe { load(context, options, model, checkpoint) }
 }
@@ -233,17 +190,6 @@ pub unsafe extern "C" fn zs_model_from_memory(
     unsafe { load(context, options, model, checkpoint) }
 }
 
-/// As zs_model_open, with the model that is built into the library. ZS_ERROR_UNSUPPORTED where none is.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_model_embedded(
-    context: *const zs_context,
-    options: *const zs_model_options,
-    model: *mut *mut zs_model,
-) -> zs_status {
-    // SAFETY: the caller's objects.
-    unsafe { load(context, options, model, |_| embedded()) }
-}
-
 /// The checkpoint that is built in; where a build has none, that is no mistake of the caller's.
 fn embedded() -> Result<Checkpoint, Failure> {
     Checkpoint::embedded().map_err(|error| match error {
@@ -257,20 +203,16 @@ fn embedded() -> Result<Checkpoint, Failure> {
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_model { model, picture_side, precision } = unsafe { borrow(model, "model") }?;
+        let zs_model { model, picture_side, precision, notes } = unsafe { borrow(model, "model") }?;
         let architecture = model.architecture();
         let found = zs_model_info {
             picture_side: *picture_side,
             patch: architecture.patch as u32,
             gaussians_per_token: architecture.gaussians_per_token as u32,
             sh_degree: architecture.sh_degree as u32,
-            precision: match precision {
-                Precision::Exact => zs_precision::ZS_PRECISION_EXACT as i32,
-                Precision::Fast => zs_precision::ZS_PRECISION_FAST as i32,
-                Precision::FastBf16 => zs_precision::ZS_PRECISION_FAST_BF16 as i32,
-                Precision::Turbo => zs_precision::ZS_PRECISION_TURBO as i32,
-            },
+            precision: zs_precision::from(*precision) as i32,
             weight_bytes: model.weight_bytes(),
+            notes: notes.as_ptr(),
             ..Versioned::defaults()
         };
         // SAFETY: the caller's structure.
@@ -283,81 +225,6 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
 pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
     // SAFETY: an object that the caller gives up, or NULL.
     unsafe { destroy(model) }
-}
-
-/// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_reconstruct_options_default(
-    options: *mut zs_reconstruct_options,
-    size: usize,
-) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
-
-/// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
-/// camera. `options` may be NULL.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_reconstruct(
-    model: *const zs_model,
-    images: *const zs_image,
-    image_count: usize,
-    options: *const zs_reconstruct_options,
-    scene: *mut *mut zs_scene,
-) -> zs_status {
-    let reconstruct = || {
-        // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_model { model, picture_side, .. }, options) =
-            unsafe { (borrow(model, "model")?, read_versioned(options)?) };
-        if !(1..=MAX_VIEWS).contains(&image_count) {
-            return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
-        }
-        // SAFETY: the caller's arrays.
-        let (images, cameras) = unsafe {
-            (array(images, image_count, "images")?, array(options.cameras, options.camera_count as usize, "cameras")?)
-        };
-        let (ratio, selection) = (options.ratio()?, options.selection()?);
-        let [width, height] = match (options.width, options.height) {
-            (0, 0) => [*picture_side; 2],
-            (width, height) => [width, height],
-        };
-        // Whatever can be refused is refused before pixels are touched.
-        Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?;
-        if !cameras.is_empty() && cameras.len() != images.len() {
-            return Err(Failure::argument("number of cameras", cameras.len(), format!("0 or {image_count}")));
-        }
-        let mut views = Vec::with_capacity(image_count);
-        for (i, image) in images.iter().enumerate() {
-            // SAFETY: the caller's pixels.
-            views.push(fit(&unsafe { image.image(&format!("image {i}")) }?, width, height)?);
-        }
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect();
-        let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let request = Request { ratio, selection, cameras };
-        let progress = |now: Progress<'_>| report(options.progress, options.user_data, now.fraction, now.scope);
-        Ok(zs_scene { scene: model.reconstruct(&images, &request, progress)?.scene })
-    };
-    // SAFETY: the caller's pointer.
-    unsafe { produce(scene, reconstruct) }
-}
-
-impl zs_reconstruct_options {
-    fn ratio(&self) -> Result<Ratio, Failure> {
-        if self.reserved != 0 {
-            return Err(Failure::argument("zs_reconstruct_options, reserved", self.reserved, "0"));
-        }
-        Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
-    }
-
-    fn selection(&self) -> Result<Selection, Failure> {
-        match self.selection {
-            0 => Ok(Selection::KMEANS),
-            1 => Ok(Selection::Stride),
-            2 => Ok(Selection::Random(self.seed)),
-            other => Err(Failure::argument("selection", other, "a zs_selection")),
-        }
-    }
 }
 
 /// Loads what `checkpoint` gives.
@@ -373,26 +240,21 @@ unsafe fn load(
     let load = || {
         // SAFETY: the caller's objects.
         let (context, options) = unsafe { (borrow(context, "context")?, read_versioned(options)?) };
-        let precision = match options.precision {
-            0 => None,
-            1 => Some(Precision::Exact),
-            2 => Some(Precision::Fast),
-            3 => Some(Precision::FastBf16),
-            4 => Some(Precision::Turbo),
-            other => return Err(Failure::argument("precision", other, "a zs_precision")),
-        };
-        let chosen = Chosen::of(&context.device, precision)?;
+        let chosen = Chosen::of(&context.device, zs_precision::wanted(options.precision)?)?;
         // SAFETY: a string or NULL.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
-        Ok(zs_model { model, picture_side: checkpoint.picture_side(), precision: chosen.precision })
+        // No NUL is in what kernels and devices are called.
+        let notes = CString::new(chosen.notes.join("\n")).unwrap_or_default();
+        Ok(zs_model { model, picture_side: checkpoint.picture_side(), precision: chosen.precision, notes })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(out, load) }
 }
 
-fn report(progress: zs_progress, user_data: *mut c_void, fraction: f64, stage: &str) -> ControlFlow<()> {
+/// Tells how far a call is.
+pub(super) fn report(progress: zs_progress, user_data: *mut c_void, fraction: f64, stage: &str) -> ControlFlow<()> {
     let Some(progress) = progress else { return ControlFlow::Continue(()) };
     let stage = CString::new(stage).unwrap_or_default();
     // SAFETY: the caller's function, with the caller's data.

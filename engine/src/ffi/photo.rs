@@ -2,8 +2,8 @@
 
 use super::{
     picture::{zs_image, zs_pixel_format},
-    pointers::{borrow, destroy, produce, text},
-    status::{Failure, guard, zs_status},
+    pointers::{Versioned, borrow, destroy, produce, read_given, text, write_versioned},
+    status::{guard, zs_status},
 };
 use crate::types::Image;
 use std::ffi::c_char;
@@ -24,20 +24,16 @@ pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_
 }
 
 /// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
-/// memory, there until it is destroyed.
+/// memory, there until it is destroyed. Set its struct_size before the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut zs_image) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
         let Image { width, height, rgb } = &unsafe { borrow(photo, "photo") }?.image;
-        if image.is_null() {
-            return Err(Failure::argument("image", "NULL", "a structure"));
-        }
         let (pixels, format) = (rgb.as_ptr().cast(), zs_pixel_format::ZS_PIXEL_RGB8 as i32);
-        let found = zs_image { pixels, stride: 0, width: *width, height: *height, format, reserved: 0 };
-        // SAFETY: not NULL, and the caller's to write.
-        unsafe { image.write(found) };
-        Ok(())
+        let found = zs_image { format, width: *width, height: *height, pixels, ..Versioned::defaults() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(image, found) }
     })
 }
 
@@ -54,7 +50,7 @@ pub unsafe extern "C" fn zs_photo_destroy(photo: *mut zs_photo) {
 pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
     guard(|| {
         // SAFETY: a structure or NULL, a string or NULL.
-        let (image, path) = unsafe { (borrow(image, "image")?, text(path, "path")?) };
+        let (image, path) = unsafe { (read_given(image)?, text(path, "path")?) };
         // SAFETY: the caller's pixels.
         Ok(unsafe { image.image("image") }?.save_png(path)?)
     })

@@ -1,7 +1,10 @@
 //! Pixels and cameras.
 
-use super::status::Failure;
-use crate::types::{Camera, Image, Intrinsics, Pose};
+use super::{
+    pointers::{POINTER, Versioned},
+    status::Failure,
+};
+use crate::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Pose};
 use glam::{DMat3, DVec3};
 use std::ffi::c_void;
 
@@ -51,25 +54,32 @@ impl zs_pixel_format {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_image {
-    /// The first pixel of the top row; of any alignment.
-    pub pixels: *const c_void,
-    /// Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
-    pub stride: i64,
+    /// sizeof(zs_image); set it before the call.
+    pub struct_size: u32,
+    /// How a pixel lies in memory.
+    pub format: zs_pixel_format_value,
     /// Pixels a row, 1 to 32768.
     pub width: u32,
     /// Rows, 1 to 32768.
     pub height: u32,
-    /// How a pixel lies in memory.
-    pub format: zs_pixel_format_value,
-    /// Must be 0.
-    pub reserved: u32,
+    /// Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
+    pub stride: i64,
+    /// The first pixel of the top row; of any alignment.
+    pub pixels: *const c_void,
 }
+
+// SAFETY: the pixels are the caller's, who has nobody write them during a call.
+unsafe impl Sync for zs_image {}
 
 /// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
 /// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
+    /// sizeof(zs_camera); set it before the call.
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
     /// Pixels a row.
     pub width: u32,
     /// Rows.
@@ -88,16 +98,48 @@ pub struct zs_camera {
     pub translation: [f64; 3],
 }
 
-/// Longest side, and most pixels of one photo: those of the engine's own readers of files.
-const MAX_SIDE: u32 = 32_768;
-const MAX_PIXELS: u64 = (1 << 30) / 3;
+/// Most pixels of one photo, as of one that is read from a file.
+const MAX_PIXELS: u64 = MAX_DECODED_BYTES / 3;
+
+// SAFETY: repr(C), four u32, an i64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+unsafe impl Versioned for zs_image {
+    const NAME: &str = "zs_image";
+    const FIRST_SIZE: usize = 24 + POINTER;
+    fn defaults() -> Self {
+        let struct_size = size_of::<Self>() as u32;
+        Self { struct_size, format: 0, width: 0, height: 0, stride: 0, pixels: std::ptr::null() }
+    }
+}
+
+// SAFETY: repr(C), four u32 and f64: no padding.
+unsafe impl Versioned for zs_camera {
+    const NAME: &str = "zs_camera";
+    const FIRST_SIZE: usize = 144;
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            reserved: 0,
+            width: 0,
+            height: 0,
+            fx: 0.0,
+            fy: 0.0,
+            cx: 0.0,
+            cy: 0.0,
+            rotation: [0.0; 9],
+            translation: [0.0; 3],
+        }
+    }
+}
 
 impl zs_camera {
-    pub(super) fn camera(&self) -> Camera {
-        let Self { width, height, fx, fy, cx, cy, .. } = *self;
+    pub(super) fn camera(&self) -> Result<Camera, Failure> {
+        let Self { reserved, width, height, fx, fy, cx, cy, .. } = *self;
+        if reserved != 0 {
+            return Err(Failure::argument("zs_camera, reserved", reserved, "0"));
+        }
         let rotation = DMat3::from_cols_array(&self.rotation).transpose();
         let pose = Pose { rotation, translation: DVec3::from_array(self.translation) };
-        Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
+        Ok(Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose })
     }
 }
 
@@ -113,9 +155,8 @@ impl zs_image {
             let expected = format!("sides of 1 to {MAX_SIDE}, at most {MAX_PIXELS} pixels");
             return Err(Failure::argument(field("size"), format!("{width} x {height}"), expected));
         }
-        if self.pixels.is_null() || self.reserved != 0 {
-            let found = if self.pixels.is_null() { "NULL pixels" } else { "a reserved field in use" };
-            return Err(Failure::argument(name, found, "pixels, and 0 in reserved"));
+        if self.pixels.is_null() {
+            return Err(Failure::argument(field("pixels"), "NULL", "the first pixel"));
         }
         let row_bytes = width as usize * format.bytes();
         let stride = checked_stride(self.stride, row_bytes, height, &field("stride"))?;

@@ -31,6 +31,16 @@ fn check_size<T: Versioned>(size: usize) -> Result<()> {
     Err(Failure::argument(format!("{}, struct_size", T::NAME), size, expected))
 }
 
+/// The size that a caller's structure says, one that can be.
+///
+/// # Safety
+/// `pointer` points to a structure's first field.
+unsafe fn given_size<T: Versioned>(pointer: *const T) -> Result<usize> {
+    // SAFETY: the size is the first field of every version.
+    let size = unsafe { pointer.cast::<u32>().read_unaligned() } as usize;
+    check_size::<T>(size).map(|()| size)
+}
+
 /// A copy of a caller's structure; the defaults where it is NULL.
 ///
 /// # Safety
@@ -40,12 +50,53 @@ pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T
     if pointer.is_null() {
         return Ok(value);
     }
-    // SAFETY: the size is the first field of every version.
-    let size = unsafe { pointer.cast::<u32>().read_unaligned() } as usize;
-    check_size::<T>(size)?;
+    // SAFETY: the caller's promise.
+    let size = unsafe { given_size(pointer) }?;
     // SAFETY: the caller has `size` bytes there, and `T` at least as many.
     unsafe { std::ptr::copy_nonoverlapping(pointer.cast::<u8>(), (&raw mut value).cast::<u8>(), size) };
     Ok(value)
+}
+
+/// As [`read_versioned`], of a structure that has to be there.
+///
+/// # Safety
+/// As [`read_versioned`].
+pub(super) unsafe fn read_given<T: Versioned>(pointer: *const T) -> Result<T> {
+    if pointer.is_null() {
+        return Err(Failure::argument(T::NAME, "NULL", "a structure"));
+    }
+    // SAFETY: the caller's promise.
+    unsafe { read_versioned(pointer) }
+}
+
+/// Copies of a caller's array of structures, all of one size; `count` 0 is an empty one, whatever the pointer.
+///
+/// # Safety
+/// `pointer` is NULL or points to `count` structures, each of as many bytes as the first field of the first says.
+pub(super) unsafe fn read_array<T: Versioned>(pointer: *const T, count: usize, name: &str) -> Result<Vec<T>> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    if pointer.is_null() {
+        return Err(Failure::argument(name, "NULL", format!("{count} elements")));
+    }
+    // SAFETY: the caller's promise.
+    let size = unsafe { given_size(pointer) }?;
+    let most = isize::MAX as usize / size;
+    if count > most {
+        return Err(Failure::argument(format!("number of {name}"), count, format!("at most {most}")));
+    }
+    let element = |i: usize| {
+        // SAFETY: the caller's promise; the size was checked not to wrap.
+        let at = unsafe { pointer.byte_add(i * size) };
+        // SAFETY: as above.
+        match unsafe { given_size(at) }? {
+            // SAFETY: as above.
+            own if own == size => unsafe { read_versioned(at) },
+            own => Err(Failure::argument(format!("{}, struct_size of {name}", T::NAME), own, format!("{size} in all"))),
+        }
+    };
+    (0..count).map(element).collect()
 }
 
 /// Fills a caller's structure as far as it reaches; `struct_size` stays the caller's.
@@ -57,8 +108,7 @@ pub(super) unsafe fn write_versioned<T: Versioned>(pointer: *mut T, value: T) ->
         return Err(Failure::argument(T::NAME, "NULL", "a structure"));
     }
     // SAFETY: as in `read_versioned`.
-    let size = unsafe { pointer.cast::<u32>().read_unaligned() } as usize;
-    check_size::<T>(size)?;
+    let size = unsafe { given_size(pointer) }?;
     let from = (&raw const value).cast::<u8>();
     // SAFETY: the caller has `size` bytes there, and `T` at least as many; the first four stay.
     unsafe { std::ptr::copy_nonoverlapping(from.add(4), pointer.cast::<u8>().add(4), size - 4) };
@@ -189,4 +239,45 @@ pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Re
 /// What a progress callback's answer means.
 pub(super) fn flow(stop: i32) -> ControlFlow<()> {
     if stop == 0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A structure that had no `added` in the first version.
+    #[repr(C)]
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct Grown {
+        struct_size: u32,
+        first: u32,
+        added: u64,
+    }
+
+    // SAFETY: repr(C), two u32 and a u64: no padding.
+    unsafe impl Versioned for Grown {
+        const NAME: &str = "grown";
+        const FIRST_SIZE: usize = 8;
+        fn defaults() -> Self {
+            Self { struct_size: 16, first: 0, added: 7 }
+        }
+    }
+
+    #[test]
+    fn arrays_of_older_structures_get_defaults() {
+        let older = [[8u32, 1], [8, 2], [8, 3]];
+        // SAFETY: three structures of the size that they say.
+        let found = unsafe { read_array::<Grown>(older.as_ptr().cast(), 3, "things") };
+        let expected = [1, 2, 3].map(|first| Grown { struct_size: 8, first, added: 7 });
+        assert!(found.is_ok_and(|found| found == expected));
+    }
+
+    #[test]
+    fn elements_of_other_sizes_are_refused() {
+        let mixed = [[8u32, 1], [16, 2], [8, 3]];
+        // SAFETY: three structures of the size that the first of them says.
+        let found = unsafe { read_array::<Grown>(mixed.as_ptr().cast(), 3, "things") };
+        let message = found.err().map(|failure| failure.message).unwrap_or_default();
+        assert!(message.contains("struct_size of things") && message.contains("16"), "{message}");
+    }
 }

@@ -14,21 +14,34 @@
  * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
  * host has no memory left at all.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _embedded or zs_reconstruct hands out is yours; give it back
- * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
- * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
- * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that
- * you get from functions returning const char * are never yours to free.
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory or zs_reconstruct hands out is yours; give it back to its
+ * zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive what
+ * they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on them.
+ * Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
+ * get from functions returning const char * are never yours to free.
  *
  * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
- * zs_renderer wait for each other. Callbacks run on the thread that made the call.
+ * zs_renderer wait for each other. Callbacks run on the thread that made the call. Photos, weights and files are prepared by a
+ * pool of threads, as many as there are cores or RAYON_NUM_THREADS says, which starts when it is first needed and ends with
+ * the process; none of them calls you or touches your queue.
+ *
+ * Files. Besides the paths that you pass, a library keeps small ones in a folder of the user's: what the test of a device's
+ * fast kernels found, and which tiles `zipsplat tune` found fastest. The folder is ZIPSPLAT_CACHE, or `zipsplat` in
+ * XDG_CACHE_HOME or LOCALAPPDATA, or .cache/zipsplat in HOME, the first of these environment variables that is set. Where none
+ * is, or nothing can be written, the test runs again in every process that needs it. Devices of yours (zs_context_adopt) and
+ * ZS_PRECISION_EXACT need none of it.
  *
  * Structures that begin with struct_size may grow at their end in later versions. Where there is a ..._default function call
- * it, then set what you want to be different; otherwise set struct_size to the sizeof. A library takes the structures of its
- * own version and of all earlier ones of the same ZS_ABI_VERSION, and refuses larger ones. All others never change.
+ * it, then set what you want to be different; otherwise set all fields to 0, then struct_size to the sizeof, in every element
+ * of an array. A library takes the structures of its own version and of all earlier ones of the same ZS_ABI_VERSION, and
+ * refuses larger ones. All others never change.
  *
  * Numbers in structures that stand for something (int32_t of an enumeration) are checked; one that is not known is refused.
- * Sizes are in bytes, counts in elements, lengths of pictures in pixels. The world's unit is the scene's own.
+ * Sizes are in bytes, counts in elements, lengths of pictures in pixels.
+ *
+ * World. Axes are x right, y down, z forward. That of a scene from photos is the first photo's camera. Where cameras are
+ * given their unit is kept. Where none are, the scale is not metric: the network is trained to put what the photos see at a
+ * median distance of about 1 from the first of them. That of a scene from a file or from arrays is its own.
  *
  * Bits. The same call with the same inputs gives the same bits on the same device and driver, whatever else runs.
  */

@@ -3,7 +3,7 @@
 use super::{
     context::zs_context,
     picture::{checked_stride, zs_camera, zs_pixel_format, zs_pixel_format_value},
-    pointers::{Versioned, array, borrow, destroy, produce, read_versioned, write_defaults},
+    pointers::{POINTER, Versioned, array_mut, borrow, destroy, produce, read_array, read_versioned, write_defaults},
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
@@ -49,9 +49,9 @@ pub(super) type zs_depth_value = i32;
 pub struct zs_render_options {
     /// sizeof(zs_render_options); zs_render_options_default sets it.
     pub struct_size: u32,
-    /// Of the pixels that are written. 8-bit values are clamped and truncated, f32 values are neither. Where there is alpha it
-    /// is what covers the background, and colour contains the background's share: on black, the default, it is premultiplied.
-    /// Default ZS_PIXEL_RGBA8.
+    /// Of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
+    /// is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
+    /// background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
     pub format: zs_pixel_format_value,
     /// Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
     pub depth: zs_depth_value,
@@ -84,15 +84,29 @@ unsafe impl Versioned for zs_render_options {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_picture {
+    /// sizeof(zs_picture); set it before the call.
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
+    /// Bytes from a row of `pixels` to the one below it; negative to store the picture bottom-up; 0 for row after row. What
+    /// lies between rows is left as it is.
+    pub stride: i64,
     /// The first pixel of the top row, in the format of the options; of any alignment.
     pub pixels: *mut c_void,
-    /// Bytes from a row to the one below it; negative to store the picture bottom-up; 0 for row after row. What lies between
-    /// rows is left as it is.
-    pub stride: i64,
     /// height x width: alpha from 0 to 1.
     pub alpha: *mut f32,
     /// height x width: depth in world units.
     pub depth: *mut f32,
+}
+
+// SAFETY: repr(C), two u32, an i64 and pointers: no padding but at the end, where pointers have 4 bytes.
+unsafe impl Versioned for zs_picture {
+    const NAME: &str = "zs_picture";
+    const FIRST_SIZE: usize = 16 + 3 * POINTER;
+    fn defaults() -> Self {
+        let (struct_size, none) = (size_of::<Self>() as u32, std::ptr::null_mut());
+        Self { struct_size, reserved: 0, stride: 0, pixels: std::ptr::null_mut(), alpha: none, depth: none }
+    }
 }
 
 /// Pixels that are drawn before they are copied out.
@@ -154,24 +168,28 @@ pub unsafe extern "C" fn zs_render(
     guard(|| {
         // SAFETY: an object or NULL; a structure or NULL; arrays of the caller's.
         let (renderer, options, cameras, pictures) = unsafe {
-            let (cameras, pictures) = (array(cameras, count, "cameras")?, array(pictures, count, "pictures")?);
+            let (cameras, pictures) =
+                (read_array(cameras, count, "cameras")?, read_array(pictures, count, "pictures")?);
             (borrow(renderer, "renderer")?, read_versioned(options)?, cameras, pictures)
         };
         let format = options.checked()?;
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect();
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let mut strides = Vec::with_capacity(count);
-        for (i, (camera, picture)) in cameras.iter().zip(pictures).enumerate() {
+        for (i, (camera, picture)) in cameras.iter().zip(&pictures).enumerate() {
             camera.validate(&format!("camera {i}"))?;
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
             if width.max(height) > MAX_SIDE {
                 let (found, expected) = (format!("{width} x {height}"), format!("sides up to {MAX_SIDE}"));
                 return Err(Failure::argument(format!("size of camera {i}"), found, expected));
             }
+            if picture.reserved != 0 {
+                return Err(Failure::argument(format!("picture {i}, reserved"), picture.reserved, "0"));
+            }
             let row_bytes = width as usize * format.bytes();
             let name = format!("picture {i}, stride");
             strides.push(checked_stride(picture.stride, row_bytes, height, &name)?);
         }
-        let request = options.request(format, pictures)?;
+        let request = options.request(format, &pictures)?;
         let mut renderer = renderer.lock();
         let mut first = 0;
         while first < count {
@@ -233,7 +251,7 @@ impl zs_picture {
         for (name, to, from) in [("alpha", self.alpha, &frame.alpha), ("depth", self.depth, &frame.depth)] {
             if let (false, Some(from)) = (to.is_null(), from) {
                 // SAFETY: the caller's promise.
-                unsafe { super::pointers::array_mut(to, from.len(), name) }?.copy_from_slice(from);
+                unsafe { array_mut(to, from.len(), name) }?.copy_from_slice(from);
             }
         }
         let (false, Some(rgb)) = (self.pixels.is_null(), &frame.rgb) else { return Ok(()) };
@@ -254,13 +272,15 @@ impl zs_picture {
 /// One row; `alpha` has values where the format has them.
 fn encode_row(row: &mut [u8], colours: &[f32], alpha: &[f32], format: zs_pixel_format) {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0) as u8;
+    let alpha_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
     let alphas = alpha.iter().copied().chain(std::iter::repeat(1.0));
     let pixels = row.chunks_exact_mut(format.bytes()).zip(colours.chunks_exact(3)).zip(alphas);
     for ((pixel, rgb), alpha) in pixels {
+        let ([r, g, b], a) = ([rgb[0], rgb[1], rgb[2]].map(byte), alpha_byte(alpha));
         match format {
-            zs_pixel_format::ZS_PIXEL_RGB8 => pixel.copy_from_slice(&[rgb[0], rgb[1], rgb[2]].map(byte)),
-            zs_pixel_format::ZS_PIXEL_RGBA8 => pixel.copy_from_slice(&[rgb[0], rgb[1], rgb[2], alpha].map(byte)),
-            zs_pixel_format::ZS_PIXEL_BGRA8 => pixel.copy_from_slice(&[rgb[2], rgb[1], rgb[0], alpha].map(byte)),
+            zs_pixel_format::ZS_PIXEL_RGB8 => pixel.copy_from_slice(&[r, g, b]),
+            zs_pixel_format::ZS_PIXEL_RGBA8 => pixel.copy_from_slice(&[r, g, b, a]),
+            zs_pixel_format::ZS_PIXEL_BGRA8 => pixel.copy_from_slice(&[b, g, r, a]),
             zs_pixel_format::ZS_PIXEL_RGB_F32 => pixel.copy_from_slice(bytemuck::cast_slice(rgb)),
             zs_pixel_format::ZS_PIXEL_RGBA_F32 => {
                 pixel.copy_from_slice(bytemuck::cast_slice(&[rgb[0], rgb[1], rgb[2], alpha]));

@@ -2,7 +2,7 @@
 
 use super::{
     pointers::{
-        POINTER, Versioned, array, array_mut, borrow, destroy, produce, read_versioned, text, write_defaults,
+        POINTER, Versioned, array, borrow, destroy, produce, read_given, read_versioned, text, write_defaults,
         write_versioned,
     },
     status::{Failure, guard, zs_status},
@@ -16,39 +16,29 @@ pub struct zs_scene {
     pub(super) scene: Scene,
 }
 
-/// How large a scene is.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct zs_scene_info {
-    /// sizeof(zs_scene_info); set it before the call.
-    pub struct_size: u32,
-    /// Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
-    pub sh_degree: u32,
-    /// N, the number of Gaussians.
-    pub count: u64,
-}
-
-/// Gaussians as arrays of yours, one a property, each as long as it says. The world is the first photo's camera: x right, y
-/// down, z forward; its unit is the scene's own unless cameras were given.
+/// Gaussians as arrays, one a property, each as long as it says.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gaussians {
     /// sizeof(zs_gaussians); set it before the call.
     pub struct_size: u32,
-    /// Highest band of spherical harmonics, 0 to 3.
+    /// Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
     pub sh_degree: u32,
-    /// N, the number of Gaussians that the arrays have room for.
+    /// N, the number of Gaussians.
     pub count: u64,
     /// N x 3 centres.
-    pub means: *mut f32,
+    pub means: *const f32,
     /// N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
-    pub scales: *mut f32,
+    pub scales: *const f32,
     /// N x 4 rotations as quaternions w, x, y, z; of any length but zero.
-    pub quats: *mut f32,
+    pub quats: *const f32,
     /// N opacities from 0 to 1.
-    pub opacities: *mut f32,
-    /// N x K x 3 coefficients of spherical harmonics for red, green, blue. Colour is 0.5 plus their sum.
-    pub sh_coeffs: *mut f32,
+    pub opacities: *const f32,
+    /// N x K x 3 coefficients of spherical harmonics for red, green, blue: those of 3D Gaussian Splatting's files. The basis is
+    /// real and orthonormal, band after band and from m = -l to l in each, negative where m is odd. It begins with 0.282095,
+    /// -0.488603 y, 0.488603 z, -0.488603 x, where (x, y, z) is the unit vector in the world from the camera to the Gaussian's
+    /// centre. Colour is 0.5 plus the sum of basis times coefficients, and not below 0.
+    pub sh_coeffs: *const f32,
 }
 
 /// How a scene is written.
@@ -61,21 +51,12 @@ pub struct zs_save_options {
     pub spz_version: u32,
 }
 
-// SAFETY: repr(C), two u32 and a u64: no padding.
-unsafe impl Versioned for zs_scene_info {
-    const NAME: &str = "zs_scene_info";
-    const FIRST_SIZE: usize = 16;
-    fn defaults() -> Self {
-        Self { struct_size: size_of::<Self>() as u32, sh_degree: 0, count: 0 }
-    }
-}
-
 // SAFETY: repr(C), two u32, a u64 and pointers: no padding.
 unsafe impl Versioned for zs_gaussians {
     const NAME: &str = "zs_gaussians";
     const FIRST_SIZE: usize = 16 + 5 * POINTER;
     fn defaults() -> Self {
-        let none = std::ptr::null_mut();
+        let none = std::ptr::null();
         let struct_size = size_of::<Self>() as u32;
         Self {
             struct_size,
@@ -99,44 +80,25 @@ unsafe impl Versioned for zs_save_options {
     }
 }
 
-/// Says how large a scene is, to make the arrays for zs_scene_read.
+/// Fills `gaussians` with how large a scene is and where its arrays are: the scene's own memory, there until it is destroyed.
+/// Set its struct_size before the call.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs_scene_info) -> zs_status {
+pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussians: *mut zs_gaussians) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
         let scene = &unsafe { borrow(scene, "scene") }?.scene;
-        let found = zs_scene_info { sh_degree: scene.sh_degree, count: scene.len() as u64, ..Versioned::defaults() };
+        let found = zs_gaussians {
+            sh_degree: scene.sh_degree,
+            count: scene.len() as u64,
+            means: scene.means.as_ptr().cast(),
+            scales: scene.scales.as_ptr().cast(),
+            quats: scene.quats.as_ptr().cast(),
+            opacities: scene.opacities.as_ptr(),
+            sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
+            ..Versioned::defaults()
+        };
         // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, found) }
-    })
-}
-
-/// Copies a scene's Gaussians into your arrays; those that are NULL are left out. `gaussians.count` and
-/// `gaussians.sh_degree` must be the scene's, as zs_scene_get_info says them.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_scene_read(scene: *const zs_scene, gaussians: *const zs_gaussians) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let scene = &unsafe { borrow(scene, "scene") }?.scene;
-        // SAFETY: the caller's structure.
-        let arrays = unsafe { given(gaussians) }?;
-        if (arrays.count, arrays.sh_degree) != (scene.len() as u64, scene.sh_degree) {
-            let expected = format!("{} of degree {}, as the scene has", scene.len(), scene.sh_degree);
-            let found = format!("{} of degree {}", arrays.count, arrays.sh_degree);
-            return Err(Failure::argument("gaussians", found, expected));
-        }
-        let copies = [
-            ("means", arrays.means, scene.means.as_flattened()),
-            ("scales", arrays.scales, scene.scales.as_flattened()),
-            ("quats", arrays.quats, scene.quats.as_flattened()),
-            ("opacities", arrays.opacities, &scene.opacities[..]),
-            ("sh_coeffs", arrays.sh_coeffs, scene.sh_coeffs.as_flattened()),
-        ];
-        for (name, to, from) in copies.into_iter().filter(|(_, to, _)| !to.is_null()) {
-            // SAFETY: the caller says that the array has room for all of the scene's.
-            unsafe { array_mut(to, from.len(), name) }?.copy_from_slice(from);
-        }
-        Ok(())
+        unsafe { write_versioned(gaussians, found) }
     })
 }
 
@@ -145,7 +107,7 @@ pub unsafe extern "C" fn zs_scene_read(scene: *const zs_scene, gaussians: *const
 pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: *mut *mut zs_scene) -> zs_status {
     let create = || {
         // SAFETY: the caller's structure.
-        let arrays = unsafe { given(gaussians) }?;
+        let arrays = unsafe { read_given(gaussians) }?;
         if arrays.sh_degree > Scene::MAX_SH_DEGREE {
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
             return Err(Failure::argument("gaussians, sh_degree", arrays.sh_degree, expected));
@@ -234,14 +196,4 @@ pub unsafe extern "C" fn zs_scene_save(
 pub unsafe extern "C" fn zs_scene_destroy(scene: *mut zs_scene) {
     // SAFETY: an object that the caller gives up, or NULL.
     unsafe { destroy(scene) }
-}
-
-/// # Safety
-/// As [`read_versioned`].
-unsafe fn given(gaussians: *const zs_gaussians) -> Result<zs_gaussians, Failure> {
-    if gaussians.is_null() {
-        return Err(Failure::argument(zs_gaussians::NAME, "NULL", "a structure"));
-    }
-    // SAFETY: the caller's promise.
-    unsafe { read_versioned(gaussians) }
 }

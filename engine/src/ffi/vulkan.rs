@@ -3,7 +3,7 @@
 use super::{
     context::zs_context,
     picture::{zs_camera, zs_pixel_format},
-    pointers::{POINTER, Versioned, array, borrow, produce, read_versioned, write_defaults},
+    pointers::{POINTER, Versioned, array, borrow, produce, read_given, read_versioned, write_defaults},
     renderer::{zs_render_options, zs_renderer},
     status::{Failure, guard, zs_status},
 };
@@ -26,8 +26,6 @@ pub enum zs_requirement_kind {
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
     /// `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
     ZS_REQUIRES_FEATURE = 2,
-    /// `name` is an extension of the instance.
-    ZS_REQUIRES_INSTANCE_EXTENSION = 3,
 }
 
 pub(super) type zs_requirement_kind_value = i32;
@@ -299,7 +297,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
     guard(|| {
         // SAFETY: an object or NULL; structures or NULL.
         let (renderer, camera, options) =
-            unsafe { (borrow(renderer, "renderer")?, borrow(camera, "camera")?.camera(), read_versioned(options)?) };
+            unsafe { (borrow(renderer, "renderer")?, read_given(camera)?.camera()?, read_versioned(options)?) };
         if !renderer.adopted {
             return Err(Failure::argument("renderer", "one on a device of the engine's", "one of zs_context_adopt"));
         }

@@ -11,9 +11,9 @@ use super::file::write_atomic;
 use crate::{Error, Result};
 
 /// Longest side that is read; above it a file is broken or hostile.
-const MAX_SIDE: u32 = 32_768;
+pub(crate) const MAX_SIDE: u32 = 32_768;
 /// Most bytes that decoding one photo may take: 350 megapixels of RGB8.
-const MAX_DECODED_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_DECODED_BYTES: u64 = 1 << 30;
 
 /// A picture of 8-bit RGB.
 #[derive(Clone, PartialEq, Eq)]

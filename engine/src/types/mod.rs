@@ -21,6 +21,7 @@ pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encodin
 pub use file::{Unfinished, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
+pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
 pub use ply::{read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;

@@ -10,7 +10,7 @@ use crate::{
 pub enum PixelLayout {
     /// Red, green, blue and alpha as f32, not clamped: `VK_FORMAT_R32G32B32A32_SFLOAT`.
     RgbaF32,
-    /// 8 bits each, as [`crate::types::Image::from_rgb_f32`] makes them: `VK_FORMAT_R8G8B8A8_UNORM`.
+    /// 8 bits each, colour as [`crate::types::Image::from_rgb_f32`] makes it, alpha rounded: `VK_FORMAT_R8G8B8A8_UNORM`.
     Rgba8,
     /// The same with blue first: `VK_FORMAT_B8G8R8A8_UNORM`.
     Bgra8,

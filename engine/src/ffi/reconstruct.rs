@@ -1,0 +1,195 @@
+//! Reconstruction: photos to a scene.
+
+use super::{
+    model::{report, zs_model, zs_progress},
+    picture::{zs_camera, zs_image},
+    pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
+    scene::zs_scene,
+    status::{Failure, zs_status},
+};
+use crate::{
+    Error,
+    gpu::Progress,
+    reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
+    types::{
+        Camera,
+        preprocess::{View, fit, view_cameras},
+    },
+};
+use rayon::prelude::*;
+use std::{ffi::c_void, ops::ControlFlow};
+
+/// Which tokens are kept where the ratio is below 1.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_selection {
+    /// The nearest token of each centroid of k-means: the method's own.
+    ZS_SELECT_KMEANS = 0,
+    /// Evenly spread.
+    ZS_SELECT_STRIDE = 1,
+    /// Random, by `seed`.
+    ZS_SELECT_RANDOM = 2,
+}
+
+pub(super) type zs_selection_value = i32;
+
+/// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
+pub const ZS_RATIO_AUTO: f64 = 0.0;
+
+/// What to reconstruct.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_reconstruct_options {
+    /// sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
+    /// Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
+    /// Default 1.
+    pub ratio: f64,
+    /// Which tokens are kept. Default ZS_SELECT_KMEANS.
+    pub selection: zs_selection_value,
+    /// Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
+    /// to this shape and scaled to it. 0 for the model's own. Default 0.
+    pub width: u32,
+    /// Height of it; 0 together with `width`. Default 0.
+    pub height: u32,
+    /// Number of `cameras`: 0, or one for each photo. Default 0.
+    pub camera_count: u32,
+    /// For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
+    pub seed: u64,
+    /// Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world. Their unit is
+    /// kept, and what they see should be at a median distance of about 1 from the first, which the network is trained with:
+    /// scale them where it is not. Default NULL.
+    pub cameras: *const zs_camera,
+    /// Told how far it is; may stop it. Default NULL.
+    pub progress: zs_progress,
+    /// Given to `progress`.
+    pub user_data: *mut c_void,
+}
+
+// SAFETY: repr(C), pairs of u32, an f64, a u64 and pointers: no padding.
+unsafe impl Versioned for zs_reconstruct_options {
+    const NAME: &str = "zs_reconstruct_options";
+    const FIRST_SIZE: usize = 40 + 3 * POINTER;
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            reserved: 0,
+            ratio: 1.0,
+            selection: zs_selection::ZS_SELECT_KMEANS as i32,
+            width: 0,
+            height: 0,
+            camera_count: 0,
+            seed: 0,
+            cameras: std::ptr::null(),
+            progress: None,
+            user_data: std::ptr::null_mut(),
+        }
+    }
+}
+
+/// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruct_options_default(
+    options: *mut zs_reconstruct_options,
+    size: usize,
+) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(options, size) }
+}
+
+/// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
+/// camera. `options` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruct(
+    model: *const zs_model,
+    images: *const zs_image,
+    image_count: usize,
+    options: *const zs_reconstruct_options,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
+    let reconstruct = || {
+        // SAFETY: an object or NULL; a structure or NULL.
+        let (zs_model { model, picture_side, .. }, options) =
+            unsafe { (borrow(model, "model")?, read_versioned(options)?) };
+        if !(1..=MAX_VIEWS).contains(&image_count) {
+            return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
+        }
+        // SAFETY: the caller's arrays.
+        let (images, cameras) = unsafe {
+            let camera_count = options.camera_count as usize;
+            (read_array(images, image_count, "images")?, read_array(options.cameras, camera_count, "cameras")?)
+        };
+        let (ratio, selection) = (options.ratio()?, options.selection()?);
+        let [width, height] = match (options.width, options.height) {
+            (0, 0) => [*picture_side; 2],
+            (width, height) => [width, height],
+        };
+        // Whatever can be refused is refused before pixels are touched.
+        Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?;
+        if !cameras.is_empty() && cameras.len() != images.len() {
+            return Err(Failure::argument("number of cameras", cameras.len(), format!("0 or {image_count}")));
+        }
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let told = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
+        // SAFETY: the caller's pixels.
+        let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
+        let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
+        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let request = Request { ratio, selection, cameras };
+        let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
+        Ok(zs_scene { scene: model.reconstruct(&images, &request, progress)?.scene })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, reconstruct) }
+}
+
+/// Share of a reconstruction that bringing the photos to the network's size counts for in its progress.
+const PREPARED: f64 = 0.1;
+
+/// Photos at the network's size, several at once. `progress` is asked on the calling thread.
+///
+/// # Safety
+/// All pixels can be read.
+unsafe fn prepare(
+    images: &[zs_image],
+    [width, height]: [u32; 2],
+    progress: impl Fn(f64) -> ControlFlow<()>,
+) -> Result<Vec<View>, Failure> {
+    let view = |(i, image): (usize, &zs_image)| {
+        // SAFETY: the caller's promise.
+        let photo = unsafe { image.image(&format!("image {i}")) }?;
+        Ok(fit(&photo, width, height)?)
+    };
+    let mut views = Vec::with_capacity(images.len());
+    while views.len() < images.len() {
+        if progress(views.len() as f64 / images.len() as f64).is_break() {
+            return Err(Error::Cancelled.into());
+        }
+        let next = images.par_iter().enumerate().skip(views.len()).take(rayon::current_num_threads());
+        let prepared: Vec<Result<View, Failure>> = next.map(view).collect();
+        for view in prepared {
+            views.push(view?);
+        }
+    }
+    Ok(views)
+}
+
+impl zs_reconstruct_options {
+    fn ratio(&self) -> Result<Ratio, Failure> {
+        if self.reserved != 0 {
+            return Err(Failure::argument("zs_reconstruct_options, reserved", self.reserved, "0"));
+        }
+        Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
+    }
+
+    fn selection(&self) -> Result<Selection, Failure> {
+        match self.selection {
+            0 => Ok(Selection::KMEANS),
+            1 => Ok(Selection::Stride),
+            2 => Ok(Selection::Random(self.seed)),
+            other => Err(Failure::argument("selection", other, "a zs_selection")),
+        }
+    }
+}

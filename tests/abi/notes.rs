@@ -1,0 +1,55 @@
+//! An app learns which kernels are not used on its device.
+
+use crate::calls::*;
+use std::{ffi::CStr, fs};
+use zipsplat::{
+    ffi::{zs_precision::*, *},
+    ops::SelfTest,
+};
+use zipsplat_tests::processes::{assert_succeeds, child, target};
+
+#[test]
+fn kernels_that_fail_their_test_are_named() {
+    let cache = tempfile::tempdir().expect("a folder");
+    assert_succeeds(child("notes::failing_kernels", cache.path(), "export ZIPSPLAT_CACHE=\"$ZIPSPLAT_TEST_TARGET\""));
+}
+
+/// What a model of a precision says of itself.
+fn precision_and_notes(context: &Object<zs_context>, precision: zs_precision) -> Result<(i32, String), zs_status> {
+    let model = try_model_with(context, &zs_model_options { precision: precision as i32, ..model_options() })?;
+    // SAFETY: zeroes are a value of this structure.
+    let mut info: zs_model_info = unsafe { std::mem::zeroed() };
+    info.struct_size = size_of::<zs_model_info>() as u32;
+    // SAFETY: a live model and a structure of its size; the notes are read while the model lives.
+    let notes = unsafe {
+        ok(zs_model_get_info(model.handle, &mut info));
+        CStr::from_ptr(info.notes)
+    };
+    Ok((info.precision, notes.to_str().expect("UTF-8").to_owned()))
+}
+
+#[test]
+#[ignore = "child of kernels_that_fail_their_test_are_named"]
+fn failing_kernels() {
+    let Some(cache) = target() else { return };
+    let context = context();
+    let fast = ZS_PRECISION_FAST as i32;
+    match precision_and_notes(&context, ZS_PRECISION_FAST) {
+        Ok(found) => assert_eq!(found, (fast, String::new())),
+        Err(_) => return eprintln!("not tested: {}", message()),
+    }
+    // As if the kernels that `fast` does without had failed.
+    let file = fs::read_dir(cache.join("self-test")).unwrap().next().expect("the test's result").unwrap().path();
+    let mut test: SelfTest = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    let failing = test.deviations.iter_mut().filter(|(kernel, _)| kernel.contains("bf16"));
+    let failing: Vec<_> = failing.map(|(kernel, deviation)| (deviation.replace(9.0), kernel.clone()).1).collect();
+    assert!(!failing.is_empty());
+    fs::write(&file, serde_json::to_vec(&test).unwrap()).unwrap();
+    let (precision, notes) = made(precision_and_notes(&context, ZS_PRECISION_FAST));
+    assert_eq!((precision, notes.lines().count()), (fast, failing.len()), "{notes}");
+    for (note, kernel) in notes.lines().zip(&failing) {
+        assert!(note.starts_with(&format!("{kernel} deviates 9.0 times")), "{note}");
+    }
+    let exact = made(precision_and_notes(&context, ZS_PRECISION_EXACT));
+    assert_eq!(exact, (ZS_PRECISION_EXACT as i32, String::new()));
+}
