@@ -3,7 +3,10 @@
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde::Serialize;
 use std::path::Path;
-use zipsplat::{Error, Result, types::write_atomic};
+use zipsplat::{
+    Error, Result,
+    types::{Scene, SceneFormat, WriteOptions, write_atomic, write_ply_with_origin, write_scene},
+};
 
 /// Levels of a depth picture for one world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
@@ -26,6 +29,15 @@ pub fn check_folder(path: &Path) -> Result<()> {
         return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
     }
     Ok(())
+}
+
+/// Writes a scene, in a PLY also which photo's camera is its world, where that is known: `render` then reads the file of
+/// that photo's cameras as the scene means them.
+pub fn save_scene(path: &Path, scene: &Scene, origin: Option<&str>) -> Result<()> {
+    match (SceneFormat::of_extension(path), origin) {
+        (Some(SceneFormat::Ply), Some(photo)) => write_ply_with_origin(scene, path, photo),
+        _ => write_scene(path, scene, &WriteOptions::default()),
+    }
 }
 
 /// Writes rows as CSV (RFC 4180) under the names of their fields.

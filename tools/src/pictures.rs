@@ -24,6 +24,8 @@ const SHEET_SIDE: u32 = 4096;
 const BATCH: u64 = 8;
 /// Pixels of them together, where they are large.
 const BATCH_PIXELS: u64 = 1 << 24;
+/// What deviates less from the background in every pixel is taken for it: half a level of 256.
+const VISIBLE: f32 = 0.5 / 255.0;
 
 /// Where pictures go.
 #[derive(Default)]
@@ -34,16 +36,25 @@ pub struct Sinks<'a> {
     pub animation: Option<Animation>,
 }
 
-/// Draws every picture and brings it where it goes. Returns those of a folder as small as its contact sheet needs them.
+/// What is left of pictures when they are where they go.
+pub struct Drawn {
+    /// Those of a folder, as small as its contact sheet needs them.
+    pub small: Vec<Image>,
+    /// Whether all are the background and nothing else.
+    pub empty: bool,
+}
+
+/// Draws every picture and brings it where it goes.
 pub fn draw(
     renderer: &mut Renderer,
     cameras: &[Camera],
     request: &RenderRequest,
     sinks: Sinks<'_>,
     stage: &Stage<'_>,
-) -> Result<Vec<Image>> {
+) -> Result<Drawn> {
     let batch = batch(cameras);
-    let mut writer = Writer { sinks, encoder: None, small: Vec::new(), frames: cameras.len() };
+    let drawn = Drawn { small: Vec::new(), empty: true };
+    let mut writer = Writer { sinks, encoder: None, drawn, background: request.background, frames: cameras.len() };
     thread::scope(|scope| {
         let (sender, frames) = sync_channel(batch);
         let drawing = scope.spawn(move || {
@@ -58,7 +69,7 @@ pub fn draw(
         written.and(drawn)
     })?;
     writer.encoder.map_or(Ok(()), |encoder| encoder.finish(stage))?;
-    Ok(writer.small)
+    Ok(writer.drawn)
 }
 
 /// As many columns as rows.
@@ -77,7 +88,8 @@ struct Writer<'a> {
     sinks: Sinks<'a>,
     /// No sink is made before there is something to put into it.
     encoder: Option<Box<dyn Encoder>>,
-    small: Vec<Image>,
+    drawn: Drawn,
+    background: [f32; 3],
     /// Pictures in all.
     frames: usize,
 }
@@ -98,13 +110,14 @@ impl Writer<'_> {
     fn write(&mut self, done: usize, frames: &[Frame]) -> Result<()> {
         let images: Vec<Result<Image>> = frames.par_iter().map(image).collect();
         let images = images.into_iter().collect::<Result<Vec<Image>>>()?;
+        self.drawn.empty &= frames.iter().all(|frame| is_empty(frame, self.background));
         let Sinks { folder, raw, animation } = &mut self.sinks;
         if let Some(folder) = *folder {
             outputs::make_folder(folder)?;
             let save = |(i, (frame, image))| save(folder, done + i, frame, image, self.frames);
             let saved: Vec<Result<Image>> = frames.par_iter().zip(&images).enumerate().map(save).collect();
             for image in saved {
-                self.small.push(image?);
+                self.drawn.small.push(image?);
             }
         }
         if let Some(animation) = animation {
@@ -119,6 +132,13 @@ impl Writer<'_> {
         }
         Ok(())
     }
+}
+
+/// Whether a picture is the background all over.
+fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
+    let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
+    let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));
+    pairs.all(|(value, behind)| (value - behind).abs() < VISIBLE)
 }
 
 fn image(frame: &Frame) -> Result<Image> {

@@ -15,7 +15,7 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
-    types::{SceneFormat, WriteOptions, poses::read_poses, preprocess::view_cameras, write_scene},
+    types::{Camera, SceneFormat, poses::read_poses, preprocess::view_cameras},
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -68,17 +68,17 @@ impl Reconstruct {
         let chosen = (*ratio, select);
         let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
         let poses = self.poses.as_ref().map(read_poses).transpose()?;
-        let photo_cameras = poses.as_ref().map(|poses| poses.for_photos(&photos)).transpose()?;
+        let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
-        let mut cameras =
-            photo_cameras.as_ref().map(|cameras| view_cameras(cameras, &views)).transpose()?.unwrap_or_default();
-        let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref()), &photo_cameras) {
-            (None, Some(points), Some(photos)) => cameras::unit(points, &cameras, &photos[0].pose)?,
-            (given, ..) => given.unwrap_or(1.0),
+        let photo_cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
+        let mut cameras = view_cameras(&photo_cameras, &views)?;
+        let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref())) {
+            (None, Some(points)) => cameras::unit(points, &cameras, &photo_cameras[0].pose)?,
+            (given, _) => given.unwrap_or(1.0),
         };
         cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
@@ -88,8 +88,8 @@ impl Reconstruct {
         let (mut result, _) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         result.scene.scale(unit as f32);
-        let (_, write) =
-            session.stage("write", |_| write_scene(&self.output, &result.scene, &WriteOptions::default()))?;
+        let origin = frames.first().map(|frame| frame.name.as_str());
+        let (_, write) = session.stage("write", |_| outputs::save_scene(&self.output, &result.scene, origin))?;
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));

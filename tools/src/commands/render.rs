@@ -20,7 +20,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     stages::render::{Depth, RenderRequest, Renderer},
-    types::{Camera, contact_sheet},
+    types::{Camera, contact_sheet, read_ply_origin},
 };
 
 /// Pictures of a scene
@@ -103,7 +103,8 @@ impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let mut sinks = self.sinks()?;
         let (scene, dropped) = self.input.read(session, &self.scene)?;
-        let (cameras, notes) = self.path.cameras(&scene)?;
+        let origin = read_ply_origin(&self.scene)?;
+        let (cameras, notes) = self.path.cameras(&scene, origin.as_deref())?;
         notes.iter().for_each(|note| session.note(note));
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -118,11 +119,13 @@ impl Render {
         if self.is_piped() {
             sinks.raw = Some(session.take_output());
         }
-        let (small, took) =
+        let (drawn, took) =
             session.stage("render", |stage| pictures::draw(&mut renderer, &cameras, &request, sinks, stage))?;
         if let Some(folder) = self.folder() {
             let columns = pictures::sheet_columns(cameras.len());
-            session.stage("contact sheet", |_| contact_sheet(&small, columns)?.save_png(folder.join("contact.png")))?;
+            session.stage("contact sheet", |_| {
+                contact_sheet(&drawn.small, columns)?.save_png(folder.join("contact.png"))
+            })?;
         }
         let explanation = match cameras.first() {
             Some(camera) if self.explain => {
@@ -131,7 +134,11 @@ impl Render {
             _ => None,
         };
         let gaussians = [scene.len(), dropped];
-        self.report(session, device.limits().name.clone(), gaussians, &cameras, took, explanation)
+        self.report(session, device.limits().name.clone(), gaussians, &cameras, took, explanation)?;
+        if drawn.empty {
+            session.note(format!("no picture shows anything but the background{}", self.path.doubt()));
+        }
+        Ok(())
     }
 
     fn request(&self) -> RenderRequest {

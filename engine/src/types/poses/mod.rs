@@ -40,24 +40,31 @@ pub struct Frame {
 }
 
 impl Poses {
-    /// The cameras of `photos`, matched by file name; where several frames share it, by the longest common end of the
-    /// path.
+    /// The cameras of `photos`, each that of its frame in [`Poses::frames_of`].
+    ///
+    /// # Errors
+    /// As [`Poses::frames_of`].
+    pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
+        Ok(self.frames_of(photos)?.into_iter().map(|frame| frame.camera).collect())
+    }
+
+    /// The frames of `photos`, matched by file name; where several frames share it, by the longest common end of the path.
     ///
     /// # Errors
     /// [`Error::Argument`] when a photo has no frame or several equally good ones.
-    pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
+    pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&Frame>> {
         let mut by_name: HashMap<_, Vec<&Frame>> = HashMap::new();
         for frame in &self.frames {
             by_name.entry(Path::new(&frame.name).file_name()).or_default().push(frame);
         }
-        let camera = |photo: &Path| {
+        let find = |photo: &Path| {
             // Frames may be named without the extension.
             let named = by_name.get(&photo.file_name()).or_else(|| by_name.get(&photo.file_stem()));
             let named = named.map(Vec::as_slice).unwrap_or_default();
             let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
             let most = named.iter().map(|frame| common(frame)).max();
             match named.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
-                [frame] => Ok(frame.camera),
+                [frame] => Ok(*frame),
                 [] => Err(Error::argument("photo", photo.display(), "one that the poses name")),
                 [first, second, ..] => {
                     let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
@@ -65,7 +72,7 @@ impl Poses {
                 }
             }
         };
-        photos.iter().map(|photo| camera(photo.as_ref())).collect()
+        photos.iter().map(|photo| find(photo.as_ref())).collect()
     }
 }
 
