@@ -30,7 +30,26 @@ fn photos() {
         refused(&folder, &format!("reconstruct {photos} {MICRO}"), 3, &words);
     }
     let many = vec!["@/photos"; 97].join(" ");
-    refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192"]);
+    refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192", "--views N"]);
+    std::fs::create_dir(folder.path("phone")).expect("an empty folder");
+    for (name, start, words) in [
+        ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], ["a HEIC picture", "heif-convert a.HEIC"]),
+        ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", ["a HEIC picture", "heif-convert b.jpg"]),
+        ("c.avif", b"\0\0\0\x18ftypavif", ["an AVIF picture", "magick c.avif"]),
+        ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", ["a video (MP4", "ffmpeg -i d.mp4 -vf fps=2"]),
+        ("e.mov", b"\0\0\0\x18ftypqt  \0\0\0\0", ["a video (MP4", "ffmpeg -i e.mov"]),
+        ("f.avi", b"RIFF\0\0\0\0AVI LIST", ["a video (AVI)", "ffmpeg -i f.avi"]),
+        ("g.mkv", b"\x1a\x45\xdf\xa3\0\0\0\0", ["a video (Matroska", "ffmpeg -i g.mkv"]),
+    ] {
+        std::fs::write(folder.path(name), start).expect("a file");
+        refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[&[name][..], &words].concat());
+        // A folder of nothing else says the same.
+        std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
+        if name != "b.jpg" {
+            refused(&folder, &format!("reconstruct @/phone {MICRO}"), 3, &[&[name][..], &words].concat());
+        }
+        std::fs::remove_file(folder.path(&format!("phone/{name}"))).expect("it was written above");
+    }
 }
 
 #[test]

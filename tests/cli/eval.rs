@@ -97,7 +97,9 @@ fn the_unit_of_the_cameras_does_not_matter() {
 fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
     let folder = place();
     let options = "--weights @/micro.safetensors --size 28x28 --unit 3 -o";
-    let json = folder.run(&format!("eval @/place --views 2 --json {options} @/out")).json();
+    let outcome = folder.run(&format!("eval @/place --views 2 --json {options} @/out"));
+    assert!(outcome.err.contains("33 % of the photos' area"), "{}", outcome.err);
+    let json = outcome.json();
     let inputs = json["inputs"].as_array().expect("names").iter();
     let photos: Vec<String> = inputs.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
     folder.run(&format!("reconstruct {} --poses @/place {options} @/scene.ply", photos.join(" "))).success();

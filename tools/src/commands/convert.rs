@@ -1,6 +1,11 @@
 //! `zipsplat convert`: checkpoints to safetensors, scenes to other formats.
 
-use crate::{options::SceneInput, outputs, session::Session, table::bytes};
+use crate::{
+    options::SceneInput,
+    outputs,
+    session::Session,
+    table::{bytes, counted},
+};
 use clap::Args;
 use indicatif::HumanCount;
 use serde_json::json;
@@ -66,8 +71,7 @@ impl Convert {
         session.stage("write scene", |_| write_scene(&self.output, &scene, &options))?;
         let written = self.written()?;
         let json = json!({ "output": self.output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
-        let text =
-            format!("{}: {} Gaussians, {}", self.output.display(), HumanCount(scene.len() as u64), bytes(written));
+        let text = format!("{}: {}, {}", self.output.display(), counted(scene.len(), "Gaussian"), bytes(written));
         session.report(&json, text)
     }
 

@@ -68,6 +68,7 @@ impl Eval {
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
+        capture.cropping.iter().for_each(|note| session.note(note));
 
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let images = capture.images();

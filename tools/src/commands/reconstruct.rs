@@ -6,7 +6,7 @@ use crate::{
     options::{Quality, Size, Weights, parse_length},
     outputs, photos,
     session::Session,
-    table::{bytes, time},
+    table::{bytes, counted, time},
 };
 use clap::Args;
 use indicatif::HumanCount;
@@ -40,8 +40,11 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
+    /// Take at most so many of the photos, evenly spread, the first and the last among them [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    views: Option<u32>,
     /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
     poses: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else 1]
@@ -62,7 +65,14 @@ impl Reconstruct {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         let checkpoint = self.weights.open()?;
-        let photos = photos::list(&self.photos)?;
+        let mut photos = photos::list(session, &self.photos)?;
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if photos.len() > MAX_VIEWS {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument("views", photos.len(), expected));
+        }
         let size = self.quality.size_for(&checkpoint);
         let Size(width, height) = size;
         let chosen = (*ratio, select);
@@ -74,6 +84,9 @@ impl Reconstruct {
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
+        if let Some(note) = photos::cropping(&views, size) {
+            session.note(note);
+        }
         let photo_cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
         let mut cameras = view_cameras(&photo_cameras, &views)?;
         let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref())) {
@@ -106,13 +119,13 @@ impl Reconstruct {
             "seconds": seconds,
         });
         let mut text = format!(
-            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} Gaussians each, {} precision; at most {} of {}\n",
+            "{}: {} from {} of {size}\n{} of {}, {} each, {} precision; at most {} of {}\n",
             self.output.display(),
-            HumanCount(result.scene.len() as u64),
-            images.len(),
+            counted(result.scene.len(), "Gaussian"),
+            counted(images.len(), "view"),
             HumanCount(result.tokens as u64),
-            HumanCount(tokens as u64),
-            result.scene.len() / result.tokens,
+            counted(tokens, "token"),
+            counted(result.scene.len() / result.tokens, "Gaussian"),
             precision.name(),
             bytes(result.peak_bytes),
             device.limits().name,

@@ -8,9 +8,9 @@ use crate::{
     outputs::{self, DEPTH_LEVELS},
     pictures::{self, Sinks},
     session::Session,
+    table::counted,
 };
 use clap::{ArgGroup, Args, ValueEnum};
-use indicatif::HumanCount;
 use serde_json::json;
 use std::{
     num::NonZeroU32,
@@ -70,8 +70,7 @@ pub struct Render {
     /// output
     #[arg(long, short, value_name = "FOLDER|-")]
     output: Option<PathBuf>,
-    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed. No
-    /// animated WebP: the encoder at hand writes single pictures only
+    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// Pictures a second of --video
@@ -195,10 +194,10 @@ impl Render {
         let names: Vec<String> =
             [&self.output, &self.video].into_iter().flatten().map(|path| path.display().to_string()).collect();
         let mut text = format!(
-            "{}: {} pictures of {} Gaussians on {device}, {:.1} a second with writing\n",
+            "{}: {} of {} on {device}, {:.1} a second with writing\n",
             names.join(", "),
-            cameras.len(),
-            HumanCount(gaussians as u64),
+            counted(cameras.len(), "picture"),
+            counted(gaussians, "Gaussian"),
             cameras.len() as f64 / seconds.max(1e-9)
         );
         if self.folder().is_none() {

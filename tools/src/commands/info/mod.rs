@@ -5,7 +5,7 @@ mod plan;
 use crate::{
     options::{Quality, SceneInput, Weights},
     session::Session,
-    table::{Table, bytes},
+    table::{Table, bytes, counted},
 };
 use clap::Args;
 use indicatif::HumanCount;
@@ -136,11 +136,8 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let json = json!({
         "path": path, "gaussians": count, "dropped": dropped, "sh_degree": scene.sh_degree, "bounds": bounds,
     });
-    let mut text = format!(
-        "{path}: {} Gaussians, spherical harmonics of degree {}\n",
-        HumanCount(scene.len() as u64),
-        scene.sh_degree
-    );
+    let mut text =
+        format!("{path}: {}, spherical harmonics of degree {}\n", counted(scene.len(), "Gaussian"), scene.sh_degree);
     if let Some([low, high]) = bounds {
         text += &format!("centres from {low:?} to {high:?}");
     }
