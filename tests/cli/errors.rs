@@ -170,4 +170,15 @@ fn outputs() {
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
+    // A folder in which nobody can make a file; said before the weights or the scene are missed.
+    for (line, named) in [
+        ("reconstruct @/photos --weights @/absent.safetensors -o /proc/out.ply", "/proc/out.ply: "),
+        ("render @/absent.ply --wiggle -o /proc/out", "/proc/out: "),
+        ("render @/absent.ply --wiggle -o @/out --video /proc/out.gif", "/proc/out.gif: "),
+        ("eval @/absent --views 2 --csv /proc/out.csv", "/proc/out.csv: "),
+    ] {
+        let outcome = folder.run(line);
+        assert!(!outcome.err.contains(".zipsplat-"), "a temporary name: {}", outcome.err);
+        outcome.fails(3, &[named]);
+    }
 }

@@ -5,13 +5,13 @@ use serde::Serialize;
 use std::path::Path;
 use zipsplat::{
     Error, Result,
-    types::{Scene, SceneFormat, WriteOptions, write_atomic, write_ply_with_origin, write_scene},
+    types::{Scene, SceneFormat, Unfinished, WriteOptions, write_atomic, write_ply_with_origin, write_scene},
 };
 
 /// Levels of a depth picture for one world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
 
-/// Checks that a file can be written at `path`, before anything is computed for it.
+/// Checks that a file can be written at `path`, before anything is computed for it: one is made beside it, and removed.
 pub fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {
@@ -19,16 +19,22 @@ pub fn check_file(path: &Path) -> Result<()> {
     }
     match folder {
         Some(folder) if !folder.is_dir() => Err(Error::argument("output folder", folder.display(), "one that exists")),
-        _ => Ok(()),
+        // A pipe or a device is written straight.
+        _ if path.exists() && !path.is_file() => Ok(()),
+        _ => Unfinished::begin(path).map(drop),
     }
 }
 
-/// Checks that a folder can be at `path`, before anything is computed for it.
+/// Checks that files can be written to a folder at `path`, made where it is missing, before anything is computed for it.
 pub fn check_folder(path: &Path) -> Result<()> {
     if path.exists() && !path.is_dir() {
         return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
     }
-    Ok(())
+    let existing = path.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("."));
+    match Unfinished::begin(&existing.join("file")) {
+        Err(Error::Io { source, .. }) => Err(Error::io(path, source)),
+        tried => tried.map(drop),
+    }
 }
 
 /// Writes a scene, in a PLY also which photo's camera is its world, where that is known: `render` then reads the file of
