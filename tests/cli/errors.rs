@@ -63,6 +63,13 @@ fn numbers() {
         refused(&folder, &line, 3, &["size of the views"]);
     }
     refused(&folder, "info --plan --views 0 --weights seeded:vits", 3, &["views", "1 to 192"]);
+    for line in ["reconstruct @/photos", "eval @/absent", "info --plan --views 2"] {
+        let output = if line.starts_with("info") { "" } else { "-o @/out.ply" };
+        let line = format!("{line} --weights @/micro.safetensors --keep 5 {output}");
+        refused(&folder, &line, 3, &["--keep: found 5", "1 to 4"]);
+    }
+    let little = "--weights @/micro.safetensors --size 28x28 --memory 100K -o @/out.ply";
+    refused(&folder, &format!("reconstruct @/photos {little}"), 4, &["--memory leaves this command 102400 bytes"]);
 }
 
 #[test]
@@ -82,6 +89,12 @@ fn wrong_usage_exits_with_2() {
         "render @/scene.ply --orbit --background 2,0,0 -o @/out",
         "render @/scene.ply --orbit --frames 0 -o @/out",
         "info --plan --weights seeded:vits",
+        "info --weights seeded:vits",
+        "info --ratio 0.3",
+        "info @/scene.ply --weights seeded:vits",
+        "info @/scene.ply --keep 2",
+        "info --invalid drop",
+        "reconstruct @/photos --views 193 -o @/out.ply",
     ] {
         let outcome = folder.run(line);
         assert_eq!((outcome.code, outcome.out.as_str()), (2, ""), "{line}");
@@ -100,7 +113,12 @@ fn poses() {
     std::fs::write(folder.path("bad.json"), "{\"frames\": 3}").expect("a file");
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     let reconstruct = |poses: &str| format!("reconstruct @/photos --poses {poses} {MICRO}");
-    refused(&folder, &reconstruct("@/one.json"), 3, &["10.png", "one that the poses name"]);
+    refused(
+        &folder,
+        &reconstruct("@/one.json"),
+        3,
+        &["camera of", "photos/10.png", "found none", "the poses (1): photos/1.png"],
+    );
     refused(&folder, &reconstruct("@/bad.json"), 3, &["bad.json", "frames"]);
     refused(&folder, &reconstruct("@/absent.json"), 3, &["absent.json"]);
     refused(&folder, &reconstruct("@/photos"), 3, &["poses", "transforms.json"]);
@@ -131,6 +149,12 @@ fn weights() {
     refused(&folder, "convert @/micro.safetensors @/out.safetensors --dtype f64", 3, &["dtype", "f64"]);
     refused(&folder, "info @/cut.safetensors", 3, &["cut.safetensors"]);
     refused(&folder, "info @/photos", 3, &["photos"]);
+    refused(&folder, "info @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
+    refused(&folder, "convert @/photos/1.png @/out.safetensors", 3, &["a picture of 40x30", "a checkpoint"]);
+    refused(&folder, &reconstruct("--weights @/photos/1.png"), 3, &["a picture of 40x30", "a checkpoint"]);
+    std::fs::write(folder.path("letter"), "a letter, no weights").expect("a file");
+    refused(&folder, "info @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
+    refused(&folder, "info @/micro.safetensors --invalid drop", 3, &["--invalid: found a checkpoint", "a scene"]);
 }
 
 #[test]
@@ -158,6 +182,9 @@ fn devices() {
     refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
     refused(&folder, &format!("info --plan --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
     refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
+    for line in [&format!("reconstruct @/photos {MICRO}"), "info", "render @/scene.ply --wiggle -o @/out", "doctor"] {
+        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "info --plan"]);
+    }
 }
 
 #[test]

@@ -65,6 +65,7 @@ impl Reconstruct {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         let checkpoint = self.weights.open()?;
+        self.quality.check(checkpoint.architecture())?;
         let mut photos = photos::list(session, &self.photos)?;
         if let Some(views) = self.views {
             photos = photos::spread(photos, views as usize);

@@ -65,7 +65,7 @@ impl Poses {
             let most = named.iter().map(|frame| common(frame)).max();
             match named.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
                 [frame] => Ok(*frame),
-                [] => Err(Error::argument("photo", photo.display(), "one that the poses name")),
+                [] => Err(Error::argument(format!("camera of {}", photo.display()), "none", self.names())),
                 [first, second, ..] => {
                     let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
                     Err(Error::argument("photo", found, "a path that tells the poses' frames apart"))
@@ -73,6 +73,13 @@ impl Poses {
             }
         };
         photos.iter().map(|photo| find(photo.as_ref())).collect()
+    }
+
+    /// What photos have cameras, for messages.
+    fn names(&self) -> String {
+        let names: Vec<&str> = self.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
+        let more = if self.frames.len() > names.len() { ", ..." } else { "" };
+        format!("its file name among those of the poses ({}): {}{more}", self.frames.len(), names.join(", "))
     }
 }
 
