@@ -125,6 +125,28 @@ fn says_empty(folder: &Folder, line: &str) -> bool {
 }
 
 #[test]
+fn only_own_pictures_are_replaced() {
+    let folder = folder();
+    let line = "render @/scene.ply --cameras @/cameras.json --depth --alpha --normals --group 8 -o @/out";
+    folder.run(line).success();
+    let drawn = contents(&folder, "out");
+    // All that was drawn may be replaced, and nothing else by any of its names.
+    folder.run(line).success();
+    let mine = crate::photo(8, 6, 1);
+    for name in ["000.png", "002.depth.png", "001.alpha.png", "000.normal.png", "002.tokens.png", "contact.png"] {
+        mine.save_png(folder.path("out").join(name)).expect("a photo can be written");
+        folder.run(line).fails(3, &[name, "--overwrite"]);
+        assert_eq!(Image::open(folder.path("out").join(name)).expect("a photo"), mine, "{name}");
+        folder.run(&format!("{line} --overwrite")).success();
+        assert_eq!(contents(&folder, "out"), drawn);
+    }
+    // Names that are not asked for are the user's own.
+    mine.save_png(folder.path("out/000.alpha.png")).expect("a photo can be written");
+    mine.save_png(folder.path("out/003.png")).expect("a photo can be written");
+    folder.run("render @/scene.ply --cameras @/cameras.json --depth -o @/out").success();
+}
+
+#[test]
 fn normals_and_tokens_are_written_where_asked() {
     let folder = folder();
     folder

@@ -8,7 +8,7 @@ use crate::{
 use rayon::prelude::*;
 use std::{
     io::Write,
-    path::Path,
+    path::{Path, PathBuf},
     sync::mpsc::{Receiver, sync_channel},
     thread,
 };
@@ -18,6 +18,8 @@ use zipsplat::{
     types::{Camera, Image, resample::resize_lanczos},
 };
 
+/// File with all pictures together.
+pub const SHEET: &str = "contact.png";
 /// Longest side of a contact sheet: pictures are made smaller to fit.
 const SHEET_SIDE: u32 = 4096;
 /// Pictures that are written at once, and as many again that wait for it.
@@ -42,6 +44,38 @@ pub struct Drawn {
     pub small: Vec<Image>,
     /// Whether all are the background and nothing else.
     pub empty: bool,
+}
+
+/// Names of the files that one picture becomes beside `000.png`, and whether a request asks for them.
+fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
+    [
+        ("", request.rgb),
+        (".depth", request.depth.is_some()),
+        (".alpha", request.alpha),
+        (".normal", request.normals),
+        (".tokens", request.token_group.is_some()),
+    ]
+}
+
+fn file(folder: &Path, number: usize, layer: &str) -> PathBuf {
+    folder.join(format!("{number:03}{layer}.png"))
+}
+
+/// Refuses a folder in which the pictures would replace one that this program has not drawn.
+///
+/// # Errors
+/// [`Error::Argument`] naming the first of them.
+pub fn check_replaced(folder: &Path, count: usize, request: &RenderRequest) -> Result<()> {
+    let layers = layers(request);
+    let asked = layers.iter().filter(|(_, asked)| *asked);
+    let files = asked.flat_map(|(layer, _)| (0..count).map(move |number| file(folder, number, layer)));
+    match files.chain([folder.join(SHEET)]).find(|file| file.exists() && !outputs::is_own_picture(file)) {
+        Some(file) => {
+            let expected = "one that `zipsplat render` wrote, or none; another folder, or --overwrite";
+            Err(Error::argument("picture to replace", file.display(), expected))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Draws every picture and brings it where it goes.
@@ -148,8 +182,8 @@ fn image(frame: &Frame) -> Result<Image> {
 /// Writes a picture and returns it as small as the contact sheet needs it.
 fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
     let &Frame { width, height, .. } = frame;
-    let path = |suffix: &str| folder.join(format!("{number:03}{suffix}.png"));
-    image.save_png(path(""))?;
+    let path = |layer: &str| file(folder, number, layer);
+    outputs::save_picture(&path(""), image)?;
     if let Some(depth) = &frame.depth {
         outputs::save_depth(&path(".depth"), width, height, depth)?;
     }
@@ -158,10 +192,10 @@ fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usiz
     }
     if let Some(normals) = &frame.normals {
         let half: Vec<f32> = normals.iter().map(|n| 0.5 + 0.5 * n).collect();
-        Image::from_rgb_f32(width, height, &half)?.save_png(path(".normal"))?;
+        outputs::save_picture(&path(".normal"), &Image::from_rgb_f32(width, height, &half)?)?;
     }
     if let Some(colours) = &frame.token_colours {
-        Image::from_rgb_f32(width, height, colours)?.save_png(path(".tokens"))?;
+        outputs::save_picture(&path(".tokens"), &Image::from_rgb_f32(width, height, colours)?)?;
     }
     let cell = SHEET_SIDE / sheet_columns(frames) as u32;
     if width.max(height) <= cell {

@@ -6,7 +6,7 @@ use crate::{
     explain::Explanation,
     options::SceneInput,
     outputs::{self, DEPTH_LEVELS},
-    pictures::{self, Sinks},
+    pictures::{self, SHEET, Sinks},
     session::Session,
     table::counted,
 };
@@ -26,7 +26,7 @@ use zipsplat::{
 /// Pictures of a scene
 ///
 /// Into a folder go 000.png, 001.png and on, in the cameras' order, and contact.png with all of them; other files in it stay
-/// as they are. World: x right, y down, z forward.
+/// as they are, and so do pictures of these names that this command has not drawn. World: x right, y down, z forward.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -70,6 +70,9 @@ pub struct Render {
     /// output
     #[arg(long, short, value_name = "FOLDER|-")]
     output: Option<PathBuf>,
+    /// Replace pictures of the folder even where this command has not drawn them
+    #[arg(long, requires = "output")]
+    overwrite: bool,
     /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
@@ -112,6 +115,9 @@ impl Render {
             animation::common_size(&cameras)?;
         }
         let request = self.request();
+        if let Some(folder) = self.folder().filter(|_| !self.overwrite) {
+            pictures::check_replaced(folder, cameras.len(), &request)?;
+        }
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
         session.stage("load scene", |_| renderer.load(&scene))?;
@@ -123,7 +129,7 @@ impl Render {
         if let Some(folder) = self.folder() {
             let columns = pictures::sheet_columns(cameras.len());
             session.stage("contact sheet", |_| {
-                contact_sheet(&drawn.small, columns)?.save_png(folder.join("contact.png"))
+                outputs::save_picture(&folder.join(SHEET), &contact_sheet(&drawn.small, columns)?)
             })?;
         }
         let explanation = match cameras.first() {
