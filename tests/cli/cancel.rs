@@ -4,6 +4,7 @@ use crate::{Folder, Outcome, command, names};
 use std::{
     fs::File,
     path::{Path, PathBuf},
+    process::{Child, Command},
     sync::{
         atomic::{AtomicBool, Ordering},
         mpsc::channel,
@@ -14,7 +15,11 @@ use zipsplat::{
     types::{read_scene, write_ply},
     weights::Checkpoint,
 };
-use zipsplat_tests::scenes;
+use zipsplat_cli::cancelled_by_signals;
+use zipsplat_tests::{
+    processes::{child, target},
+    scenes,
+};
 
 #[test]
 fn a_cancelled_command_leaves_no_file() {
@@ -106,4 +111,73 @@ fn frames(path: &Path) -> usize {
     let file = File::open(path).expect("a file");
     let mut decoder = gif::DecodeOptions::new().read_info(file).expect("a GIF");
     std::iter::from_fn(|| decoder.read_next_frame().expect("a whole GIF").map(drop)).count()
+}
+
+#[test]
+#[ignore = "child of the other tests"]
+fn draws_a_long_film() {
+    let Some(folder) = target() else { return };
+    let line = "render @/scene.ply --wiggle --frames 100000 --size 64x48 --video @/film.gif";
+    let line = line.replace('@', &folder.display().to_string());
+    command(&line, cancelled_by_signals()).fails(130, &["cancelled"]);
+}
+
+#[test]
+#[ignore = "child of the other tests"]
+fn ignores_that_it_should_end() {
+    let Some(folder) = target() else { return };
+    cancelled_by_signals();
+    std::fs::write(folder.join("ready"), "").expect("a file");
+    std::thread::sleep(Duration::from_secs(60));
+}
+
+/// A folder with a scene in it, and a process that writes a film of it there, of which some is written.
+fn filming() -> (Folder, Child) {
+    let folder = Folder::new();
+    write_ply(&scenes::random_scene(300, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    let mut child = started("cancel::draws_a_long_film", &folder);
+    while !hidden(&folder).is_some_and(|file| file.metadata().is_ok_and(|found| found.len() > 0)) {
+        assert!(child.try_wait().expect("a child").is_none(), "it ended before it wrote anything");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    (folder, child)
+}
+
+/// A process of one test, which signals reach whatever these tests were started to ignore.
+fn started(name: &str, folder: &Folder) -> Child {
+    child(name, &folder.path(""), "set -- env --default-signal \"$@\"").spawn().expect("bash")
+}
+
+fn hidden(folder: &Folder) -> Option<PathBuf> {
+    folder.names().iter().find(|name| name.starts_with('.')).map(|name| folder.path(name))
+}
+
+fn send(signal: &str, child: &Child) {
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
+    assert!(sent.expect("kill").success());
+}
+
+#[test]
+fn a_command_that_is_asked_to_end_leaves_no_file() {
+    for signal in ["-TERM", "-HUP", "-INT"] {
+        let (folder, child) = filming();
+        send(signal, &child);
+        let out = child.wait_with_output().expect("it ends");
+        let text = String::from_utf8_lossy(&out.stdout);
+        assert!(out.status.success() && text.contains("1 passed"), "{signal}: {text}");
+        assert_eq!(folder.names(), ["micro.safetensors", "photos", "scene.ply"], "{signal}");
+    }
+}
+
+#[test]
+fn a_second_signal_ends_at_once() {
+    let folder = Folder::new();
+    let mut child = started("cancel::ignores_that_it_should_end", &folder);
+    while !folder.path("ready").exists() {
+        assert!(child.try_wait().expect("a child").is_none(), "it ended before it was ready");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    send("-TERM", &child);
+    send("-INT", &child);
+    assert_eq!(child.wait().expect("it ends").code(), Some(130));
 }

@@ -69,7 +69,7 @@ fn what_does_not_fit_is_refused() {
     for (line, words) in [
         ("@/a.ply @/b.safetensors", ["output of a scene", ".spz"]),
         ("@/micro.safetensors @/b.ply", ["micro.safetensors", "no scene"]),
-        ("@/a.ply @/b.spz --dtype f16", ["--dtype", "scene"]),
+        ("@/a.ply @/b.spz --dtype f16", ["--dtype: found a scene", "expected a checkpoint"]),
         ("@/a.ply @/b.ply --spz-version 3", ["--spz-version", "SPZ"]),
         ("@/micro.safetensors @/b.safetensors --spz-version 3", ["--spz-version", "checkpoint"]),
         ("@/absent.ply @/b.spz", ["absent.ply", "No such file"]),

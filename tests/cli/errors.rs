@@ -30,7 +30,26 @@ fn photos() {
         refused(&folder, &format!("reconstruct {photos} {MICRO}"), 3, &words);
     }
     let many = vec!["@/photos"; 97].join(" ");
-    refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192"]);
+    refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192", "--views N"]);
+    std::fs::create_dir(folder.path("phone")).expect("an empty folder");
+    for (name, start, words) in [
+        ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], ["a HEIC picture", "heif-convert a.HEIC"]),
+        ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", ["a HEIC picture", "heif-convert b.jpg"]),
+        ("c.avif", b"\0\0\0\x18ftypavif", ["an AVIF picture", "magick c.avif"]),
+        ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", ["a video (MP4", "ffmpeg -i d.mp4 -vf fps=2"]),
+        ("e.mov", b"\0\0\0\x18ftypqt  \0\0\0\0", ["a video (MP4", "ffmpeg -i e.mov"]),
+        ("f.avi", b"RIFF\0\0\0\0AVI LIST", ["a video (AVI)", "ffmpeg -i f.avi"]),
+        ("g.mkv", b"\x1a\x45\xdf\xa3\0\0\0\0", ["a video (Matroska", "ffmpeg -i g.mkv"]),
+    ] {
+        std::fs::write(folder.path(name), start).expect("a file");
+        refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[&[name][..], &words].concat());
+        // A folder of nothing else says the same.
+        std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
+        if name != "b.jpg" {
+            refused(&folder, &format!("reconstruct @/phone {MICRO}"), 3, &[&[name][..], &words].concat());
+        }
+        std::fs::remove_file(folder.path(&format!("phone/{name}"))).expect("it was written above");
+    }
 }
 
 #[test]
@@ -44,6 +63,13 @@ fn numbers() {
         refused(&folder, &line, 3, &["size of the views"]);
     }
     refused(&folder, "info --plan --views 0 --weights seeded:vits", 3, &["views", "1 to 192"]);
+    for line in ["reconstruct @/photos", "eval @/absent", "info --plan --views 2"] {
+        let output = if line.starts_with("info") { "" } else { "-o @/out.ply" };
+        let line = format!("{line} --weights @/micro.safetensors --keep 5 {output}");
+        refused(&folder, &line, 3, &["--keep: found 5", "1 to 4"]);
+    }
+    let little = "--weights @/micro.safetensors --size 28x28 --memory 100K -o @/out.ply";
+    refused(&folder, &format!("reconstruct @/photos {little}"), 4, &["--memory leaves this command 102400 bytes"]);
 }
 
 #[test]
@@ -63,6 +89,12 @@ fn wrong_usage_exits_with_2() {
         "render @/scene.ply --orbit --background 2,0,0 -o @/out",
         "render @/scene.ply --orbit --frames 0 -o @/out",
         "info --plan --weights seeded:vits",
+        "info --weights seeded:vits",
+        "info --ratio 0.3",
+        "info @/scene.ply --weights seeded:vits",
+        "info @/scene.ply --keep 2",
+        "info --invalid drop",
+        "reconstruct @/photos --views 193 -o @/out.ply",
     ] {
         let outcome = folder.run(line);
         assert_eq!((outcome.code, outcome.out.as_str()), (2, ""), "{line}");
@@ -81,7 +113,12 @@ fn poses() {
     std::fs::write(folder.path("bad.json"), "{\"frames\": 3}").expect("a file");
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     let reconstruct = |poses: &str| format!("reconstruct @/photos --poses {poses} {MICRO}");
-    refused(&folder, &reconstruct("@/one.json"), 3, &["10.png", "one that the poses name"]);
+    refused(
+        &folder,
+        &reconstruct("@/one.json"),
+        3,
+        &["camera of", "photos/10.png", "found none", "the poses (1): photos/1.png"],
+    );
     refused(&folder, &reconstruct("@/bad.json"), 3, &["bad.json", "frames"]);
     refused(&folder, &reconstruct("@/absent.json"), 3, &["absent.json"]);
     refused(&folder, &reconstruct("@/photos"), 3, &["poses", "transforms.json"]);
@@ -112,6 +149,12 @@ fn weights() {
     refused(&folder, "convert @/micro.safetensors @/out.safetensors --dtype f64", 3, &["dtype", "f64"]);
     refused(&folder, "info @/cut.safetensors", 3, &["cut.safetensors"]);
     refused(&folder, "info @/photos", 3, &["photos"]);
+    refused(&folder, "info @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
+    refused(&folder, "convert @/photos/1.png @/out.safetensors", 3, &["a picture of 40x30", "a checkpoint"]);
+    refused(&folder, &reconstruct("--weights @/photos/1.png"), 3, &["a picture of 40x30", "a checkpoint"]);
+    std::fs::write(folder.path("letter"), "a letter, no weights").expect("a file");
+    refused(&folder, "info @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
+    refused(&folder, "info @/micro.safetensors --invalid drop", 3, &["--invalid: found a checkpoint", "a scene"]);
 }
 
 #[test]
@@ -139,6 +182,9 @@ fn devices() {
     refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
     refused(&folder, &format!("info --plan --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
     refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
+    for line in [&format!("reconstruct @/photos {MICRO}"), "info", "render @/scene.ply --wiggle -o @/out", "doctor"] {
+        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "info --plan"]);
+    }
 }
 
 #[test]
@@ -151,4 +197,15 @@ fn outputs() {
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
+    // A folder in which nobody can make a file; said before the weights or the scene are missed.
+    for (line, named) in [
+        ("reconstruct @/photos --weights @/absent.safetensors -o /proc/out.ply", "/proc/out.ply: "),
+        ("render @/absent.ply --wiggle -o /proc/out", "/proc/out: "),
+        ("render @/absent.ply --wiggle -o @/out --video /proc/out.gif", "/proc/out.gif: "),
+        ("eval @/absent --views 2 --csv /proc/out.csv", "/proc/out.csv: "),
+    ] {
+        let outcome = folder.run(line);
+        assert!(!outcome.err.contains(".zipsplat-"), "a temporary name: {}", outcome.err);
+        outcome.fails(3, &[named]);
+    }
 }

@@ -94,6 +94,20 @@ fn the_unit_of_the_cameras_does_not_matter() {
 }
 
 #[test]
+fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
+    let folder = place();
+    let options = "--weights @/micro.safetensors --size 28x28 --unit 3 -o";
+    let outcome = folder.run(&format!("eval @/place --views 2 --json {options} @/out"));
+    assert!(outcome.err.contains("33 % of the photos' area"), "{}", outcome.err);
+    let json = outcome.json();
+    let inputs = json["inputs"].as_array().expect("names").iter();
+    let photos: Vec<String> = inputs.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
+    folder.run(&format!("reconstruct {} --poses @/place {options} @/scene.ply", photos.join(" "))).success();
+    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
+    assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused() {
     let folder = place();
     folder.run("eval @/place --views 6 --weights @/micro.safetensors").fails(3, &["photos with cameras", "more than"]);

@@ -66,6 +66,52 @@ fn folders_are_in_natural_order_and_files_as_given() {
 }
 
 #[test]
+fn what_is_no_photo_is_left_out_and_named() {
+    let folder = Folder::new();
+    let line = "reconstruct @/photos --weights @/micro.safetensors --size 56x42 --json -o @/s.ply";
+    for hidden in ["._1.png", ".DS_Store"] {
+        std::fs::write(folder.path("photos").join(hidden), "no photo").expect("a file");
+    }
+    let clean = folder.run(line);
+    assert_eq!(clean.err, "");
+    assert_eq!(clean.json()["views"], 2);
+    for other in ["IMG_1.HEIC", "clip.mp4"] {
+        std::fs::write(folder.path("photos").join(other), "no photo").expect("a file");
+    }
+    let noted = folder.run(line);
+    assert_eq!(noted.err, "note: 2 files left out, not PNG, JPEG or WebP: IMG_1.HEIC, clip.mp4\n");
+    assert_eq!(noted.json()["views"], 2);
+}
+
+#[test]
+fn some_of_many_photos_are_spread() {
+    let folder = Folder::new();
+    (2..10).for_each(|i| crate::photo(40, 30, i).save_png(folder.path(&format!("photos/{i}.png"))).expect("a photo"));
+    let scene = |photos: &str| {
+        let line = format!("reconstruct {photos} --weights @/micro.safetensors --size 42x28 -o @/s.ply");
+        let text = folder.run(&line).success();
+        (text, std::fs::read(folder.path("s.ply")).expect("the scene was written"))
+    };
+    let (text, three) = scene("@/photos --views 3");
+    assert!(text.contains("from 3 views of"), "{text}");
+    // In steps of 4.5 from 1 to 10, halves rounded up.
+    assert!(three == scene("@/photos/1.png @/photos/6.png @/photos/10.png").1, "another choice");
+    let (text, one) = scene("@/photos --views 1");
+    assert!(text.contains("from 1 view of") && one == scene("@/photos/1.png").1, "{text}");
+    assert!(scene("@/photos --views 192").0.contains("from 10 views of"));
+}
+
+#[test]
+fn cropping_much_is_said() {
+    let folder = Folder::new();
+    let run = |size: &str| {
+        folder.run(&format!("reconstruct @/photos --weights @/micro.safetensors --size {size} -o @/s.ply")).err
+    };
+    assert_eq!(run("84x84"), "note: 25 % of the photos' area is cropped away; --size 98x70 keeps nearly all of it\n");
+    assert_eq!(run("98x70"), "");
+}
+
+#[test]
 fn poses_count_relative_to_the_first_view() {
     let folder = Folder::new();
     let intrinsics = Intrinsics { width: 40, height: 30, fx: 35.0, fy: 35.0, cx: 20.0, cy: 15.0 };
@@ -90,6 +136,18 @@ fn poses_count_relative_to_the_first_view() {
     };
     assert!(apart(&moved) < 1e-4, "the capture's own world shows: {}", apart(&moved));
     assert!(apart(&none) > 1e-3, "the cameras do not show: {}", apart(&none));
+}
+
+#[test]
+fn cameras_are_poses() {
+    let folder = Folder::new();
+    let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
+    write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
+    let scene = |option: &str| {
+        folder.run(&format!("reconstruct @/photos --weights seeded:vits --size 14x14 {option} -o @/s.ply")).success();
+        std::fs::read(folder.path("s.ply")).expect("the scene was written")
+    };
+    assert!(scene("--cameras @/c.json") == scene("--poses @/c.json"));
 }
 
 #[test]

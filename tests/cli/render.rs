@@ -89,6 +89,64 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
 }
 
 #[test]
+fn a_scene_finds_its_cameras_in_their_own_file() {
+    let folder = folder();
+    folder.run("scene --seed 4 --views 3 --size 28x28 -o @/place").success();
+    // A world of the cameras' own, far from the first photo.
+    let path = folder.path("place/transforms.json");
+    let text = std::fs::read_to_string(&path).expect("cameras");
+    let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    for frame in cameras["frames"].as_array_mut().expect("frames") {
+        let x = frame["transform_matrix"][0][3].as_f64().expect("a number");
+        frame["transform_matrix"][0][3] = (x + 1000.0).into();
+    }
+    std::fs::write(&path, cameras.to_string()).expect("written");
+    // Weights that mean something: of random ones the cameras see nothing.
+    folder.run("reconstruct @/place/images --poses @/place --unit 1 -o @/posed.ply").success();
+    let found = folder.run("render @/posed.ply --cameras @/place -o @/found");
+    assert!(found.err.contains("images/000.png") && !found.err.contains("but the background"), "{}", found.err);
+    found.success();
+    folder.run("render @/posed.ply --cameras @/place --relative-to 000.png -o @/named").success();
+    assert_eq!(contents(&folder, "found"), contents(&folder, "named"));
+    // No SPZ says what its world is: all black, and said so.
+    folder.run("convert @/posed.ply @/posed.spz").success();
+    let lost = folder.run("render @/posed.spz --cameras @/place -o @/lost");
+    assert!(lost.err.contains("but the background") && lost.err.contains("--relative-to PHOTO"), "{}", lost.err);
+    lost.success();
+    assert!(!says_empty(&folder, "render @/posed.spz --cameras @/place --relative-to 000.png -o @/again"));
+}
+
+/// Whether a line that succeeds says that its pictures are empty.
+fn says_empty(folder: &Folder, line: &str) -> bool {
+    let outcome = folder.run(line);
+    let said = outcome.err.contains("but the background");
+    outcome.success();
+    said
+}
+
+#[test]
+fn only_own_pictures_are_replaced() {
+    let folder = folder();
+    let line = "render @/scene.ply --cameras @/cameras.json --depth --alpha --normals --group 8 -o @/out";
+    folder.run(line).success();
+    let drawn = contents(&folder, "out");
+    // All that was drawn may be replaced, and nothing else by any of its names.
+    folder.run(line).success();
+    let mine = crate::photo(8, 6, 1);
+    for name in ["000.png", "002.depth.png", "001.alpha.png", "000.normal.png", "002.tokens.png", "contact.png"] {
+        mine.save_png(folder.path("out").join(name)).expect("a photo can be written");
+        folder.run(line).fails(3, &[name, "--overwrite"]);
+        assert_eq!(Image::open(folder.path("out").join(name)).expect("a photo"), mine, "{name}");
+        folder.run(&format!("{line} --overwrite")).success();
+        assert_eq!(contents(&folder, "out"), drawn);
+    }
+    // Names that are not asked for are the user's own.
+    mine.save_png(folder.path("out/000.alpha.png")).expect("a photo can be written");
+    mine.save_png(folder.path("out/003.png")).expect("a photo can be written");
+    folder.run("render @/scene.ply --cameras @/cameras.json --depth -o @/out").success();
+}
+
+#[test]
 fn normals_and_tokens_are_written_where_asked() {
     let folder = folder();
     folder

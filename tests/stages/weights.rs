@@ -287,7 +287,7 @@ fn reading_checks_name_length_and_values() {
 #[test]
 fn texts_name_seeds_and_files() {
     let provenance = |text: &str| Checkpoint::parse(text, None).map(|checkpoint| checkpoint.provenance().to_string());
-    assert_eq!(provenance("seeded:vits").unwrap(), "seeded:vits:vits");
+    assert_eq!(provenance("seeded:vits").unwrap(), "seeded:vits");
     assert_eq!(provenance("seeded:vits:small").unwrap(), "seeded:vits:small");
     assert!(matches!(provenance("seeded:vitx"), Err(Error::Argument { .. })));
     assert!(matches!(provenance("no/such/file"), Err(Error::Io { .. })));

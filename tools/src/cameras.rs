@@ -84,7 +84,8 @@ pub struct CameraArgs {
     /// Let the lens of --dolly keep the size of what is at the scene's centre
     #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
-    /// Photo whose camera is the scene's world: the first that was given to reconstruct [default: the file's own world]
+    /// Photo whose camera is the scene's world: the first that was given to reconstruct [default: the one that the scene's
+    /// PLY names, where the file has it, else the file's own world]
     #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Pictures of a path
@@ -100,8 +101,9 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    /// The cameras for a scene, and what the file's reader has to say.
-    pub fn cameras(&self, scene: &Scene) -> Result<(Vec<Camera>, Vec<String>)> {
+    /// The cameras for a scene, and what there is to say about them. `origin` is the photo whose camera is the scene's
+    /// world, where its file says so.
+    pub fn cameras(&self, scene: &Scene, origin: Option<&str>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;
         let lens = self.lens()?;
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
@@ -118,18 +120,31 @@ impl CameraArgs {
             dolly.validate()?;
             dolly.sample(frames)
         } else if let Some(file) = &self.spline {
-            let (cameras, notes) = self.of_file(file, &lens, true)?;
+            let (cameras, notes) = self.of_file(file, origin, &lens, true)?;
             return Ok((Spline::through(&cameras, self.closed)?.sample(frames), notes));
         } else if let Some(file) = &self.ellipse {
-            let (cameras, notes) = self.of_file(file, &lens, true)?;
+            let (cameras, notes) = self.of_file(file, origin, &lens, true)?;
             let poses = Ellipse::around(&cameras, Orbit::around(scene)?.center)?.sample(frames);
             let intrinsics = cameras[0].intrinsics;
             return Ok((poses.into_iter().map(|pose| Camera { intrinsics, pose }).collect(), notes));
         } else {
             let file = self.cameras.as_deref().unwrap_or(Path::new(""));
-            return self.of_file(file, &lens, false);
+            return self.of_file(file, origin, &lens, false);
         };
         Ok((path, Vec::new()))
+    }
+
+    /// What may be wrong where nothing of the scene is in any picture.
+    pub fn doubt(&self) -> &'static str {
+        let file = self.cameras.is_some() || self.spline.is_some() || self.ellipse.is_some();
+        match (file, &self.relative_to) {
+            (true, None) => {
+                ": the scene's world may be the camera of the first photo that it was made from, while the cameras have one \
+                 of their own; --relative-to PHOTO, with that photo, brings them together"
+            }
+            (true, Some(_)) => ": --relative-to may name another photo than the first that the scene was made from",
+            (false, _) => "",
+        }
     }
 
     /// Square pixels, and the horizontal field of view.
@@ -143,21 +158,36 @@ impl CameraArgs {
         Ok(Intrinsics::from_fov(width, height, hfov, vfov))
     }
 
-    /// Every camera of a file, where asked with the camera of a photo as the world and cropped to a size; if `alike`, all
-    /// to the first one's.
-    fn of_file(&self, path: &Path, lens: &Intrinsics, alike: bool) -> Result<(Vec<Camera>, Vec<String>)> {
-        let poses = read_cameras(path, lens)?;
+    /// Every camera of a file, with the camera of a photo as the world, where one was asked for or the file has that which
+    /// the scene names, and cropped to a size where one was asked for; if `alike`, all to the first one's.
+    fn of_file(
+        &self,
+        path: &Path,
+        by_scene: Option<&str>,
+        lens: &Intrinsics,
+        alike: bool,
+    ) -> Result<(Vec<Camera>, Vec<String>)> {
+        let mut poses = read_cameras(path, lens)?;
         let Some(first) = poses.frames.first() else {
             return Err(Error::argument(format!("cameras of {}", path.display()), 0, "at least one"));
         };
         let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
         let size = self.size.or(alike.then_some(own));
-        let origin = self.relative_to.as_deref().map(|photo| origin_pose(&poses, photo)).transpose()?;
+        let origin = match (&self.relative_to, by_scene) {
+            (Some(photo), _) => Some(origin_pose(&poses, photo)?),
+            (None, Some(photo)) => origin_pose(&poses, Path::new(photo)).ok(),
+            (None, None) => None,
+        };
         let camera = |camera: Camera| Camera {
             intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
             pose: origin.map_or(camera.pose, |origin| camera.pose.relative_to(&origin)),
         };
-        Ok((poses.frames.iter().map(|frame| camera(frame.camera)).collect(), poses.notes))
+        let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect();
+        if let (None, Some(_), Some(photo)) = (&self.relative_to, origin, by_scene) {
+            let what = "the scene's world is the camera of";
+            poses.notes.push(format!("{what} {photo}, as its file says, and {} is read so", path.display()));
+        }
+        Ok((cameras, poses.notes))
     }
 }
 

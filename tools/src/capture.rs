@@ -35,6 +35,8 @@ pub struct Capture {
     pub targets: Vec<Posed>,
     /// What the cameras were divided by: the network's 1 in the capture's own unit.
     pub unit: f64,
+    /// What there is to say about how much of the photos is cropped away.
+    pub cropping: Option<String>,
 }
 
 /// A photo and its camera.
@@ -88,7 +90,9 @@ impl Choice {
     pub fn load(&self, size: Size, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i]).collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
-        let mut inputs = posed(&frames, photos::load(&paths, size, stage)?)?;
+        let photos = photos::load(&paths, size, stage)?;
+        let cropping = photos::cropping(&photos, size);
+        let mut inputs = posed(&frames, photos)?;
         let views = self.inputs.len();
         let unit = match (unit, &self.poses.points) {
             (Some(unit), _) => unit,
@@ -104,7 +108,7 @@ impl Choice {
         };
         inputs.iter_mut().for_each(|view| view.camera.pose.translation /= unit);
         let targets = inputs.split_off(views);
-        Ok(Capture { inputs, targets, unit })
+        Ok(Capture { inputs, targets, unit, cropping })
     }
 }
 

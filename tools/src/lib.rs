@@ -17,10 +17,12 @@ mod pictures;
 mod plot;
 pub mod procedural;
 mod session;
+mod signals;
 mod table;
 
 use clap::Parser;
 use session::Session;
+pub use signals::cancelled_by_signals;
 use std::{
     ffi::OsString,
     io::{ErrorKind, Write},
@@ -66,6 +68,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
     }
 }
 
+/// Exit code of a command that was stopped from outside: 128 and the number of SIGINT, as shells have it.
+const CANCELLED: u8 = 130;
+
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Argument { .. } | Error::Format { .. } | Error::Weights { .. } => 3,
@@ -81,7 +86,7 @@ fn exit_code(error: &Error) -> u8 {
             _ => 1,
         },
         Error::NoDevice(_) | Error::DeviceLost | Error::Memory { .. } => 4,
-        Error::Cancelled => 130,
+        Error::Cancelled => CANCELLED,
         _ => 1,
     }
 }

@@ -3,16 +3,12 @@
 use std::{
     io::{stderr, stdout},
     process::ExitCode,
-    sync::atomic::{AtomicBool, Ordering},
 };
-use zipsplat_cli::{Terminal, run};
-
-static CANCELLED: AtomicBool = AtomicBool::new(false);
+use zipsplat_cli::{Terminal, cancelled_by_signals, run};
 
 fn main() -> ExitCode {
-    // Without a handler Ctrl-C still ends the process, only less tidily.
-    let _ = ctrlc::set_handler(|| CANCELLED.store(true, Ordering::Relaxed));
+    let cancelled = cancelled_by_signals();
     let (mut out, mut err) = (stdout().lock(), stderr());
-    let terminal = Terminal { out: &mut out, err: &mut err, progress: true, cancelled: &CANCELLED };
+    let terminal = Terminal { out: &mut out, err: &mut err, progress: true, cancelled };
     run(std::env::args_os(), terminal).into()
 }

@@ -2,13 +2,13 @@
 
 use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
-use std::{fmt, path::Path, str::FromStr};
+use std::{fmt, fs::File, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
-    types::{Scene, read_scene_unchecked},
+    types::{Image, Scene, SceneFormat, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
 };
 
@@ -38,7 +38,8 @@ pub struct Cli {
 /// Options of every command.
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info` or a part of its name; none plans for an ordinary one [default: the best]
+    /// Vulkan device: its number in `zipsplat info` or a part of its name; with `info --plan` also none, for an ordinary one
+    /// [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
@@ -81,8 +82,39 @@ impl Weights {
 
     /// Opens others, of the variant given.
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
-        Checkpoint::parse(weights, self.variant.as_deref())
+        open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)
     }
+
+    /// As [`Weights::open_as`], of a file that might also have been a scene.
+    pub fn open_unless_scene(&self, file: &str) -> Result<Checkpoint> {
+        let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
+        open_checkpoint(file, self.variant.as_deref(), &expected)
+    }
+}
+
+/// What checkpoints are, for messages.
+pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
+
+/// Opens a checkpoint; what is none by its first bytes is refused with what it is, where that is known, and what was
+/// `expected`.
+pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
+    let mut start = [0; 9];
+    let read = File::open(text).and_then(|mut file| file.read_exact(&mut start));
+    // A zip archive, or a length and the JSON object behind it. What cannot be read is left to the reader's complaint.
+    let known = read.is_err() || start.starts_with(b"PK") || start[8] == b'{';
+    if !known {
+        let kind = match Image::size(text) {
+            Ok((width, height)) => format!("a picture of {width}x{height}"),
+            Err(_) => "a file of unknown kind".into(),
+        };
+        return Err(Error::argument(text, kind, expected));
+    }
+    Checkpoint::parse(text, variant)
+}
+
+/// Refuses an option that has no effect on what it was given with.
+pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<()> {
+    if given { Err(Error::argument(option, found, format!("{expected}, which it is for"))) } else { Ok(()) }
 }
 
 /// What is computed from photos and how.
@@ -154,6 +186,17 @@ pub struct ArithmeticOption {
 }
 
 impl Quality {
+    /// Checks what depends on the network.
+    pub fn check(&self, architecture: &Architecture) -> Result<()> {
+        let all = architecture.gaussians_per_token;
+        match self.keep {
+            Some(keep) if keep as usize > all => {
+                Err(Error::argument("--keep", keep, format!("1 to {all}, the Gaussians of a token")))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Leaves out the Gaussians that were not asked for.
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
         if let Some(keep) = self.keep {

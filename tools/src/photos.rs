@@ -1,6 +1,10 @@
 //! Photos from files and folders to views of the network's size.
 
-use crate::{options::Size, session::Stage};
+use crate::{
+    options::Size,
+    session::{Session, Stage},
+    table::counted,
+};
 use rayon::prelude::*;
 use std::{
     cmp::Ordering,
@@ -11,22 +15,27 @@ use zipsplat::{
     Error, Result,
     types::{
         Image,
-        preprocess::{View, fit},
+        preprocess::{PATCH, View, fit},
     },
 };
 
 /// Extensions of the files of a folder that are taken for photos.
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
+/// Files left out that a note names.
+const NAMED: usize = 5;
+/// Share of the photos' area that may be cropped away without a word.
+const CROPPED: f64 = 0.1;
 
-/// The photos that `paths` stand for: files as they are, of folders the photos inside by natural order.
+/// The photos that `paths` stand for: files as they are, of folders the photos inside by natural order. Other files of a
+/// folder are left out, which is noted, but for hidden ones.
 ///
 /// # Errors
 /// Where a path does not exist or a folder has no photo.
-pub fn list(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
+pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();
     for path in paths {
         if path.metadata().map_err(|error| Error::io(path, error))?.is_dir() {
-            photos.extend(list_folder(path)?);
+            photos.extend(list_folder(session, path)?);
         } else {
             photos.push(path.clone());
         }
@@ -34,25 +43,52 @@ pub fn list(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(photos)
 }
 
-fn list_folder(folder: &Path) -> Result<Vec<PathBuf>> {
+fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |error| Error::io(folder, error);
     let is_photo = |path: &Path| {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str())) && path.is_file()
+        extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
     };
-    let mut photos = Vec::new();
+    // Hidden ones are no photos whatever they are called: macOS puts `._000.jpg` beside `000.jpg` on foreign disks.
+    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    let mut files = Vec::new();
     for entry in folder.read_dir().map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        if is_photo(&path) {
-            photos.push(path);
+        if path.is_file() && !is_hidden(&path) {
+            files.push(path);
         }
     }
+    files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b)));
+    let (photos, others): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|path| is_photo(path));
     if photos.is_empty() {
+        // What it is, and how it is converted, says more than that it is not what was looked for.
+        others.first().map_or(Ok((0, 0)), Image::size)?;
         let expected = format!("files that end in {}", EXTENSIONS.join(", "));
         return Err(Error::argument(format!("photos in {}", folder.display()), "none", expected));
     }
-    photos.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b)));
+    if !others.is_empty() {
+        session.note(left_out(&others));
+    }
     Ok(photos)
+}
+
+/// Which files are not taken for photos.
+fn left_out(files: &[PathBuf]) -> String {
+    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let mut names: Vec<String> = files.iter().take(NAMED).map(name).collect();
+    if files.len() > NAMED {
+        names.push("...".into());
+    }
+    format!("{} left out, not PNG, JPEG or WebP: {}", counted(files.len(), "file"), names.join(", "))
+}
+
+/// `count` of the photos at most, evenly spread, the first and the last among them.
+pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
+    if photos.len() <= count {
+        return photos;
+    }
+    let (last, steps) = (photos.len() - 1, (count - 1).max(1));
+    (0..count).map(|i| photos[(i * last + steps / 2) / steps].clone()).collect()
 }
 
 /// Orders numbers in names by value: `2.png` before `10.png`.
@@ -97,14 +133,68 @@ pub fn load(photos: &[PathBuf], Size(width, height): Size, stage: &Stage<'_>) ->
     photos.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()
 }
 
+/// What to say where much of the photos is cropped away: how much, and the size of about as many patches that keeps most.
+pub fn cropping(views: &[View], used: Size) -> Option<String> {
+    // Of each photo width, height and the pixels of its area that are seen.
+    let area = |[width, height]: [u32; 2]| f64::from(width) * f64::from(height);
+    let seen = |view: &View| area(view.map.to) / (view.map.scale[0] * view.map.scale[1]);
+    let (all, kept) = views.iter().fold((0.0, 0.0), |(all, kept), view| (all + area(view.map.from), kept + seen(view)));
+    let share = 1.0 - kept / all;
+    if share <= CROPPED {
+        return None;
+    }
+    let ratio = |view: &View| (f64::from(view.map.from[0]) / f64::from(view.map.from[1])).ln();
+    let aspect = (views.iter().map(ratio).sum::<f64>() / views.len() as f64).exp();
+    let size = size_of_aspect(aspect, used);
+    let advice = if size == used { String::new() } else { format!("; --size {size} keeps nearly all of it") };
+    Some(format!("{:.0} % of the photos' area is cropped away{advice}", 100.0 * share))
+}
+
+/// The size whose aspect ratio and number of patches are nearest to `aspect` and those of `used`; the former counts twice.
+fn size_of_aspect(aspect: f64, Size(width, height): Size) -> Size {
+    let patches = f64::from(width / PATCH) * f64::from(height / PATCH);
+    let size = |rows: u32| {
+        let columns = ((f64::from(rows) * aspect).round() as u32).max(1);
+        let (columns_f, rows_f) = (f64::from(columns), f64::from(rows));
+        let cost = (columns_f * rows_f / patches).ln().abs() + 2.0 * (columns_f / rows_f / aspect).ln().abs();
+        (cost, Size(columns * PATCH, rows * PATCH))
+    };
+    // Twice the rows that exact proportions ask for.
+    let most = 2 * ((patches / aspect).sqrt().ceil() as u32).max(1);
+    let sizes = (1..=most).map(size).min_by(|(a, _), (b, _)| a.total_cmp(b));
+    sizes.map_or(Size(width, height), |(_, size)| size)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::natural;
+    use super::{natural, size_of_aspect, spread};
+    use crate::options::Size;
+    use std::path::PathBuf;
 
     #[test]
     fn numbers_count_by_value() {
         let mut names = ["b1", "a10", "a2", "a02b", "a", "é1"];
         names.sort_by(|a, b| natural(a, b));
         assert_eq!(names, ["a", "a2", "a02b", "a10", "b1", "é1"]);
+    }
+
+    #[test]
+    fn spread_keeps_the_ends() {
+        let names = |count: usize, of: usize| -> Vec<String> {
+            let photos = (0..of).map(|i| PathBuf::from(i.to_string())).collect();
+            spread(photos, count).iter().map(|path| path.display().to_string()).collect()
+        };
+        assert_eq!(names(3, 9), ["0", "4", "8"]);
+        assert_eq!(names(4, 6), ["0", "2", "3", "5"]);
+        assert_eq!(names(1, 6), ["0"]);
+        assert_eq!(names(6, 2), ["0", "1"]);
+    }
+
+    #[test]
+    fn sizes_keep_aspect_and_patches() {
+        assert_eq!(size_of_aspect(4.0 / 3.0, Size(84, 84)), Size(98, 70));
+        assert_eq!(size_of_aspect(3.0 / 4.0, Size(84, 84)), Size(70, 98));
+        assert_eq!(size_of_aspect(16.0 / 9.0, Size(252, 252)), Size(350, 196));
+        assert_eq!(size_of_aspect(1.0, Size(84, 84)), Size(84, 84));
     }
 }

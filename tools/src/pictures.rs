@@ -8,7 +8,7 @@ use crate::{
 use rayon::prelude::*;
 use std::{
     io::Write,
-    path::Path,
+    path::{Path, PathBuf},
     sync::mpsc::{Receiver, sync_channel},
     thread,
 };
@@ -18,12 +18,16 @@ use zipsplat::{
     types::{Camera, Image, resample::resize_lanczos},
 };
 
+/// File with all pictures together.
+pub const SHEET: &str = "contact.png";
 /// Longest side of a contact sheet: pictures are made smaller to fit.
 const SHEET_SIDE: u32 = 4096;
 /// Pictures that are written at once, and as many again that wait for it.
 const BATCH: u64 = 8;
 /// Pixels of them together, where they are large.
 const BATCH_PIXELS: u64 = 1 << 24;
+/// What deviates less from the background in every pixel is taken for it: half a level of 256.
+const VISIBLE: f32 = 0.5 / 255.0;
 
 /// Where pictures go.
 #[derive(Default)]
@@ -34,16 +38,57 @@ pub struct Sinks<'a> {
     pub animation: Option<Animation>,
 }
 
-/// Draws every picture and brings it where it goes. Returns those of a folder as small as its contact sheet needs them.
+/// What is left of pictures when they are where they go.
+pub struct Drawn {
+    /// Those of a folder, as small as its contact sheet needs them.
+    pub small: Vec<Image>,
+    /// Whether all are the background and nothing else.
+    pub empty: bool,
+}
+
+/// Names of the files that one picture becomes beside `000.png`, and whether a request asks for them.
+fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
+    [
+        ("", request.rgb),
+        (".depth", request.depth.is_some()),
+        (".alpha", request.alpha),
+        (".normal", request.normals),
+        (".tokens", request.token_group.is_some()),
+    ]
+}
+
+fn file(folder: &Path, number: usize, layer: &str) -> PathBuf {
+    folder.join(format!("{number:03}{layer}.png"))
+}
+
+/// Refuses a folder in which the pictures would replace one that this program has not drawn.
+///
+/// # Errors
+/// [`Error::Argument`] naming the first of them.
+pub fn check_replaced(folder: &Path, count: usize, request: &RenderRequest) -> Result<()> {
+    let layers = layers(request);
+    let asked = layers.iter().filter(|(_, asked)| *asked);
+    let files = asked.flat_map(|(layer, _)| (0..count).map(move |number| file(folder, number, layer)));
+    match files.chain([folder.join(SHEET)]).find(|file| file.exists() && !outputs::is_own_picture(file)) {
+        Some(file) => {
+            let expected = "one that `zipsplat render` wrote, or none; another folder, or --overwrite";
+            Err(Error::argument("picture to replace", file.display(), expected))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Draws every picture and brings it where it goes.
 pub fn draw(
     renderer: &mut Renderer,
     cameras: &[Camera],
     request: &RenderRequest,
     sinks: Sinks<'_>,
     stage: &Stage<'_>,
-) -> Result<Vec<Image>> {
+) -> Result<Drawn> {
     let batch = batch(cameras);
-    let mut writer = Writer { sinks, encoder: None, small: Vec::new(), frames: cameras.len() };
+    let drawn = Drawn { small: Vec::new(), empty: true };
+    let mut writer = Writer { sinks, encoder: None, drawn, background: request.background, frames: cameras.len() };
     thread::scope(|scope| {
         let (sender, frames) = sync_channel(batch);
         let drawing = scope.spawn(move || {
@@ -58,7 +103,7 @@ pub fn draw(
         written.and(drawn)
     })?;
     writer.encoder.map_or(Ok(()), |encoder| encoder.finish(stage))?;
-    Ok(writer.small)
+    Ok(writer.drawn)
 }
 
 /// As many columns as rows.
@@ -77,7 +122,8 @@ struct Writer<'a> {
     sinks: Sinks<'a>,
     /// No sink is made before there is something to put into it.
     encoder: Option<Box<dyn Encoder>>,
-    small: Vec<Image>,
+    drawn: Drawn,
+    background: [f32; 3],
     /// Pictures in all.
     frames: usize,
 }
@@ -98,13 +144,14 @@ impl Writer<'_> {
     fn write(&mut self, done: usize, frames: &[Frame]) -> Result<()> {
         let images: Vec<Result<Image>> = frames.par_iter().map(image).collect();
         let images = images.into_iter().collect::<Result<Vec<Image>>>()?;
+        self.drawn.empty &= frames.iter().all(|frame| is_empty(frame, self.background));
         let Sinks { folder, raw, animation } = &mut self.sinks;
         if let Some(folder) = *folder {
             outputs::make_folder(folder)?;
             let save = |(i, (frame, image))| save(folder, done + i, frame, image, self.frames);
             let saved: Vec<Result<Image>> = frames.par_iter().zip(&images).enumerate().map(save).collect();
             for image in saved {
-                self.small.push(image?);
+                self.drawn.small.push(image?);
             }
         }
         if let Some(animation) = animation {
@@ -121,6 +168,13 @@ impl Writer<'_> {
     }
 }
 
+/// Whether a picture is the background all over.
+fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
+    let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
+    let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));
+    pairs.all(|(value, behind)| (value - behind).abs() < VISIBLE)
+}
+
 fn image(frame: &Frame) -> Result<Image> {
     Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
 }
@@ -128,8 +182,8 @@ fn image(frame: &Frame) -> Result<Image> {
 /// Writes a picture and returns it as small as the contact sheet needs it.
 fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
     let &Frame { width, height, .. } = frame;
-    let path = |suffix: &str| folder.join(format!("{number:03}{suffix}.png"));
-    image.save_png(path(""))?;
+    let path = |layer: &str| file(folder, number, layer);
+    outputs::save_picture(&path(""), image)?;
     if let Some(depth) = &frame.depth {
         outputs::save_depth(&path(".depth"), width, height, depth)?;
     }
@@ -138,10 +192,10 @@ fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usiz
     }
     if let Some(normals) = &frame.normals {
         let half: Vec<f32> = normals.iter().map(|n| 0.5 + 0.5 * n).collect();
-        Image::from_rgb_f32(width, height, &half)?.save_png(path(".normal"))?;
+        outputs::save_picture(&path(".normal"), &Image::from_rgb_f32(width, height, &half)?)?;
     }
     if let Some(colours) = &frame.token_colours {
-        Image::from_rgb_f32(width, height, colours)?.save_png(path(".tokens"))?;
+        outputs::save_picture(&path(".tokens"), &Image::from_rgb_f32(width, height, colours)?)?;
     }
     let cell = SHEET_SIDE / sheet_columns(frames) as u32;
     if width.max(height) <= cell {

@@ -57,7 +57,7 @@ impl<'a> Session<'a> {
         Device::open(&DeviceOptions { selector, max_memory_bytes, ..DeviceOptions::default() })
     }
 
-    /// Whether the user asked for no device: what needs one fails, a plan is made for an ordinary one.
+    /// Whether the user asked for no device: a plan is then made for an ordinary one.
     pub fn plans_for_none(&self) -> bool {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
@@ -183,7 +183,10 @@ impl<'a> Session<'a> {
 
     /// Prints an error as one line.
     pub fn complain(&mut self, error: &Error) {
-        let lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
+        let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
+        if let (Error::Memory { .. }, Some(memory)) = (error, self.global.memory) {
+            lines.push(format!("--memory leaves this command {memory} bytes of the device's"));
+        }
         // The exit code says it all the same.
         let _ = writeln!(self.terminal.err, "error: {}", lines.join("; "));
     }

@@ -1,6 +1,6 @@
 //! Aligned text: tables, sizes and times.
 
-use indicatif::HumanBytes;
+use indicatif::{HumanBytes, HumanCount};
 use std::{fmt, time::Duration};
 
 /// Rows under headings. The first columns are aligned to the left, the others to the right.
@@ -35,6 +35,12 @@ impl fmt::Display for Table {
         }
         Ok(())
     }
+}
+
+/// `1 view`, `2 views`.
+pub fn counted(count: usize, what: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{} {what}{plural}", HumanCount(count as u64))
 }
 
 /// `1.20 GiB`.

@@ -39,7 +39,14 @@ fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     // Without this the file would keep a temporary file's mode and nobody but its owner could read it.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder)
+    builder.tempfile_in(folder).map_err(plain)
+}
+
+/// An error without the temporary name, which nobody can do anything about; it is in the error's words alone.
+fn plain(error: std::io::Error) -> std::io::Error {
+    let words = error.to_string();
+    let reason = words.split(" at path ").next().unwrap_or(&words);
+    std::io::Error::new(error.kind(), reason)
 }
 
 /// A file in the making, under a temporary name beside its own; gone unless it is finished.

@@ -1,7 +1,8 @@
 //! RGB pictures: reading photos, writing PNG.
 
 use std::fmt;
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use image::metadata::Orientation;
@@ -12,6 +13,8 @@ use crate::{Error, Result};
 
 /// Longest side that is read; above it a file is broken or hostile.
 pub(crate) const MAX_SIDE: u32 = 32_768;
+/// Bytes at the start of a file that tell what it is.
+const MARK: u64 = 12;
 /// Most bytes that decoding one photo may take: 350 megapixels of RGB8.
 pub(crate) const MAX_DECODED_BYTES: u64 = 1 << 30;
 
@@ -48,10 +51,11 @@ impl Image {
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Format`] with the decoder's reason when it is none of these
-    /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB.
+    /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB; of HEIC, AVIF and videos
+    /// with the command that makes photos of them.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        let bytes = read(path)?;
         let (mut decoded, orientation) = decode(&bytes).map_err(|reason| Error::format(path, None, reason))?;
         decoded.apply_orientation(orientation);
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
@@ -63,7 +67,7 @@ impl Image {
     /// As [`Image::open`], but damage after the header goes unseen.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        let bytes = read(path)?;
         let (decoder, orientation) = open_decoder(&bytes).map_err(|reason| Error::format(path, None, reason))?;
         let (width, height) = decoder.dimensions();
         Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
@@ -150,6 +154,39 @@ pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
         }
     }
     Image::new(width as u32, height as u32, rgb)
+}
+
+/// A file's bytes; of what is known to be no photo, which may be large, only the first are looked at.
+fn read(path: &Path) -> Result<Vec<u8>> {
+    let failed = |source| Error::io(path, source);
+    let (mut file, mut bytes) = (File::open(path).map_err(failed)?, Vec::new());
+    file.by_ref().take(MARK).read_to_end(&mut bytes).map_err(failed)?;
+    if let Some((kind, command)) = other_kind(&bytes) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let reason = format!("found {kind}, expected PNG, JPEG or WebP: {}", command.replace('@', &name));
+        return Err(Error::format(path, None, reason));
+    }
+    file.read_to_end(&mut bytes).map_err(failed)?;
+    Ok(bytes)
+}
+
+/// What a camera or phone writes beside photos, by its first bytes, and the command that makes photos of a file `@`.
+fn other_kind(start: &[u8]) -> Option<(&'static str, &'static str)> {
+    const TO_PHOTO: &str = "`magick @ @.png` converts it";
+    const TO_PHOTOS: &str = "`ffmpeg -i @ -vf fps=2 %03d.jpg` takes two photos a second from it";
+    // The brands of ISO/IEC 14496-12 files; whatever has none of the pictures' is a film.
+    match (start.get(4..8), start.get(8..12)) {
+        (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", TO_PHOTO)),
+        (Some(b"ftyp"), Some(b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"hevx" | b"mif1" | b"msf1")) => {
+            Some(("a HEIC picture", "`heif-convert @ @.jpg` converts it"))
+        }
+        // Canon's raw pictures.
+        (Some(b"ftyp"), Some(b"crx ")) => None,
+        (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", TO_PHOTOS)),
+        (_, Some(b"AVI ")) if start.starts_with(b"RIFF") => Some(("a video (AVI)", TO_PHOTOS)),
+        _ if start.starts_with(&[0x1a, 0x45, 0xdf, 0xa3]) => Some(("a video (Matroska or WebM)", TO_PHOTOS)),
+        _ => None,
+    }
 }
 
 type Decoded<T> = std::result::Result<T, String>;

@@ -23,7 +23,7 @@ pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
 pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
-pub use ply::{read_ply, read_points, write_ply, write_points};
+pub use ply::{read_ply, read_ply_origin, read_points, write_ply, write_ply_with_origin, write_points};
 pub use scene::Scene;
 pub use scene_file::{SceneFormat, WriteOptions, read_scene, read_scene_unchecked, write_scene};
 pub use splat::{read_splat, write_splat};

@@ -1,6 +1,6 @@
-//! Photos to the network's input size, as the reference does it: bit for bit on the inference path.
+//! Photos to the network's input size, bit for bit as the reference does it.
 
-use super::resample::{resize_bilinear, resize_lanczos};
+use super::resample::resize_lanczos;
 use super::{Camera, Image, Intrinsics};
 use crate::{Error, Result};
 
@@ -8,9 +8,6 @@ use crate::{Error, Result};
 pub const PATCH: u32 = 14;
 /// Side of the network's input that the released models were trained with, in pixels.
 pub const DEFAULT_SIZE: u32 = 252;
-
-/// Longest side before the centre crop of [`cover`]; only a photo of a few pixels' width needs more.
-const MAX_COVER: u32 = 16_384;
 
 /// A photo brought to the network's size.
 #[derive(Clone, Debug)]
@@ -79,7 +76,7 @@ pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     cameras.iter().zip(views).enumerate().map(of_view).collect()
 }
 
-/// The inference path: centre crop to the aspect ratio of `width` x `height`, then Pillow's LANCZOS filter.
+/// Centre crop to the aspect ratio of `width` x `height`, then Pillow's LANCZOS filter.
 ///
 /// # Errors
 /// [`Error::Argument`] when a side is not a positive multiple of [`PATCH`], or the photo's fields disagree.
@@ -91,31 +88,6 @@ pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
     let image = resize_lanczos(&crop, width, height)?;
     let scale = [f64::from(width) / f64::from(rect.width), f64::from(height) / f64::from(rect.height)];
     let offset = [-f64::from(rect.left) * scale[0], -f64::from(rect.top) * scale[1]];
-    Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
-}
-
-/// The evaluation path: scale to cover `width` x `height` with a bilinear antialiasing filter in f32, truncate to 8
-/// bits, crop the centre. The size before the crop is even, as in the reference's data loader.
-///
-/// # Errors
-/// As [`fit`].
-pub fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
-    check_size(width, height)?;
-    photo.validate()?;
-    let [w, h] = cover_size(photo.width, photo.height, width, height);
-    if w.max(h) > MAX_COVER {
-        let found = format!("{}x{}", photo.width, photo.height);
-        return Err(Error::argument(
-            "photo",
-            found,
-            format!("one that covers {width}x{height} within {MAX_COVER} a side"),
-        ));
-    }
-    let covering = Image::from_rgb_f32(w, h, &resize_bilinear(photo, w, h)?)?;
-    let (left, top) = ((w - width) / 2, (h - height) / 2);
-    let image = covering.crop(left, top, width, height)?;
-    let scale = [f64::from(w) / f64::from(photo.width), f64::from(h) / f64::from(photo.height)];
-    let offset = [-f64::from(left), -f64::from(top)];
     Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
 }
 
@@ -150,9 +122,4 @@ fn check_size(width: u32, height: u32) -> Result<()> {
         return Err(Error::argument("input size", format!("{width}x{height}"), expected));
     }
     Ok(())
-}
-
-fn cover_size(width: u32, height: u32, to_width: u32, to_height: u32) -> [u32; 2] {
-    let scale = (f64::from(to_width) / f64::from(width)).max(f64::from(to_height) / f64::from(height));
-    [width, height].map(|side| 2 * (f64::from(side) * scale / 2.0).round_ties_even() as u32)
 }

@@ -123,7 +123,8 @@ impl Checkpoint {
     /// Reproducible weights for any architecture.
     pub fn seeded_architecture(architecture: Architecture, key: &str) -> Result<Self> {
         architecture.validate()?;
-        let provenance = format!("seeded:{}:{key}", architecture.name);
+        let stream = if key == architecture.name { String::new() } else { format!(":{key}") };
+        let provenance = format!("seeded:{}{stream}", architecture.name);
         let parameters = architecture.parameters();
         let source = Source::Seeded { key: key.into() };
         Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance })

@@ -1,6 +1,11 @@
 //! `zipsplat convert`: checkpoints to safetensors, scenes to other formats.
 
-use crate::{options::SceneInput, outputs, session::Session, table::bytes};
+use crate::{
+    options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
+    outputs,
+    session::Session,
+    table::{bytes, counted},
+};
 use clap::Args;
 use indicatif::HumanCount;
 use serde_json::json;
@@ -8,7 +13,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{SceneFormat, WriteOptions, write_scene},
-    weights::{Checkpoint, Dtype},
+    weights::Dtype,
 };
 
 /// A scene to another format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
@@ -55,9 +60,10 @@ impl Convert {
     }
 
     fn scene(&self, session: &mut Session<'_>, output: SceneFormat) -> Result<()> {
-        Self::refuse("--dtype", self.dtype.is_some(), "none for a scene")?;
-        Self::refuse("--variant", self.variant.is_some(), "none for a scene")?;
-        Self::refuse("--spz-version", self.spz_version.is_some() && output != SceneFormat::Spz, "an SPZ as output")?;
+        refuse("--dtype", self.dtype.is_some(), "a scene", "a checkpoint")?;
+        refuse("--variant", self.variant.is_some(), "a scene", "a checkpoint")?;
+        let is_spz = output == SceneFormat::Spz;
+        refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
         if scene.sh_degree > 0 && !output.keeps_view_dependence() {
             session.note("a .splat keeps one colour a Gaussian: how it changes with the direction is left out");
@@ -66,16 +72,15 @@ impl Convert {
         session.stage("write scene", |_| write_scene(&self.output, &scene, &options))?;
         let written = self.written()?;
         let json = json!({ "output": self.output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
-        let text =
-            format!("{}: {} Gaussians, {}", self.output.display(), HumanCount(scene.len() as u64), bytes(written));
+        let text = format!("{}: {}, {}", self.output.display(), counted(scene.len(), "Gaussian"), bytes(written));
         session.report(&json, text)
     }
 
     fn checkpoint(&self, session: &mut Session<'_>) -> Result<()> {
-        Self::refuse("--spz-version", self.spz_version.is_some(), "none for a checkpoint")?;
-        Self::refuse("--invalid", self.scene_input.is_given(), "none for a checkpoint")?;
+        refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
+        refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
-        let checkpoint = Checkpoint::parse(&self.input, self.variant.as_deref())?;
+        let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
         let written = self.written()?;
         let architecture = checkpoint.architecture();
@@ -92,11 +97,6 @@ impl Convert {
             bytes(written)
         );
         session.report(&json, text)
-    }
-
-    /// Refuses an option that would have no effect.
-    fn refuse(option: &str, given: bool, expected: &str) -> Result<()> {
-        if given { Err(Error::argument(option, "a value", expected)) } else { Ok(()) }
     }
 
     fn written(&self) -> Result<u64> {

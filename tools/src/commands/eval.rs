@@ -14,7 +14,7 @@ use zipsplat::{
     Result,
     reconstruct::{Request, Shape},
     stages::render::Renderer,
-    types::{Image, WriteOptions, contact_sheet, write_scene},
+    types::{Image, contact_sheet},
 };
 
 /// Held-out photos in the picture.
@@ -49,7 +49,8 @@ pub struct Eval {
     /// Table to write: view, psnr, ssim, nearest_psnr, mean_colour_psnr, a row for each photo compared
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Folder for scene.ply and comparison.png: photos, what was drawn in their place, and the nearest input photos
+    /// Folder for scene.ply, in the cameras' unit, and comparison.png: photos, what was drawn in their place, and the nearest
+    /// input photos
     #[arg(long, short, value_name = "FOLDER")]
     output: Option<PathBuf>,
 }
@@ -59,6 +60,7 @@ impl Eval {
         self.csv.as_deref().map_or(Ok(()), outputs::check_file)?;
         self.output.as_deref().map_or(Ok(()), outputs::check_folder)?;
         let checkpoint = self.weights.open()?;
+        self.quality.check(checkpoint.architecture())?;
         let size = self.quality.size_for(&checkpoint);
         let choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;
         choice.notes().iter().for_each(|note| session.note(note));
@@ -67,6 +69,7 @@ impl Eval {
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
+        capture.cropping.iter().for_each(|note| session.note(note));
 
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let images = capture.images();
@@ -94,7 +97,9 @@ impl Eval {
         }
         if let Some(folder) = &self.output {
             outputs::make_folder(folder)?;
-            write_scene(folder.join("scene.ply"), &result.scene, &WriteOptions::default())?;
+            // Drawn and compared in the network's unit, kept in that of the cameras.
+            result.scene.scale(capture.unit as f32);
+            outputs::save_scene(&folder.join("scene.ply"), &result.scene, Some(&capture.inputs[0].name))?;
             comparison(&capture, &drawn)?.save_png(folder.join("comparison.png"))?;
         }
         let mean = Score::mean(&scores);

@@ -12,7 +12,7 @@ mod tune;
 
 use crate::session::Session;
 use clap::Subcommand;
-use zipsplat::Result;
+use zipsplat::{Error, Result};
 
 /// What to do.
 #[derive(Subcommand)]
@@ -30,6 +30,13 @@ pub enum Command {
 
 impl Command {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        if session.plans_for_none() && !matches!(self, Command::Info(info) if info.plans()) {
+            return Err(Error::argument(
+                "--device",
+                "none",
+                "a device; none is for info --plan, which needs no device",
+            ));
+        }
         match self {
             Command::Reconstruct(command) => command.run(session),
             Command::Render(command) => command.run(session),

@@ -6,7 +6,7 @@ use crate::{
     options::{Quality, Size, Weights, parse_length},
     outputs, photos,
     session::Session,
-    table::{bytes, time},
+    table::{bytes, counted, time},
 };
 use clap::Args;
 use indicatif::HumanCount;
@@ -15,7 +15,7 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
-    types::{SceneFormat, WriteOptions, poses::read_poses, preprocess::view_cameras, write_scene},
+    types::{Camera, SceneFormat, poses::read_poses, preprocess::view_cameras},
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -40,8 +40,11 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
+    /// Take at most so many of the photos, evenly spread, the first and the last among them [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    views: Option<u32>,
     /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
     poses: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else 1]
@@ -62,23 +65,34 @@ impl Reconstruct {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         let checkpoint = self.weights.open()?;
-        let photos = photos::list(&self.photos)?;
+        self.quality.check(checkpoint.architecture())?;
+        let mut photos = photos::list(session, &self.photos)?;
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if photos.len() > MAX_VIEWS {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument("views", photos.len(), expected));
+        }
         let size = self.quality.size_for(&checkpoint);
         let Size(width, height) = size;
         let chosen = (*ratio, select);
         let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
         let poses = self.poses.as_ref().map(read_poses).transpose()?;
-        let photo_cameras = poses.as_ref().map(|poses| poses.for_photos(&photos)).transpose()?;
+        let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
-        let mut cameras =
-            photo_cameras.as_ref().map(|cameras| view_cameras(cameras, &views)).transpose()?.unwrap_or_default();
-        let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref()), &photo_cameras) {
-            (None, Some(points), Some(photos)) => cameras::unit(points, &cameras, &photos[0].pose)?,
-            (given, ..) => given.unwrap_or(1.0),
+        if let Some(note) = photos::cropping(&views, size) {
+            session.note(note);
+        }
+        let photo_cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
+        let mut cameras = view_cameras(&photo_cameras, &views)?;
+        let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref())) {
+            (None, Some(points)) => cameras::unit(points, &cameras, &photo_cameras[0].pose)?,
+            (given, _) => given.unwrap_or(1.0),
         };
         cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
@@ -88,8 +102,8 @@ impl Reconstruct {
         let (mut result, _) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         result.scene.scale(unit as f32);
-        let (_, write) =
-            session.stage("write", |_| write_scene(&self.output, &result.scene, &WriteOptions::default()))?;
+        let origin = frames.first().map(|frame| frame.name.as_str());
+        let (_, write) = session.stage("write", |_| outputs::save_scene(&self.output, &result.scene, origin))?;
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
@@ -106,13 +120,13 @@ impl Reconstruct {
             "seconds": seconds,
         });
         let mut text = format!(
-            "{}: {} Gaussians from {} views of {size}\n{} of {} tokens, {} Gaussians each, {} precision; at most {} of {}\n",
+            "{}: {} from {} of {size}\n{} of {}, {} each, {} precision; at most {} of {}\n",
             self.output.display(),
-            HumanCount(result.scene.len() as u64),
-            images.len(),
+            counted(result.scene.len(), "Gaussian"),
+            counted(images.len(), "view"),
             HumanCount(result.tokens as u64),
-            HumanCount(tokens as u64),
-            result.scene.len() / result.tokens,
+            counted(tokens, "token"),
+            counted(result.scene.len() / result.tokens, "Gaussian"),
             precision.name(),
             bytes(result.peak_bytes),
             device.limits().name,

@@ -6,11 +6,11 @@ use crate::{
     explain::Explanation,
     options::SceneInput,
     outputs::{self, DEPTH_LEVELS},
-    pictures::{self, Sinks},
+    pictures::{self, SHEET, Sinks},
     session::Session,
+    table::counted,
 };
 use clap::{ArgGroup, Args, ValueEnum};
-use indicatif::HumanCount;
 use serde_json::json;
 use std::{
     num::NonZeroU32,
@@ -20,13 +20,13 @@ use std::{
 use zipsplat::{
     Error, Result,
     stages::render::{Depth, RenderRequest, Renderer},
-    types::{Camera, contact_sheet},
+    types::{Camera, contact_sheet, read_ply_origin},
 };
 
 /// Pictures of a scene
 ///
 /// Into a folder go 000.png, 001.png and on, in the cameras' order, and contact.png with all of them; other files in it stay
-/// as they are. World: x right, y down, z forward.
+/// as they are, and so do pictures of these names that this command has not drawn. World: x right, y down, z forward.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -70,8 +70,10 @@ pub struct Render {
     /// output
     #[arg(long, short, value_name = "FOLDER|-")]
     output: Option<PathBuf>,
-    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed. No
-    /// animated WebP: the encoder at hand writes single pictures only
+    /// Replace pictures of the folder even where this command has not drawn them
+    #[arg(long, requires = "output")]
+    overwrite: bool,
+    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// Pictures a second of --video
@@ -103,7 +105,8 @@ impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let mut sinks = self.sinks()?;
         let (scene, dropped) = self.input.read(session, &self.scene)?;
-        let (cameras, notes) = self.path.cameras(&scene)?;
+        let origin = read_ply_origin(&self.scene)?;
+        let (cameras, notes) = self.path.cameras(&scene, origin.as_deref())?;
         notes.iter().for_each(|note| session.note(note));
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -112,17 +115,22 @@ impl Render {
             animation::common_size(&cameras)?;
         }
         let request = self.request();
+        if let Some(folder) = self.folder().filter(|_| !self.overwrite) {
+            pictures::check_replaced(folder, cameras.len(), &request)?;
+        }
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
         session.stage("load scene", |_| renderer.load(&scene))?;
         if self.is_piped() {
             sinks.raw = Some(session.take_output());
         }
-        let (small, took) =
+        let (drawn, took) =
             session.stage("render", |stage| pictures::draw(&mut renderer, &cameras, &request, sinks, stage))?;
         if let Some(folder) = self.folder() {
             let columns = pictures::sheet_columns(cameras.len());
-            session.stage("contact sheet", |_| contact_sheet(&small, columns)?.save_png(folder.join("contact.png")))?;
+            session.stage("contact sheet", |_| {
+                outputs::save_picture(&folder.join(SHEET), &contact_sheet(&drawn.small, columns)?)
+            })?;
         }
         let explanation = match cameras.first() {
             Some(camera) if self.explain => {
@@ -131,7 +139,11 @@ impl Render {
             _ => None,
         };
         let gaussians = [scene.len(), dropped];
-        self.report(session, device.limits().name.clone(), gaussians, &cameras, took, explanation)
+        self.report(session, device.limits().name.clone(), gaussians, &cameras, took, explanation)?;
+        if drawn.empty {
+            session.note(format!("no picture shows anything but the background{}", self.path.doubt()));
+        }
+        Ok(())
     }
 
     fn request(&self) -> RenderRequest {
@@ -188,10 +200,10 @@ impl Render {
         let names: Vec<String> =
             [&self.output, &self.video].into_iter().flatten().map(|path| path.display().to_string()).collect();
         let mut text = format!(
-            "{}: {} pictures of {} Gaussians on {device}, {:.1} a second with writing\n",
+            "{}: {} of {} on {device}, {:.1} a second with writing\n",
             names.join(", "),
-            cameras.len(),
-            HumanCount(gaussians as u64),
+            counted(cameras.len(), "picture"),
+            counted(gaussians, "Gaussian"),
             cameras.len() as f64 / seconds.max(1e-9)
         );
         if self.folder().is_none() {

@@ -5,6 +5,7 @@ use crate::{
     outputs,
     procedural::{Options, Photos, Setup, shards, write_folder},
     session::Session,
+    table::counted,
 };
 use clap::Args;
 use serde_json::json;
@@ -25,8 +26,9 @@ const BUFFER: usize = 1 << 20;
 
 /// Procedural scenes: photos with exact depth and poses, endless and seeded
 ///
-/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json and scene.json. World: the first
-/// photo's camera, x right, y down, z forward; the median distance of what is seen from it is 1.
+/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json with the cameras, points.ply with some of
+/// the points that the photos show, and scene.json. World: the first photo's camera, x right, y down, z forward; the median
+/// distance of what is seen from it is 1.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat scene --seed 7 --views 24 -o scene/
@@ -94,9 +96,9 @@ impl Scene {
             "views": self.views, "seconds": seconds,
         });
         let text = format!(
-            "{}: {} photos of a {} on {}, {seconds:.2} s without writing",
+            "{}: {} of a {} on {}, {seconds:.2} s without writing",
             folder.display(),
-            self.views,
+            counted(self.views, "photo"),
             capture.family,
             capture.path
         );
@@ -132,7 +134,7 @@ impl Scene {
             other => other?,
         }
         let rate = count as f64 / started.elapsed().as_secs_f64();
-        let text = format!("{}: {count} scenes, {rate:.1} a second", path.display());
+        let text = format!("{}: {}, {rate:.1} a second", path.display(), counted(count as usize, "scene"));
         if to_stdout {
             session.note(text);
             return Ok(());

@@ -40,32 +40,46 @@ pub struct Frame {
 }
 
 impl Poses {
-    /// The cameras of `photos`, matched by file name; where several frames share it, by the longest common end of the
-    /// path.
+    /// The cameras of `photos`, each that of its frame in [`Poses::frames_of`].
+    ///
+    /// # Errors
+    /// As [`Poses::frames_of`].
+    pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
+        Ok(self.frames_of(photos)?.into_iter().map(|frame| frame.camera).collect())
+    }
+
+    /// The frames of `photos`, matched by file name; where several frames share it, by the longest common end of the path.
     ///
     /// # Errors
     /// [`Error::Argument`] when a photo has no frame or several equally good ones.
-    pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
+    pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&Frame>> {
         let mut by_name: HashMap<_, Vec<&Frame>> = HashMap::new();
         for frame in &self.frames {
             by_name.entry(Path::new(&frame.name).file_name()).or_default().push(frame);
         }
-        let camera = |photo: &Path| {
+        let find = |photo: &Path| {
             // Frames may be named without the extension.
             let named = by_name.get(&photo.file_name()).or_else(|| by_name.get(&photo.file_stem()));
             let named = named.map(Vec::as_slice).unwrap_or_default();
             let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
             let most = named.iter().map(|frame| common(frame)).max();
             match named.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
-                [frame] => Ok(frame.camera),
-                [] => Err(Error::argument("photo", photo.display(), "one that the poses name")),
+                [frame] => Ok(*frame),
+                [] => Err(Error::argument(format!("camera of {}", photo.display()), "none", self.names())),
                 [first, second, ..] => {
                     let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
                     Err(Error::argument("photo", found, "a path that tells the poses' frames apart"))
                 }
             }
         };
-        photos.iter().map(|photo| camera(photo.as_ref())).collect()
+        photos.iter().map(|photo| find(photo.as_ref())).collect()
+    }
+
+    /// What photos have cameras, for messages.
+    fn names(&self) -> String {
+        let names: Vec<&str> = self.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
+        let more = if self.frames.len() > names.len() { ", ..." } else { "" };
+        format!("its file name among those of the poses ({}): {}{more}", self.frames.len(), names.join(", "))
     }
 }
 

@@ -3,11 +3,11 @@
 mod plan;
 
 use crate::{
-    options::{Quality, SceneInput, Weights},
+    options::{Quality, SceneInput, Weights, refuse},
     session::Session,
-    table::{Table, bytes},
+    table::{Table, bytes, counted},
 };
-use clap::Args;
+use clap::{Arg, Args};
 use indicatif::HumanCount;
 use serde_json::json;
 use std::{fmt::Write, path::Path};
@@ -20,11 +20,14 @@ use zipsplat::{
 
 /// Devices, or what is in a checkpoint or scene, or the memory that a reconstruction will take
 #[derive(Args)]
-#[command(after_help = "Examples:
+#[command(
+    mut_args(for_plans),
+    after_help = "Examples:
   zipsplat info                                                every Vulkan device and whether it can be used
   zipsplat info zipsplat.safetensors
   zipsplat info scene.ply
-  zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto")]
+  zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto"
+)]
 pub struct Info {
     /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
     file: Option<String>,
@@ -48,11 +51,28 @@ pub struct Info {
     all: bool,
 }
 
+/// Lets options that only plans take say so where there is none.
+fn for_plans(arg: Arg) -> Arg {
+    match arg.get_id().as_str() {
+        "weights" | "ratio" | "select" | "keep" | "size" | "precision" => arg.requires("plan"),
+        "invalid" => arg.requires("file"),
+        _ => arg,
+    }
+}
+
 impl Info {
+    /// Whether it plans, for which no device is needed.
+    pub fn plans(&self) -> bool {
+        self.plan
+    }
+
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match (&self.file, self.views) {
             (Some(file), _) if is_scene(Path::new(file))? => scene(session, file, &self.scene_input),
-            (Some(file), _) => checkpoint(session, &self.weights.open_as(file)?),
+            (Some(file), _) => {
+                refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+                checkpoint(session, &self.weights.open_unless_scene(file)?)
+            }
             (None, Some(views)) => plan::show(session, self, views),
             (None, None) => devices(session),
         }
@@ -136,11 +156,8 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let json = json!({
         "path": path, "gaussians": count, "dropped": dropped, "sh_degree": scene.sh_degree, "bounds": bounds,
     });
-    let mut text = format!(
-        "{path}: {} Gaussians, spherical harmonics of degree {}\n",
-        HumanCount(scene.len() as u64),
-        scene.sh_degree
-    );
+    let mut text =
+        format!("{path}: {}, spherical harmonics of degree {}\n", counted(scene.len(), "Gaussian"), scene.sh_degree);
     if let Some([low, high]) = bounds {
         text += &format!("centres from {low:?} to {high:?}");
     }

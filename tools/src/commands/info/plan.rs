@@ -4,7 +4,7 @@ use super::Info;
 use crate::{
     options::{Quality, Size},
     session::Session,
-    table::{Table, bytes},
+    table::{Table, bytes, counted},
 };
 use indicatif::HumanCount;
 use serde_json::json;
@@ -20,6 +20,7 @@ const LARGEST: usize = 20;
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
     let Quality { ratio, select, arithmetic, .. } = &info.quality;
     let checkpoint = info.weights.open()?;
+    info.quality.check(checkpoint.architecture())?;
     let size = info.quality.size_for(&checkpoint);
     let Size(width, height) = size;
     let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
@@ -52,9 +53,10 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         table.row([row.name.clone(), bytes, block, offset, first, last]);
     }
     let mut text = format!(
-        "{views} views of {size}, {} of {} tokens, {} precision, on {}: {} at most\n",
+        "{} of {size}, {} of {}, {} precision, on {}: {} at most\n",
+        counted(views, "view"),
         HumanCount(shape.tokens as u64),
-        HumanCount(shape.grid.tokens() as u64),
+        counted(shape.grid.tokens(), "token"),
         precision.name(),
         if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name },
         bytes(weights + arena)
@@ -67,7 +69,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         plan.flops() as f64 / 1e9
     );
     if rows.len() < count {
-        text += &format!("and {} smaller tensors: --all shows them", count - rows.len());
+        text += &format!("and {}: --all shows them", counted(count - rows.len(), "smaller tensor"));
     }
     session.report(&json, text)
 }

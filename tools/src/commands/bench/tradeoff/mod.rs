@@ -91,6 +91,7 @@ impl Tradeoff {
         let captures: Vec<Capture> = (choices.iter())
             .map(|choice| Ok(session.stage("load photos", |stage| choice.load(size, self.unit, stage))?.0))
             .collect::<Result<_>>()?;
+        captures.iter().flat_map(|capture| &capture.cropping).take(1).for_each(|note| session.note(note));
         let arithmetics = self.arithmetics(session, &device)?;
         let sweep = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
 

@@ -1,0 +1,27 @@
+//! Ctrl-C, and being asked to end.
+
+use crate::CANCELLED;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// For [`Terminal::cancelled`](crate::Terminal): set by SIGINT, SIGTERM or SIGHUP. A second one ends the process at once,
+/// and leaves the files that it was about to remove.
+pub fn cancelled_by_signals() -> &'static AtomicBool {
+    static STOP: AtomicBool = AtomicBool::new(false);
+    if !outlives_terminal() {
+        // Without a handler signals still end the process, only less tidily.
+        let _ = ctrlc::set_handler(|| {
+            if STOP.swap(true, Ordering::Relaxed) {
+                std::process::exit(CANCELLED.into());
+            }
+        });
+    }
+    &STOP
+}
+
+/// Whether this process was started to ignore SIGHUP, by nohup: a handler would undo that.
+fn outlives_terminal() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    // Signal 1 is the lowest bit.
+    ignored.is_some_and(|mask| mask & 1 == 1)
+}
