@@ -85,7 +85,8 @@ static uint32_t compute_family(VkPhysicalDevice physical) {
     return 0;
 }
 
-/* Everything in zs_vulkan_requirements: extensions by their names, features in the structures that they are fields of. */
+/* What zs_vulkan_requirements lists: extensions by their names, features in the structures that they are fields of. The optional
+ * ones are left out, since drawing does not need them; an app that reconstructs enables them, too, and sets zs_vulkan_device.fast. */
 static VkDevice create_device(VkPhysicalDevice physical, uint32_t family) {
     const zs_vulkan_requirement *required;
     size_t count;
@@ -93,8 +94,8 @@ static VkDevice create_device(VkPhysicalDevice physical, uint32_t family) {
     uint32_t extension_count = 0;
     zs(zs_vulkan_requirements(&required, &count), "requirements");
     for (size_t i = 0; i < count; i++) {
-        printf("requires %s %s\n", required[i].name, required[i].structure);
-        if (required[i].kind == ZS_REQUIRES_DEVICE_EXTENSION) {
+        printf("%s %s %s\n", required[i].optional ? "may use" : "requires", required[i].name, required[i].structure);
+        if (required[i].kind == ZS_REQUIRES_DEVICE_EXTENSION && !required[i].optional) {
             extensions[extension_count++] = required[i].name;
         }
     }

@@ -378,8 +378,9 @@ typedef struct zs_model_info {
     zs_precision precision;
     // Bytes of its weights on the device.
     uint64_t weight_bytes;
-    // Kernels that failed the test before their first use, by how much, one a line: they are not used, and where that leaves
-    // too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where none did. The model's own memory, there until it is destroyed.
+    // Why it may be slow, a reason a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
+    // first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
+    // The model's own memory, there until it is destroyed.
     const char *notes;
 } zs_model_info;
 
@@ -478,8 +479,9 @@ typedef struct zs_picture {
 typedef struct zs_vulkan_requirement {
     // What it is.
     zs_requirement_kind kind;
-    // 0.
-    uint32_t reserved;
+    // 1 where only precisions other than exact need it: enable those that the device has, all of them, and say so in
+    // zs_vulkan_device.fast.
+    uint32_t optional;
     // Static: never free it.
     const char *name;
     // Static; "" but for a feature.
@@ -516,6 +518,11 @@ typedef struct zs_vulkan_device {
     zs_queue_lock unlock_queue;
     // Given to both.
     void *user_data;
+    // 1 where everything optional in zs_vulkan_requirements that the physical device has is enabled. Default 0, which leaves only
+    // ZS_PRECISION_EXACT.
+    uint32_t fast;
+    // Must be 0.
+    uint32_t reserved;
 } zs_vulkan_device;
 
 // A value of a timeline semaphore of yours.
@@ -708,15 +715,15 @@ zs_status zs_render(const struct zs_renderer *renderer,
                     size_t count,
                     const struct zs_render_options *options);
 
-// Lists what has to be enabled on a device of yours before zs_context_adopt; nothing else is used. Needs no device. The list
-// is static: never free it.
+// Lists what has to be enabled on a device of yours before zs_context_adopt, and what may be; nothing else is used. Needs no
+// device. The list is static: never free it.
 zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list,
                                  size_t *count);
 
 // Fills `device` with the defaults. `size` is sizeof(zs_vulkan_device).
 zs_status zs_vulkan_device_default(struct zs_vulkan_device *device, size_t size);
 
-// Makes a context of a device of yours, on which everything in zs_vulkan_requirements is enabled: that cannot be checked.
+// Makes a context of a device of yours, on which everything in zs_vulkan_requirements that is not optional is enabled: that cannot be checked.
 // Destroy the context and all its models and renderers before the device.
 zs_status zs_context_adopt(const struct zs_vulkan_device *device,
                            struct zs_context **context);

@@ -363,7 +363,11 @@ fn handles_that_cannot_be_adopted_are_refused() {
         device.assume_init()
     };
     unsafe extern "C" fn lock(_: *mut c_void) {}
-    for (device, word) in [(device, "null"), (zs_vulkan_device { lock_queue: Some(lock), ..device }, "unlock_queue")] {
+    for (device, word) in [
+        (device, "null"),
+        (zs_vulkan_device { lock_queue: Some(lock), ..device }, "unlock_queue"),
+        (zs_vulkan_device { reserved: 1, ..device }, "reserved"),
+    ] {
         let mut context = dangling_mut();
         // SAFETY: null handles are refused before they are used.
         fails(unsafe { zs_context_adopt(&device, &mut context) }, ZS_ERROR_ARGUMENT, &[word]);

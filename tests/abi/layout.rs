@@ -40,10 +40,10 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
-        zs_vulkan_requirement { kind, reserved, name, structure }
+        zs_vulkan_requirement { kind, optional, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
-            unlock_queue, user_data
+            unlock_queue, user_data, fast, reserved
         }
         zs_semaphore_point { semaphore, value }
         zs_vulkan_target {

@@ -50,11 +50,13 @@ impl<'a> Session<'a> {
         Self { global, terminal, piped: false, code: 0 }
     }
 
-    /// Opens the device that `--device` names, or the best one.
-    pub fn device(&self) -> Result<Device> {
+    /// Opens the device that `--device` names, or the best one; GPUs that were passed over are noted.
+    pub fn device(&mut self) -> Result<Device> {
         let Global { device, memory, .. } = &self.global;
         let (selector, max_memory_bytes) = (device.clone(), *memory);
-        Device::open(&DeviceOptions { selector, max_memory_bytes, ..DeviceOptions::default() })
+        let device = Device::open(&DeviceOptions { selector, max_memory_bytes, ..DeviceOptions::default() })?;
+        device.passed_over().iter().for_each(|why| self.note(format_args!("{why}: a CPU is used")));
+        Ok(device)
     }
 
     /// Whether the user asked for no device: a plan is then made for an ordinary one.

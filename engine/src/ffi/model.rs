@@ -25,7 +25,7 @@ pub struct zs_model {
     /// Side of the pictures it is best with.
     pub(super) picture_side: u32,
     precision: Precision,
-    /// Kernels that are not used, one a line.
+    /// GPUs and kernels that are not used, one a line.
     notes: CString,
 }
 
@@ -70,8 +70,9 @@ pub struct zs_model_info {
     pub precision: zs_precision_value,
     /// Bytes of its weights on the device.
     pub weight_bytes: u64,
-    /// Kernels that failed the test before their first use, by how much, one a line: they are not used, and where that leaves
-    /// too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where none did. The model's own memory, there until it is destroyed.
+    /// Why it may be slow, a reason a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
+    /// first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
+    /// The model's own memory, there until it is destroyed.
     pub notes: *const c_char,
 }
 
@@ -246,7 +247,8 @@ unsafe fn load(
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
         // No NUL is in what kernels and devices are called.
-        let notes = CString::new(chosen.notes.join("\n")).unwrap_or_default();
+        let notes = [context.device.passed_over(), &chosen.notes].concat();
+        let notes = CString::new(notes.join("\n")).unwrap_or_default();
         Ok(zs_model { model, picture_side: checkpoint.picture_side(), precision: chosen.precision, notes })
     };
     // SAFETY: the caller's pointer.

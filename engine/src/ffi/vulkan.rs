@@ -8,7 +8,7 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use crate::{
-    gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, requirements},
+    gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
     stages::render::{PixelLayout, RenderRequest},
 };
 use std::{
@@ -36,8 +36,9 @@ pub(super) type zs_requirement_kind_value = i32;
 pub struct zs_vulkan_requirement {
     /// What it is.
     pub kind: zs_requirement_kind_value,
-    /// 0.
-    pub reserved: u32,
+    /// 1 where only precisions other than exact need it: enable those that the device has, all of them, and say so in
+    /// zs_vulkan_device.fast.
+    pub optional: u32,
     /// Static: never free it.
     pub name: *const c_char,
     /// Static; "" but for a feature.
@@ -76,6 +77,11 @@ pub struct zs_vulkan_device {
     pub unlock_queue: zs_queue_lock,
     /// Given to both.
     pub user_data: *mut c_void,
+    /// 1 where everything optional in zs_vulkan_requirements that the physical device has is enabled. Default 0, which leaves only
+    /// ZS_PRECISION_EXACT.
+    pub fast: u32,
+    /// Must be 0.
+    pub reserved: u32,
 }
 
 /// A value of a timeline semaphore of yours.
@@ -129,10 +135,10 @@ pub struct zs_vulkan_target {
     pub signals: *const zs_semaphore_point,
 }
 
-// SAFETY: repr(C), two u32 and pointers: no padding.
+// SAFETY: repr(C), pairs of u32 and pointers: no padding.
 unsafe impl Versioned for zs_vulkan_device {
     const NAME: &str = "zs_vulkan_device";
-    const FIRST_SIZE: usize = 8 + 8 * POINTER;
+    const FIRST_SIZE: usize = 16 + 8 * POINTER;
     fn defaults() -> Self {
         let none = std::ptr::null_mut();
         Self {
@@ -146,6 +152,8 @@ unsafe impl Versioned for zs_vulkan_device {
             lock_queue: None,
             unlock_queue: None,
             user_data: none,
+            fast: 0,
+            reserved: 0,
         }
     }
 }
@@ -188,19 +196,21 @@ unsafe impl Send for Requirements {}
 unsafe impl Sync for Requirements {}
 
 static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
-    let entry = |requirement: Requirement| {
+    let entry = |(requirement, optional): (Requirement, u32)| {
         let (kind, name, structure) = match requirement {
             Requirement::ApiVersion(version) => (zs_requirement_kind::ZS_REQUIRES_API_VERSION, version, c""),
             Requirement::DeviceExtension(name) => (zs_requirement_kind::ZS_REQUIRES_DEVICE_EXTENSION, name, c""),
             Requirement::Feature { name, structure } => (zs_requirement_kind::ZS_REQUIRES_FEATURE, name, structure),
         };
-        zs_vulkan_requirement { kind: kind as i32, reserved: 0, name: name.as_ptr(), structure: structure.as_ptr() }
+        zs_vulkan_requirement { kind: kind as i32, optional, name: name.as_ptr(), structure: structure.as_ptr() }
     };
-    Requirements(requirements().into_iter().map(entry).collect())
+    let [needed, optional] = [(requirements(), 0), (fast_requirements(), 1)]
+        .map(|(list, optional)| list.into_iter().map(move |requirement| (requirement, optional)));
+    Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists what has to be enabled on a device of yours before zs_context_adopt; nothing else is used. Needs no device. The list
-/// is static: never free it.
+/// Lists what has to be enabled on a device of yours before zs_context_adopt, and what may be; nothing else is used. Needs no
+/// device. The list is static: never free it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
@@ -226,13 +236,16 @@ pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device,
     unsafe { write_defaults(device, size) }
 }
 
-/// Makes a context of a device of yours, on which everything in zs_vulkan_requirements is enabled: that cannot be checked.
+/// Makes a context of a device of yours, on which everything in zs_vulkan_requirements that is not optional is enabled: that cannot be checked.
 /// Destroy the context and all its models and renderers before the device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, context: *mut *mut zs_context) -> zs_status {
     let adopt = || {
         // SAFETY: the caller's structure.
         let given = unsafe { read_versioned(device) }?;
+        if given.reserved != 0 {
+            return Err(Failure::argument("zs_vulkan_device.reserved", given.reserved, "0"));
+        }
         let user_data = UserData(given.user_data);
         let queue_lock = match (given.lock_queue, given.unlock_queue) {
             (Some(lock), Some(unlock)) => Some(QueueLock {
@@ -252,7 +265,7 @@ pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, conte
             queue: given.queue,
             queue_family: given.queue_family,
             queue_lock,
-            fast: false,
+            fast: given.fast != 0,
         };
         // SAFETY: the caller vouches for the handles, as the header says.
         Ok(zs_context { device: unsafe { Device::adopt(adopted) }?, adopted: true })

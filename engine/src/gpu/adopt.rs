@@ -120,3 +120,48 @@ impl Device {
         Shared::new(parts, found.subgroup_control).map(|shared| Self(Arc::new(shared)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{gpu::DeviceOptions, ops::SelfTest};
+
+    #[test]
+    fn a_device_of_an_app_is_as_fast_as_the_app_says() {
+        let own = Device::open(&DeviceOptions::default()).expect("a device");
+        let shared = &own.0;
+        let devices = shared.instance.devices().expect("listed before");
+        let is_own = |(_, info): &&(vk::PhysicalDevice, _)| {
+            let info: &crate::gpu::DeviceInfo = info;
+            info.limits.identity == own.limits().identity
+        };
+        let (physical, _) = devices.iter().find(is_own).expect("it was opened");
+        // SAFETY: the device has this queue.
+        let queue = unsafe { shared.raw.get_device_queue(shared.family, 0) };
+        let pointer = |handle: u64| handle as usize as *mut c_void;
+        let adopt = |fast| {
+            let adopted = Adopted {
+                get_instance_proc_addr: None,
+                instance: pointer(shared.instance.raw.handle().as_raw()),
+                physical_device: pointer(physical.as_raw()),
+                device: pointer(shared.raw.handle().as_raw()),
+                queue: pointer(queue.as_raw()),
+                queue_family: shared.family,
+                queue_lock: None,
+                fast,
+            };
+            // SAFETY: handles of a device that has everything enabled and outlives this one.
+            unsafe { Device::adopt(adopted) }.expect("a device that works")
+        };
+        let (fast, exact) = (adopt(true), adopt(false));
+        assert_eq!(exact.limits().matrices, Matrices::default());
+        assert!(!exact.limits().half_storage);
+        let matrices = fast.limits().matrices;
+        assert_eq!((matrices.f16, matrices.i8), (own.limits().matrices.f16, own.limits().matrices.i8));
+        let test = SelfTest::run(&fast).expect("every kernel runs");
+        assert_eq!(test.deviations.is_empty(), !own.limits().half_storage);
+        assert!(test.deviations.iter().all(|(_, deviation)| deviation.is_some_and(|times| times < 1.0)), "{test:?}");
+        drop((fast, exact));
+        shared.check_messages().expect("no message of the layer");
+    }
+}
