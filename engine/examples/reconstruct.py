@@ -47,8 +47,8 @@ class Gaussians(Sized):
 
 
 class ReconstructOptions(Sized):
-    _fields_ = fields(reserved=u32, ratio=f64, selection=i32, width=u32, height=u32, camera_count=u32, seed=u64,
-                      cameras=pointer, progress=pointer, user_data=pointer)
+    _fields_ = fields(reserved=u32, ratio=f64, unit=f64, selection=i32, width=u32, height=u32, camera_count=u32,
+                      seed=u64, cameras=pointer, progress=pointer, user_data=pointer)
 
 
 RGB8, RGBA8, RGB_F32 = 1, 2, 4

@@ -418,6 +418,9 @@ typedef struct zs_reconstruct_options {
     // Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
     // Default 1.
     double ratio;
+    // Length in the unit of `cameras`, and of the scene, that the network takes for 1. It is trained with what the photos see at
+    // a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20. Default 1.
+    double unit;
     // Which tokens are kept. Default ZS_SELECT_KMEANS.
     zs_selection selection;
     // Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
@@ -430,8 +433,7 @@ typedef struct zs_reconstruct_options {
     // For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
     uint64_t seed;
     // Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world. Their unit is
-    // kept, and what they see should be at a median distance of about 1 from the first, which the network is trained with:
-    // scale them where it is not. Default NULL.
+    // kept; `unit` says how far away the scene is in it. Default NULL.
     const struct zs_camera *cameras;
     // Told how far it is; may stop it. Default NULL.
     zs_progress progress;

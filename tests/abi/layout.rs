@@ -36,7 +36,7 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes, notes
         }
         zs_reconstruct_options {
-            struct_size, reserved, ratio, selection, width, height, camera_count, seed, cameras, progress, user_data
+            struct_size, reserved, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }

@@ -111,6 +111,18 @@ fn options_and_cameras_give_rusts_scene() {
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
+    // In another unit, by a power of two, which rounds nothing.
+    let mut far: Vec<_> = c_cameras.clone();
+    far.iter_mut().flat_map(|camera| &mut camera.translation).for_each(|x| *x *= 4.0);
+    let options = |cameras: &[zs_camera], unit| zs_reconstruct_options {
+        cameras: cameras.as_ptr(),
+        camera_count: 3,
+        unit,
+        ..reconstruct_options()
+    };
+    let mut expected = read(&reconstruct(&model, &images, &options(&c_cameras, 1.0)));
+    expected.scale(4.0);
+    assert_same("unit", &bits(&read(&reconstruct(&model, &images, &options(&far, 4.0)))), &bits(&expected));
 }
 
 fn rust_camera(camera: &zs_camera) -> Camera {

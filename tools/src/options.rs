@@ -80,6 +80,11 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some(format!(" {name} {}", value.as_ref()?))).collect()
     }
 
+    /// Whether they are those that are built in.
+    pub fn is_embedded(&self) -> bool {
+        self.weights.is_none()
+    }
+
     /// Opens others, of the variant given.
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
         open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)

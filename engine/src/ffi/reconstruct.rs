@@ -47,6 +47,9 @@ pub struct zs_reconstruct_options {
     /// Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
     /// Default 1.
     pub ratio: f64,
+    /// Length in the unit of `cameras`, and of the scene, that the network takes for 1. It is trained with what the photos see at
+    /// a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20. Default 1.
+    pub unit: f64,
     /// Which tokens are kept. Default ZS_SELECT_KMEANS.
     pub selection: zs_selection_value,
     /// Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
@@ -59,8 +62,7 @@ pub struct zs_reconstruct_options {
     /// For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
     pub seed: u64,
     /// Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world. Their unit is
-    /// kept, and what they see should be at a median distance of about 1 from the first, which the network is trained with:
-    /// scale them where it is not. Default NULL.
+    /// kept; `unit` says how far away the scene is in it. Default NULL.
     pub cameras: *const zs_camera,
     /// Told how far it is; may stop it. Default NULL.
     pub progress: zs_progress,
@@ -68,15 +70,16 @@ pub struct zs_reconstruct_options {
     pub user_data: *mut c_void,
 }
 
-// SAFETY: repr(C), pairs of u32, an f64, a u64 and pointers: no padding.
+// SAFETY: repr(C), pairs of u32, two f64, a u64 and pointers: no padding.
 unsafe impl Versioned for zs_reconstruct_options {
     const NAME: &str = "zs_reconstruct_options";
-    const FIRST_SIZE: usize = 40 + 3 * POINTER;
+    const FIRST_SIZE: usize = 48 + 3 * POINTER;
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>() as u32,
             reserved: 0,
             ratio: 1.0,
+            unit: 1.0,
             selection: zs_selection::ZS_SELECT_KMEANS as i32,
             width: 0,
             height: 0,
@@ -121,7 +124,7 @@ pub unsafe extern "C" fn zs_reconstruct(
             let camera_count = options.camera_count as usize;
             (read_array(images, image_count, "images")?, read_array(options.cameras, camera_count, "cameras")?)
         };
-        let (ratio, selection) = (options.ratio()?, options.selection()?);
+        let (ratio, selection, unit) = (options.ratio()?, options.selection()?, options.unit()?);
         let [width, height] = match (options.width, options.height) {
             (0, 0) => [*picture_side; 2],
             (width, height) => [width, height],
@@ -135,11 +138,14 @@ pub unsafe extern "C" fn zs_reconstruct(
         let told = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
         // SAFETY: the caller's pixels.
         let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
-        let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
+        let mut cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
+        cameras.iter_mut().flatten().for_each(|camera| camera.pose.translation /= unit);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let request = Request { ratio, selection, cameras };
         let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
-        Ok(zs_scene { scene: model.reconstruct(&images, &request, progress)?.scene })
+        let mut scene = model.reconstruct(&images, &request, progress)?.scene;
+        scene.scale(unit as f32);
+        Ok(zs_scene { scene })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, reconstruct) }
@@ -182,6 +188,14 @@ impl zs_reconstruct_options {
             return Err(Failure::argument("zs_reconstruct_options, reserved", self.reserved, "0"));
         }
         Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
+    }
+
+    fn unit(&self) -> Result<f64, Failure> {
+        // The scene is f32.
+        if !(self.unit as f32).is_normal() || self.unit < 0.0 {
+            return Err(Failure::argument("unit", self.unit, "a length above 0"));
+        }
+        Ok(self.unit)
     }
 
     fn selection(&self) -> Result<Selection, Failure> {

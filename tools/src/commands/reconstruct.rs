@@ -74,6 +74,11 @@ impl Reconstruct {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument("views", photos.len(), expected));
         }
+        if self.weights.is_embedded() && self.poses.is_none() && photos.len() > 1 {
+            session.note(
+                "the model that is built in is a demonstration: of several photos without --poses it gives colours and coarse shapes",
+            );
+        }
         let size = self.quality.size_for(&checkpoint);
         let Size(width, height) = size;
         let chosen = (*ratio, select);
