@@ -217,3 +217,27 @@ unsafe extern "system" fn on_message(
     messages.lock().unwrap_or_else(|e| e.into_inner()).push(text);
     vk::FALSE
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_a_device_and_nothing_else() {
+        let names = ["NVIDIA H100 80GB HBM3", "NVIDIA GeForce RTX 4090", "llvmpipe"];
+        let device = |(index, name): (usize, &&str)| {
+            let limits = Limits { name: name.to_string(), ..Limits::default() };
+            DeviceInfo { index, missing: Vec::new(), limits }
+        };
+        let devices: Vec<_> = names.iter().enumerate().map(device).collect();
+        let selected = |selector: &str| {
+            let found = devices.iter().filter(|d| d.is_selected(selector, devices.len()));
+            found.map(|d| d.index).collect::<Vec<_>>()
+        };
+        assert_eq!([selected("0"), selected("1"), selected("2")], [vec![0], vec![1], vec![2]]);
+        assert_eq!(
+            [selected("3"), selected("4090"), selected("nvidia"), selected("none")],
+            [vec![0], vec![1], vec![0, 1], vec![]]
+        );
+    }
+}
