@@ -76,7 +76,8 @@ impl Reconstruct {
         }
         if self.weights.is_embedded() && self.poses.is_none() && photos.len() > 1 {
             session.note(
-                "the model that is built in is a demonstration: of several photos without --poses it gives colours and coarse shapes",
+                "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
+                 one photo, or known cameras, gives more",
             );
         }
         let size = self.quality.size_for(&checkpoint);
