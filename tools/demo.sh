@@ -11,7 +11,6 @@ out=$root/out
 seed=2199023255552 # 2^41: training counts from 0
 weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out"
-rm -f "$out"/[0-9][0-9][0-9].png "$out"/place/[0-9][0-9][0-9].png
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
 stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"

@@ -73,8 +73,8 @@ impl Device {
     /// Works on an app's device.
     ///
     /// # Safety
-    /// The handles are valid and belong together, everything in [`requirements`] and, where `fast` says so, in [`fast_requirements`] is enabled on them, and they stay valid
-    /// until the last user of this device is gone.
+    /// The handles are valid and belong together, everything in [`requirements`] is enabled on them and what [`Adopted::fast`]
+    /// says, and they stay valid until the last user of this device is gone.
     ///
     /// # Errors
     /// [`Error::NoDevice`] where the physical device or the queue cannot do what the kernels need.
@@ -131,11 +131,8 @@ mod tests {
         let own = Device::open(&DeviceOptions::default()).expect("a device");
         let shared = &own.0;
         let devices = shared.instance.devices().expect("listed before");
-        let is_own = |(_, info): &&(vk::PhysicalDevice, _)| {
-            let info: &crate::gpu::DeviceInfo = info;
-            info.limits.identity == own.limits().identity
-        };
-        let (physical, _) = devices.iter().find(is_own).expect("it was opened");
+        let mut found = devices.iter().filter(|(_, info)| info.limits.identity == own.limits().identity);
+        let (physical, _) = found.next().expect("it was opened");
         // SAFETY: the device has this queue.
         let queue = unsafe { shared.raw.get_device_queue(shared.family, 0) };
         let pointer = |handle: u64| handle as usize as *mut c_void;

@@ -124,11 +124,6 @@ impl Device {
         &self.0.passed_over
     }
 
-    /// Whether it runs under the validation layer.
-    pub fn is_validated(&self) -> bool {
-        self.0.debug.is_some()
-    }
-
     /// What the device is and can do.
     pub fn limits(&self) -> &Limits {
         &self.0.limits

@@ -1,6 +1,7 @@
 //! What a device is and can do, and what it would need to have.
 
 use super::{Element, bfloat16, cooperative_matrix2, instance::Instance};
+use crate::{Error, Result};
 use ash::{khr, vk};
 use std::ffi::CStr;
 
@@ -41,7 +42,8 @@ pub struct Limits {
     pub matrices: Matrices,
     /// Matrices that a workgroup multiplies as one, f16 factors and f32 sums (VK_NV_cooperative_matrix2).
     pub workgroup_matrices: Vec<WorkgroupMatrices>,
-    /// Device and driver, exactly: what was measured on one is not true of another.
+    /// Device, driver and whether validation is on, exactly: what was measured on one is not true of another, and a message
+    /// of the layer fails a kernel that computes rightly.
     pub identity: String,
 }
 
@@ -84,6 +86,19 @@ impl Matrices {
             Element::F16 => self.f16,
             Element::Bf16 => self.bf16,
             Element::I8 => self.i8,
+        }
+    }
+}
+
+impl Limits {
+    /// Refuses to measure on a device without timestamps.
+    ///
+    /// # Errors
+    /// [`Error::NoDevice`].
+    pub fn check_timestamps(&self) -> Result<()> {
+        match self.timestamp_bits {
+            0 => Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", self.name))),
+            _ => Ok(()),
         }
     }
 }
@@ -158,7 +173,7 @@ pub(super) struct Found {
 /// Reads what a device is and can do.
 pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
     let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
-    let (entry, instance) = (&instance.entry, &instance.raw);
+    let (validated, entry, instance) = (instance.debug.is_some(), &instance.entry, &instance.raw);
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
@@ -239,7 +254,13 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         } else {
             Vec::new()
         },
-        identity: format!("{}-{}-{:x}", hex(&v11.device_uuid), hex(&v11.driver_uuid), base.driver_version),
+        identity: format!(
+            "{}-{}-{:x}{}",
+            hex(&v11.device_uuid),
+            hex(&v11.driver_uuid),
+            base.driver_version,
+            if validated { "-validated" } else { "" }
+        ),
     };
     let operations = vk::SubgroupFeatureFlags::BASIC
         | vk::SubgroupFeatureFlags::VOTE

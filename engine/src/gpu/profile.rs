@@ -6,7 +6,7 @@ use super::{
     plan::{Command, Operation, Plan},
     schedule::{Cursor, MAX_PIECES},
 };
-use crate::{Error, Result};
+use crate::Result;
 use ash::vk;
 use std::{collections::HashMap, time::Duration};
 
@@ -80,12 +80,9 @@ impl Run {
     /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
     ///
     /// # Errors
-    /// As [`Run::execute`]; [`Error::NoDevice`] where the device has no timestamps.
+    /// As [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) where the device has no timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
-        let limits = self.device.limits();
-        if limits.timestamp_bits == 0 {
-            return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", limits.name)));
-        }
+        self.device.limits().check_timestamps()?;
         self.settle()?;
         self.check_inputs()?;
         if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {

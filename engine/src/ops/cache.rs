@@ -21,11 +21,5 @@ pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
     let is_fast = |needs: Needs| needs.half_storage || needs.matrices.is_some();
     MODULES.iter().filter(|module| is_fast(module.needs)).for_each(|module| module.hash(&mut kernels));
     let subgroup = device.limits().subgroup_size;
-    // There a message fails a kernel that computes rightly.
-    let validated = if device.is_validated() { "-validated" } else { "" };
-    Some(cache.join(format!(
-        "{kind}/{}-{subgroup}-{:016x}{validated}.json",
-        device.limits().identity,
-        kernels.finish()
-    )))
+    Some(cache.join(format!("{kind}/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
 }

@@ -55,7 +55,8 @@ pub fn sort_pairs(
     (keys, values)
 }
 
-/// Where the items of each of `key_count` keys start among the first `item_count[0]` of `keys`, which are sorted: `[key_count + 1]`.
+/// Where the items of each of `key_count` keys start among the first `item_count[0]` of `keys`, which are sorted:
+/// `[key_count + 1]`.
 pub fn key_starts(rec: &mut Recorder, keys: Tensor, item_count: Tensor, key_count: usize) -> Tensor {
     let starts = rec.tensor::<u32>("starts", key_count + 1);
     rec.dispatch(KeyStarts { keys, item_count, starts, key_count: key_count as u32 }, key_count + 1);

@@ -164,7 +164,7 @@ impl Tuned {
             if !is_experimental || passes()? {
                 usable.push((index, name));
             } else {
-                unusable.push(self.of(units, &name));
+                unusable.push(self.full_name(units, &name));
             }
         }
         Ok(usable)
@@ -181,7 +181,7 @@ impl Tuned {
     ) -> Result<Measured> {
         let mut times = Vec::new();
         for (index, name) in tiles {
-            if next(&self.of(units, name)).is_break() {
+            if next(&self.full_name(units, name)).is_break() {
                 return Err(Error::Cancelled);
             }
             let units = Units { tiles: Tiles::always(*index), ..units };
@@ -204,8 +204,7 @@ impl Tuned {
         }
     }
 
-    /// A tile of it by its full name.
-    fn of(self, units: Units, tile: &str) -> String {
+    fn full_name(self, units: Units, tile: &str) -> String {
         format!("{} {} {tile}", self.name(), units.factor.name())
     }
 }

@@ -35,9 +35,7 @@ impl Tune {
         if limits.matrices == Matrices::default() {
             return Err(Error::NoDevice(format!("{} has no matrix units, whose tiles could be chosen", limits.name)));
         }
-        if limits.timestamp_bits == 0 {
-            return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", limits.name)));
-        }
+        limits.check_timestamps()?;
         let (tuning, time) = session.stage("tune", |stage| {
             Tuning::measure(&device, |what, done| {
                 stage.name(what);

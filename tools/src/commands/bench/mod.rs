@@ -73,9 +73,7 @@ impl Bench {
 /// Opens the device of a benchmark, which has to have timestamps.
 fn timed_device(session: &mut Session<'_>) -> Result<Device> {
     let device = session.device()?;
-    if device.limits().timestamp_bits == 0 {
-        return Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", device.limits().name)));
-    }
+    device.limits().check_timestamps()?;
     Ok(device)
 }
 
