@@ -15,7 +15,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 use std::{collections::HashMap, fmt, time::Duration};
 use zipsplat::{
-    Error, Result,
+    Result,
     gpu::{Device, Profile, ProfileRow},
 };
 
