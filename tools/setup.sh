@@ -2,7 +2,8 @@
 # Chooses the Vulkan driver, installs what is missing, and exports what cargo needs to run programs on that driver.
 # zipsplat, demo.sh, test.sh and .ci/run source this file; on its own it runs a cargo command in the same way.
 # usage: tools/setup.sh [cargo run --release -- info]
-#   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25
+#   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25 |
+#                    swiftshader
 #   ZIPSPLAT_CACHE   drivers, compiled shaders and libshaderc; default ~/.cache/zipsplat
 set -euo pipefail
 
@@ -89,6 +90,13 @@ use_lavapipe() {
   note "Vulkan on the CPU: Mesa $version"
 }
 
+# use_swiftshader: behind use_lavapipe, with the loader and the layers of that.
+use_swiftshader() {
+  "$root/tools/swiftshader.sh" "$cache/swiftshader" "$cache/lavapipe26" || die "no SwiftShader"
+  export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$cache/swiftshader/run
+  note "Vulkan on the CPU: $cache/swiftshader"
+}
+
 [[ -e /etc/debian_version ]] || offers_device '.*' ||
   die "only Debian and Ubuntu are set up automatically; here, please install Rust $(wanted_rust) or newer," \
     "vulkaninfo (vulkan-tools), the Vulkan loader and a Vulkan 1.3 driver (the GPU's, or lavapipe of Mesa 25 on)," \
@@ -101,7 +109,8 @@ if [[ -e /etc/debian_version ]]; then
     system) apt_install libvulkan1 ;;
     lavapipe) use_lavapipe 26 trixie-backports ;;
     lavapipe25) use_lavapipe 25 trixie ;;
-    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe or lavapipe25" ;;
+    swiftshader) use_lavapipe 26 trixie-backports && use_swiftshader ;;
+    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe, lavapipe25 or swiftshader" ;;
   esac
 fi
 

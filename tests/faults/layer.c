@@ -26,6 +26,7 @@
     (VkDevice o, VkDeviceMemory m, VkDeviceSize b, VkDeviceSize s, VkMemoryMapFlags f, void **d), (o, m, b, s, f, d))       \
   X(vkBindBufferMemory, 0, o, (VkDevice o, VkBuffer b, VkDeviceMemory m, VkDeviceSize s), (o, b, m, s))                     \
   X(vkAllocateCommandBuffers, 0, o, (VkDevice o, const VkCommandBufferAllocateInfo *i, VkCommandBuffer *b), (o, i, b))      \
+  X(vkAllocateDescriptorSets, 0, o, (VkDevice o, const VkDescriptorSetAllocateInfo *i, VkDescriptorSet *s), (o, i, s))      \
   X(vkBeginCommandBuffer, 0, o, (VkCommandBuffer o, const VkCommandBufferBeginInfo *i), (o, i))                             \
   X(vkEndCommandBuffer, 0, o, (VkCommandBuffer o), (o))                                                                     \
   X(vkCreateComputePipelines, 0, o,                                                                                         \
@@ -34,7 +35,7 @@
     (o, c, n, i, a, p))                                                                                                     \
   CREATE(X, Buffer, Buffer) CREATE(X, CommandPool, CommandPool) CREATE(X, Semaphore, Semaphore) CREATE(X, Fence, Fence)     \
   CREATE(X, QueryPool, QueryPool) CREATE(X, ShaderModule, ShaderModule) CREATE(X, PipelineLayout, PipelineLayout)           \
-  CREATE(X, DescriptorSetLayout, DescriptorSetLayout)
+  CREATE(X, DescriptorSetLayout, DescriptorSetLayout) CREATE(X, DescriptorPool, DescriptorPool)
 #define CREATE(X, KIND, HANDLE)                                                                                             \
   X(vkCreate##KIND, 0, o, (VkDevice o, const Vk##KIND##CreateInfo *i, const VkAllocationCallbacks *a, Vk##HANDLE *h),       \
     (o, i, a, h))

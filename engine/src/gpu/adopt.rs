@@ -34,9 +34,7 @@ pub enum Requirement {
 
 /// Everything that has to be enabled.
 pub fn requirements() -> Vec<Requirement> {
-    let extensions = [Requirement::DeviceExtension(ash::khr::push_descriptor::NAME)];
-    let features = REQUIRED_FEATURES.map(feature);
-    [Requirement::ApiVersion(c"1.3")].into_iter().chain(extensions).chain(features).collect()
+    [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED_FEATURES.map(feature)).collect()
 }
 
 /// What matrix units and 16-bit floats need, for precisions other than exact. Nothing else is used.

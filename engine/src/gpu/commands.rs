@@ -1,6 +1,7 @@
 //! Encoding commands, with the barriers that their reads and writes call for.
 
 use super::{
+    descriptors::Descriptors,
     device::Shared,
     lost::is_under_way,
     memory::{Memory, Resident},
@@ -27,13 +28,17 @@ const STAGES: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::from_raw(
 
 /// A range of a buffer.
 #[derive(Clone, Copy)]
-struct Range {
+pub(super) struct Range {
     buffer: vk::Buffer,
     from: u64,
     to: u64,
 }
 
 impl Range {
+    pub fn descriptor(&self) -> vk::DescriptorBufferInfo {
+        vk::DescriptorBufferInfo { buffer: self.buffer, offset: self.from, range: self.to - self.from }
+    }
+
     fn meets(&self, other: &Range) -> bool {
         self.buffer == other.buffer && self.from < other.to && other.from < self.to
     }
@@ -48,7 +53,7 @@ pub(super) struct Bound<'a> {
 }
 
 impl Bound<'_> {
-    fn range(&self, tensor: Tensor) -> Range {
+    pub fn range(&self, tensor: Tensor) -> Range {
         let (buffer, base) = match tensor.home {
             Home::Arena(id) => {
                 let place = self.plan.placements[id as usize];
@@ -68,6 +73,7 @@ impl Bound<'_> {
 /// Encodes pieces into one command buffer.
 pub(super) struct Encoder<'a> {
     bound: &'a Bound<'a>,
+    descriptors: &'a Descriptors,
     commands: vk::CommandBuffer,
     reads: Vec<Range>,
     writes: Vec<Range>,
@@ -80,6 +86,7 @@ impl<'a> Encoder<'a> {
     /// Starts recording; earlier submissions' writes are made visible.
     pub fn begin(
         bound: &'a Bound<'a>,
+        descriptors: &'a Descriptors,
         commands: vk::CommandBuffer,
         queries: Option<(vk::QueryPool, u32)>,
     ) -> Result<Self> {
@@ -93,6 +100,7 @@ impl<'a> Encoder<'a> {
         }
         let encoder = Self {
             bound,
+            descriptors,
             commands,
             reads: Vec::new(),
             writes: Vec::new(),
@@ -175,31 +183,14 @@ impl<'a> Encoder<'a> {
     fn dispatch(&self, dispatch: &Dispatch, piece: Piece) -> Result<()> {
         let module = dispatch.module;
         let pipeline = self.bound.shared.pipeline(module, &dispatch.constants)?;
-        let infos: Vec<_> = dispatch
-            .buffers
-            .iter()
-            .map(|t| {
-                let r = self.bound.range(*t);
-                [vk::DescriptorBufferInfo { buffer: r.buffer, offset: r.from, range: r.to - r.from }]
-            })
-            .collect();
-        let sets: Vec<_> = (module.bindings.iter().zip(&infos))
-            .map(|(b, info)| {
-                vk::WriteDescriptorSet::default()
-                    .dst_binding(b.binding)
-                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                    .buffer_info(info)
-            })
-            .collect();
+        let sets = [self.descriptors.of(piece.command)];
         let compute = vk::PipelineBindPoint::COMPUTE;
         let push: &[u8] = &bytemuck::bytes_of(&dispatch.push)[..module.push_bytes as usize];
         let (raw, commands) = (self.raw(), self.commands);
-        // SAFETY: recording; the layout was made from the module's own bindings, and all handles are alive.
+        // SAFETY: recording; all handles are alive, and the sets are of the pipeline's layout.
         unsafe {
             raw.cmd_bind_pipeline(commands, compute, pipeline.raw);
-            if !sets.is_empty() {
-                self.bound.shared.push_descriptor.cmd_push_descriptor_set(commands, compute, pipeline.layout, 0, &sets);
-            }
+            raw.cmd_bind_descriptor_sets(commands, compute, pipeline.layout, 0, &sets, &[]);
             if !push.is_empty() {
                 raw.cmd_push_constants(commands, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
             }

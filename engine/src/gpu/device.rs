@@ -48,7 +48,6 @@ pub struct Device(pub(super) Arc<Shared>);
 /// What every run on a device shares.
 pub(super) struct Shared {
     pub raw: ash::Device,
-    pub push_descriptor: khr::push_descriptor::Device,
     pub debug: Option<ext::debug_utils::Device>,
     pub queue: Queue,
     pub family: u32,
@@ -142,7 +141,7 @@ impl Shared {
         limits.memory_bytes = limits.memory_bytes.min(options.max_memory_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
-        let mut extensions = vec![khr::push_descriptor::NAME.as_ptr()];
+        let mut extensions = Vec::new();
         if found.portability_subset {
             extensions.push(khr::portability_subset::NAME.as_ptr());
         }
@@ -211,7 +210,6 @@ impl Shared {
         })
         .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
         Ok(Self {
-            push_descriptor: khr::push_descriptor::Device::new(&instance.raw, &raw),
             debug: instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw)),
             queue,
             family,

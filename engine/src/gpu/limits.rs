@@ -163,7 +163,6 @@ pub(super) const FAST_FEATURES: [(&CStr, &CStr); 6] = [
 pub(super) struct Found {
     pub api: u32,
     pub queue_family: Option<u32>,
-    pub push_descriptor: bool,
     pub portability_subset: bool,
     pub features: Vec<(&'static str, bool)>,
     pub subgroup_control: bool,
@@ -284,7 +283,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     let found = Found {
         api,
         queue_family,
-        push_descriptor: has(khr::push_descriptor::NAME),
         portability_subset: has(khr::portability_subset::NAME),
         features: required
             .into_iter()
@@ -350,9 +348,6 @@ pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     }
     if found.queue_family.is_none() {
         missing.push("a compute queue".into());
-    }
-    if !found.push_descriptor {
-        missing.push("VK_KHR_push_descriptor".into());
     }
     // Mesa 22's lavapipe cuts loops off after 65,535 iterations without a word.
     if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {

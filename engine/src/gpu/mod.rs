@@ -9,6 +9,7 @@ mod arena;
 mod bfloat16;
 mod commands;
 mod cooperative_matrix2;
+mod descriptors;
 mod device;
 mod flight;
 mod instance;

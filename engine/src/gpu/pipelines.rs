@@ -111,6 +111,11 @@ impl Shared {
         }
     }
 
+    /// How a module's buffers are bound.
+    pub fn set_layout(&self, module: &'static Module) -> Result<vk::DescriptorSetLayout> {
+        self.layout(module).map(|layout| layout.set)
+    }
+
     fn layout(&self, module: &'static Module) -> Result<Layout> {
         let mut layouts = lock(&self.pipelines.layouts);
         if let Some(known) = layouts.get(module.name) {
@@ -138,9 +143,7 @@ impl Shared {
                     .stage_flags(vk::ShaderStageFlags::COMPUTE)
             })
             .collect();
-        let set_info = vk::DescriptorSetLayoutCreateInfo::default()
-            .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
-            .bindings(&bindings);
+        let set_info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
         let failed = |call| move |e: vk::Result| Error::Driver { call, result: format!("{}: {e}", module.name) };
         let words = ash::util::read_spv(&mut std::io::Cursor::new(module.spirv))
             .map_err(|e| Error::Driver { call: "read_spv", result: format!("{}: {e}", module.name) })?;

@@ -8,6 +8,7 @@ pub use present::{ImagePlace, Point, Target};
 use super::{
     Device, Plan, Resident, Tensor,
     commands::{Bound, Encoder, driver},
+    descriptors::Descriptors,
     device::lock,
     memory::Memory,
     plan::{Command, Home, Role},
@@ -43,6 +44,7 @@ pub struct Run {
     pub(super) arena: Memory,
     pub(super) twins: Option<Twins>,
     resident: Option<Arc<Resident>>,
+    descriptors: Descriptors,
     pub(super) pool: vk::CommandPool,
     timeline: vk::Semaphore,
     pub(super) signalled: u64,
@@ -90,7 +92,7 @@ impl Run {
     /// Allocates a plan's arena.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little; nothing was submitted then.
+    /// [`Error::Memory`] where the device has too little, or a driver's failure; nothing was submitted then.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
         Self::with_resident(device, plan, None)
     }
@@ -101,6 +103,8 @@ impl Run {
     /// As [`Run::new`].
     pub fn with_resident(device: &Device, plan: Plan, resident: Option<Arc<Resident>>) -> Result<Self> {
         let arena = Memory::new(device, "arena", &plan.blocks)?;
+        let bound = Bound { shared: &device.0, plan: &plan, arena: &arena, resident: resident.as_deref() };
+        let descriptors = Descriptors::new(device, &bound)?;
         let raw = &device.0.raw;
         let pool_info = vk::CommandPoolCreateInfo::default()
             .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER)
@@ -124,6 +128,7 @@ impl Run {
             arena,
             twins: None,
             resident,
+            descriptors,
             pool,
             timeline,
             signalled: 0,
@@ -319,7 +324,7 @@ impl Run {
         queries: Option<(vk::QueryPool, u32)>,
     ) -> Result<()> {
         let bound = self.bound();
-        let mut encoder = Encoder::begin(&bound, commands, queries)?;
+        let mut encoder = Encoder::begin(&bound, &self.descriptors, commands, queries)?;
         for piece in pieces {
             encoder.piece(*piece)?;
         }

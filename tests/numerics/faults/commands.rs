@@ -23,7 +23,7 @@ const WAITS: [&str; 3] = ["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreC
 const ALLOCATIONS: [&str; 3] = ["vkCreateBuffer", "vkAllocateMemory", "vkMapMemory"];
 
 /// Everything else that a driver may refuse.
-const OTHERS: [&str; 11] = [
+const OTHERS: [&str; 13] = [
     "vkBindBufferMemory",
     "vkCreateSemaphore",
     "vkCreateCommandPool",
@@ -32,6 +32,8 @@ const OTHERS: [&str; 11] = [
     "vkEndCommandBuffer",
     "vkCreateShaderModule",
     "vkCreateDescriptorSetLayout",
+    "vkCreateDescriptorPool",
+    "vkAllocateDescriptorSets",
     "vkCreatePipelineLayout",
     "vkCreateComputePipelines",
     "vkQueueSubmit2",
