@@ -6,19 +6,22 @@
 // Out     [sequences * queries, heads * DIM] ELEMENT
 //
 // One workgroup (a subgroup) owns ROWS queries of a head; each lane scores 4 keys at a time, then gathers 4 channels of
-// the values (VECTORS times). Memory is linear in tokens.
+// the values (VECTORS times). Where a subgroup has more lanes than that takes, PARTS of it gather from different keys, and
+// are added up in the end. Memory is linear in tokens.
 #version 460
 #pragma element ELEMENT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #include "shared/limits.glsl"
 
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint DIM = 64;
 layout(constant_id = 2) const uint VECTORS = 2; // ceil(DIM / (4 * subgroup size))
+layout(constant_id = 3) const uint PARTS = 1; // the power of two at or below 4 * subgroup size / DIM, at least 1
 
 const uint ROWS = ATTENTION_ROWS;
 const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
@@ -44,6 +47,9 @@ void main() {
     uint head = gl_WorkGroupID.y;
     uint sequence = gl_WorkGroupID.z;
     uint quads = DIM / 4;
+    // Lanes past the last part repeat one, to keep the loop uniform.
+    uint part = PARTS == 1 ? 0 : lane / quads % PARTS;
+    uint first_channel = PARTS == 1 ? lane : lane % quads;
     uint key_quads = (keys + 3) / 4;
     uint k_base = (head * sequences + sequence) * DIM * key_quads;
     uint v_base = (head * sequences + sequence) * keys * quads;
@@ -101,11 +107,13 @@ void main() {
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         uint tile_quads = min(lanes, key_quads - tile);
-        for (uint j = 0; j < tile_quads; j++) {
+        for (uint first = 0; first < tile_quads; first += PARTS) {
+            // Past the end weights are 0.
+            uint j = first + part;
             uint key = 4 * (tile + j);
             [[unroll]] for (uint c = 0; c < VECTORS; c++) {
-                uint channel = min(lane + c * lanes, quads - 1);
-                vec4 v0 = from_ELEMENT4(v[v_base + key * quads + channel]);
+                uint channel = min(first_channel + c * lanes, quads - 1);
+                vec4 v0 = from_ELEMENT4(v[v_base + min(key, keys - 1) * quads + channel]);
                 vec4 v1 = from_ELEMENT4(v[v_base + min(key + 1, keys - 1) * quads + channel]);
                 vec4 v2 = from_ELEMENT4(v[v_base + min(key + 2, keys - 1) * quads + channel]);
                 vec4 v3 = from_ELEMENT4(v[v_base + min(key + 3, keys - 1) * quads + channel]);
@@ -126,10 +134,14 @@ void main() {
         uint query = first_query + r;
         if (query < queries) {
             [[unroll]] for (uint c = 0; c < VECTORS; c++) {
+                vec4 whole = sum[r][c];
+                for (uint apart = PARTS / 2; apart > 0; apart /= 2) {
+                    whole += subgroupShuffle(whole, (lane + apart * quads) % lanes);
+                }
                 uint channel = lane + c * lanes;
                 if (channel < quads) {
                     uint row = sequence * queries + query;
-                    result[(row * heads + head) * quads + channel] = to_ELEMENT4(sum[r][c] / all);
+                    result[(row * heads + head) * quads + channel] = to_ELEMENT4(whole / all);
                 }
             }
         }

@@ -163,6 +163,7 @@ impl Attention {
 
     fn lanes(&self, rec: &mut Recorder, element: Element, [q, k, v]: [Tensor; 3], out: Tensor) {
         let Heads { count, dim } = self.heads;
+        let channels_at_once = 4 * rec.limits().subgroup_size;
         let kernel = ops::Attention {
             q,
             k,
@@ -173,7 +174,8 @@ impl Attention {
             sequences: self.sequences as u32,
             heads: count as u32,
             dim: dim as u32,
-            vectors: (dim as u32).div_ceil(4 * rec.limits().subgroup_size),
+            vectors: (dim as u32).div_ceil(channels_at_once),
+            parts: 1 << (channels_at_once / dim as u32).max(1).ilog2(),
             element,
         };
         self.dispatch(rec, kernel, ATTENTION_ROWS as usize);
