@@ -13,7 +13,7 @@ use serde_json::json;
 use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
-    gpu::list_devices,
+    gpu::{Limits, Matrices, MatrixShape, list_devices},
     types::{Scene, SceneFormat},
     weights::Checkpoint,
 };
@@ -111,6 +111,8 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
             ("binding", format!("{} seen by a kernel at once", bytes(limits.max_binding_bytes))),
             ("shared", bytes(limits.shared_bytes.into())),
             ("subgroup", format!("{} invocations", limits.subgroup_size)),
+            ("16 bits", if limits.half_storage { "floats in buffers" } else { "none" }.to_owned()),
+            ("matrices", matrices(limits)),
             ("workgroups", format!("{x} x {y} x {z}")),
             (
                 "timestamps",
@@ -124,6 +126,19 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
         }
     }
     session.report(&devices, text)
+}
+
+/// Rows, columns and terms of the matrices that a device multiplies as one, by the type of their factors.
+fn matrices(limits: &Limits) -> String {
+    let sides = |shape: MatrixShape| format!("{} x {} x {}", shape.m, shape.n, shape.k);
+    let Matrices { f16, bf16, i8 } = limits.matrices;
+    let of_subgroups = [("f16", f16), ("bf16", bf16), ("i8", i8)]
+        .into_iter()
+        .filter_map(|(factor, shape)| Some(format!("{factor} {}", sides(shape?))));
+    let of_workgroups = (limits.workgroup_matrices.iter())
+        .map(|m| format!("f16 multiples of {} in workgroups of {}", sides(m.granularity), m.invocations));
+    let all: Vec<_> = of_subgroups.chain(of_workgroups).collect();
+    if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
 fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> {
