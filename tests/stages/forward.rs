@@ -170,7 +170,8 @@ fn check_all(config: &str, arithmetics: &[Arithmetic]) {
 }
 
 /// The model that is shipped, with and without cameras, all tokens and half of them: against our own PyTorch code in f64
-/// (`tools/train/check.py dump`).
+/// (`tools/train/check.py dump`). Trained scales have a long tail, where f32 may deviate more than in the goldens: each limit
+/// is three times what PyTorch's own f32 deviates here, as in the table, or the table's.
 #[test]
 fn embedded() {
     let golden = Golden::open("embedded.safetensors").expect("it is committed");
@@ -184,7 +185,13 @@ fn embedded() {
             let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
             let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone() };
             let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
-            check_gaussians(&golden, &key("gauss"), &packed(&found.scene), &model, Arithmetic::EXACT);
+            let tolerance = |field: &str| {
+                let table = Tolerance::of_field(field);
+                let in_f32 = f64::from(golden.f32(&key(&format!("f32_deviation/{field}")))[0]);
+                Tolerance { max: table.max.max(3.0 * in_f32), ..table }
+            };
+            let (name, width) = (key("gauss"), model.architecture().gaussian_width());
+            assert_gaussians_within(&name, &packed(&found.scene), &golden.f32(&name), width, tolerance);
         }
     }
 }

@@ -5,6 +5,7 @@ python tools/train/check.py dump WEIGHTS OUT.safetensors     # images_u8, camera
 """
 
 import argparse
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from weights import Architecture, load, seeded
 
 # Widest error of a tap over its root mean square that f32 rounding explains.
 TOLERANCE = 3e-5
+
+# Columns of packed Gaussians.
+FIELDS = {"means": (0, 3), "scales": (3, 6), "quats": (6, 10), "opacities": (10, 11), "sh_coeffs": (11, None)}
 
 
 def paper(name, width, depth, alt_start, out_layers, **changes):
@@ -94,10 +98,14 @@ def goldens(folder):
 
 @torch.no_grad()
 def dump(weights, out):
-    """Two views with and without priors; the truth is the f64 forward of the weights as stored."""
+    """Two views with and without priors; the truth is the f64 forward of the weights as stored.
+
+    Beside it, by field, the largest deviation of the f32 forward over the truth's rms: what f32 can reach with these weights.
+    """
     architecture, state, _ = load(weights)
     model = ZipSplat(architecture).eval()
     model.load_state_dict(state)
+    in_f32 = copy.deepcopy(model)
     model.double()
     random = np.random.default_rng(1)
     side = 4 * architecture.patch
@@ -110,11 +118,17 @@ def dump(weights, out):
     views = (golden["in/images_u8"].float() / 255).double()[None]
     for case, priors in (("plain", None), ("priors", tuple(x.double() for x in priors_of(golden)))):
         layers, color = model.prepare(views, priors)
+        layers_f32, color_f32 = in_f32.prepare(views.float(), priors and tuple(x.float() for x in priors))
         for ratio in (1.0, 0.5):
             taps = {}
             indices = None if ratio == 1 else nearest_tokens(layers[0], int(layers[0].shape[1] * ratio))
             gauss, _ = model.decode(layers, color, indices=indices, taps=taps)
             golden[f"{case}/r{ratio:g}/gauss"] = gauss[0].float()
+            found, _ = in_f32.decode(layers_f32, color_f32, indices=indices, taps={})
+            for field, (start, end) in FIELDS.items():
+                truth = gauss[0, :, start:end]
+                deviation = (found[0, :, start:end] - truth).abs().max() / truth.square().mean().sqrt()
+                golden[f"{case}/r{ratio:g}/f32_deviation/{field}"] = deviation.float()[None]
             if indices is not None:
                 golden[f"{case}/r{ratio:g}/nearest_idx"] = indices[0]
     save_file({name: value.contiguous() for name, value in golden.items()}, out)
