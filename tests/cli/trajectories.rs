@@ -146,7 +146,7 @@ fn mp4_is_piped_to_ffmpeg() {
     };
     script("copies", "echo \"$@\" >\"$0.args\"\ncat >\"$out\"");
     script("fails", "echo bytes >\"$out\"\ncat >/dev/null\necho 'Unknown encoder' >&2\nexit 7");
-    script("stops", "exec <&-\necho bytes >\"$out\"\necho 'No space' >&2\nexit 1");
+    script("stops", "exec <&-\nsleep 0.2\necho bytes >\"$out\"\necho 'No space' >&2\nexit 1");
     script("silent", "cat >/dev/null\nexit 7");
     script("broken", "");
     std::fs::write(folder.path("broken"), "#!/bin/sh\nexit 3\n").expect("a script");

@@ -20,6 +20,8 @@ const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 1
                         -f mp4";
 /// Between looks at whether ffmpeg is done.
 const POLL: Duration = Duration::from_millis(10);
+/// So many looks may pass until a process that no longer reads has said why.
+const LAST_WORDS: u32 = 200;
 
 pub struct Ffmpeg {
     program: PathBuf,
@@ -94,7 +96,7 @@ impl Encoder for Ffmpeg {
                 _ => error.to_string(),
             };
             // What it has to say ends when it does.
-            let _ = self.child.0.kill();
+            self.child.end_soon();
             self.failure(reason)
         })
     }
@@ -113,6 +115,19 @@ impl Encoder for Ffmpeg {
         }
         let Self { file, .. } = *self;
         file.finish()
+    }
+}
+
+impl Running {
+    /// Waits a moment for its end, then ends it.
+    fn end_soon(&mut self) {
+        for _ in 0..LAST_WORDS {
+            if !matches!(self.0.try_wait(), Ok(None)) {
+                return;
+            }
+            std::thread::sleep(POLL);
+        }
+        let _ = self.0.kill();
     }
 }
 
