@@ -9,6 +9,7 @@ root=$(realpath -m "${2:?usage: tools/swiftshader.sh PREFIX LAVAPIPE}")/root
 mkdir -p "$prefix"
 exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run ]] || exit 0
+[[ -d $root ]] || { echo "zipsplat: $root has no unpacked lavapipe: SwiftShader runs on x86-64 only" >&2; exit 1; }
 
 cd "$prefix"
 rm -rf package ./*.deb

@@ -48,8 +48,8 @@ void main() {
     uint sequence = gl_WorkGroupID.z;
     uint quads = DIM / 4;
     // Lanes past the last part repeat one, to keep the loop uniform.
-    uint part = PARTS == 1 ? 0 : lane / quads % PARTS;
-    uint first_channel = PARTS == 1 ? lane : lane % quads;
+    uint part = lane / quads % PARTS;
+    uint first_channel = lane % quads;
     uint key_quads = (keys + 3) / 4;
     uint k_base = (head * sequences + sequence) * DIM * key_quads;
     uint v_base = (head * sequences + sequence) * keys * quads;

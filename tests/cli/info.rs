@@ -11,7 +11,12 @@ fn devices_are_listed_with_what_they_can_do() {
     let usable = |device: &serde_json::Value| device["missing"].as_array().is_some_and(Vec::is_empty);
     assert!(devices.as_array().is_some_and(|list| list.iter().any(usable)), "{devices}");
     let text = folder.run("info").success();
-    assert!(text.starts_with("0: ") && text.contains("usable") && text.contains("subgroup"), "{text}");
+    assert!(
+        text.starts_with("0: ")
+            && text.contains("usable")
+            && ["subgroup", "16 bits", "matrices"].iter().all(|row| text.contains(row)),
+        "{text}"
+    );
 }
 
 #[test]

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from model import ZipSplat, nearest_tokens
 from weights import Architecture, load, seeded
 
-# Widest error of a tap over its root mean square that f32 rounding explains.
+# Widest error of a tap over the truth's root mean square that f32 rounding explains.
 TOLERANCE = 3e-5
 
 # Columns of packed Gaussians.
@@ -76,9 +76,12 @@ def compare(model, golden):
     errors = {}
     for name, truth in golden.items():
         if name in taps:
-            found = taps[name].double().reshape(truth.shape)
-            errors[name] = ((found - truth).abs().max() / truth.double().square().mean().sqrt()).item()
+            errors[name] = deviation(taps[name].double().reshape(truth.shape), truth.double()).item()
     return errors
+
+
+def deviation(found, truth):
+    return (found - truth).abs().max() / truth.square().mean().sqrt()
 
 
 def goldens(folder):
@@ -100,7 +103,7 @@ def goldens(folder):
 def dump(weights, out):
     """Two views with and without priors; the truth is the f64 forward of the weights as stored.
 
-    Beside it, by field, the largest deviation of the f32 forward over the truth's rms: what f32 can reach with these weights.
+    Beside it, by field, how far the f32 forward deviates: what f32 can reach with these weights.
     """
     architecture, state, _ = load(weights)
     model = ZipSplat(architecture).eval()
@@ -126,9 +129,8 @@ def dump(weights, out):
             golden[f"{case}/r{ratio:g}/gauss"] = gauss[0].float()
             found, _ = in_f32.decode(layers_f32, color_f32, indices=indices, taps={})
             for field, (start, end) in FIELDS.items():
-                truth = gauss[0, :, start:end]
-                deviation = (found[0, :, start:end] - truth).abs().max() / truth.square().mean().sqrt()
-                golden[f"{case}/r{ratio:g}/f32_deviation/{field}"] = deviation.float()[None]
+                in_field = deviation(found[0, :, start:end], gauss[0, :, start:end])
+                golden[f"{case}/r{ratio:g}/f32_deviation/{field}"] = in_field.float()[None]
             if indices is not None:
                 golden[f"{case}/r{ratio:g}/nearest_idx"] = indices[0]
     save_file({name: value.contiguous() for name, value in golden.items()}, out)

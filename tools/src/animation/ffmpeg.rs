@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     thread::JoinHandle,
-    time::Duration,
+    time::{Duration, Instant},
 };
 use zipsplat::{
     Error, Result,
@@ -20,8 +20,8 @@ const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 1
                         -f mp4";
 /// Between looks at whether ffmpeg is done.
 const POLL: Duration = Duration::from_millis(10);
-/// So many looks may pass until a process that no longer reads has said why.
-const LAST_WORDS: u32 = 200;
+/// For a process that no longer reads to say why.
+const LAST_WORDS: Duration = Duration::from_secs(2);
 
 pub struct Ffmpeg {
     program: PathBuf,
@@ -121,12 +121,11 @@ impl Encoder for Ffmpeg {
 impl Running {
     /// Waits a moment for its end, then ends it.
     fn end_soon(&mut self) {
-        for _ in 0..LAST_WORDS {
-            if !matches!(self.0.try_wait(), Ok(None)) {
-                return;
-            }
+        let asked = Instant::now();
+        while asked.elapsed() < LAST_WORDS && matches!(self.0.try_wait(), Ok(None)) {
             std::thread::sleep(POLL);
         }
+        // It may have ended already.
         let _ = self.0.kill();
     }
 }
