@@ -3,7 +3,7 @@
 # zipsplat, demo.sh, test.sh and .ci/run source this file; on its own it runs a cargo command in the same way.
 # usage: tools/setup.sh [cargo run --release -- info]
 #   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25 |
-#                    swiftshader
+#                    wide-lavapipe | swiftshader
 #   ZIPSPLAT_CACHE   drivers, compiled shaders and libshaderc; default ~/.cache/zipsplat
 set -euo pipefail
 
@@ -90,11 +90,11 @@ use_lavapipe() {
   note "Vulkan on the CPU: Mesa $version"
 }
 
-# use_swiftshader: behind use_lavapipe, with the loader and the layers of that.
-use_swiftshader() {
-  "$root/tools/swiftshader.sh" "$cache/swiftshader" "$cache/lavapipe26" || die "no SwiftShader"
-  export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$cache/swiftshader/run
-  note "Vulkan on the CPU: $cache/swiftshader"
+# use_driver NAME: one that tools/NAME.sh makes, behind use_lavapipe, with the loader and the layers of that.
+use_driver() {
+  "$root/tools/$1.sh" "$cache/$1" "$cache/lavapipe26" || die "no $1"
+  export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$cache/$1/run
+  note "Vulkan on the CPU: $cache/$1"
 }
 
 [[ -e /etc/debian_version ]] || offers_device '.*' ||
@@ -109,8 +109,8 @@ if [[ -e /etc/debian_version ]]; then
     system) apt_install libvulkan1 ;;
     lavapipe) use_lavapipe 26 trixie-backports ;;
     lavapipe25) use_lavapipe 25 trixie ;;
-    swiftshader) use_lavapipe 26 trixie-backports && use_swiftshader ;;
-    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe, lavapipe25 or swiftshader" ;;
+    wide-lavapipe | swiftshader) use_lavapipe 26 trixie-backports && use_driver "$ZIPSPLAT_DRIVER" ;;
+    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe, lavapipe25, wide-lavapipe or swiftshader" ;;
   esac
 fi
 

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 use zipsplat::Error;
-use zipsplat::gpu::{ArenaRow, Limits, Recorder, Run, Tensor};
+use zipsplat::gpu::{ArenaRow, Device, DeviceOptions, Limits, Recorder, Run, Tensor};
 use zipsplat::kernels::ops::Add;
 use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Kept, Network, Shape};
@@ -88,6 +88,37 @@ fn fills_and_copies_touch_nothing_else() {
     let expected = |at: usize, value: u32| (0..70).map(|i| if i == at { value } else { 1 }).collect::<Vec<u32>>();
     assert_same("fill", &run.read::<u32>(filled).unwrap(), &expected(64, 5));
     assert_same("copy", &run.read::<u32>(copied).unwrap(), &expected(0, 9));
+}
+
+#[test]
+fn under_validation_nothing_was_written_before_it_is() {
+    let device = Device::open(&DeviceOptions { validation: true, ..Default::default() }).unwrap();
+    let mut rec = Recorder::new(device.limits());
+    let (left, right) = (rec.input::<f32>("left", 5), rec.input::<f32>("right", 5));
+    add(&mut rec, left, right, 5);
+    let (unwritten, copy) = (rec.tensor::<u32>("unwritten", 5), rec.tensor::<u32>("copy", 5));
+    rec.copy(unwritten, copy);
+    rec.output(copy);
+    let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+    for value in [1.0f32, 2.0] {
+        run.write(left, &[value; 5]).unwrap();
+        run.write(right, &[value; 5]).unwrap();
+        run.execute().unwrap();
+        assert_same("NaN", &run.read::<u32>(copy).unwrap(), &[u32::MAX; 5]);
+    }
+}
+
+#[test]
+#[ignore = "needs tools/test-bounds.sh"]
+fn reading_beyond_what_is_bound_is_noticed() {
+    let mut rec = Recorder::new(device().limits());
+    let (left, right) = (rec.input::<f32>("left", 128), rec.input::<f32>("right", 128));
+    add(&mut rec, left, right.slice::<f32>(0, 64), 128);
+    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
+    run.write(left, &[1.0f32; 128]).unwrap();
+    run.write(right, &[1.0f32; 128]).unwrap();
+    let error = run.execute().unwrap_err();
+    assert!(error.to_string().contains("access out of bounds"), "{error}");
 }
 
 #[test]

@@ -23,7 +23,8 @@ use std::{
 pub struct DeviceOptions {
     /// Its number in [`super::list_devices`] or a part of its name; `None` takes the best.
     pub selector: Option<String>,
-    /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run.
+    /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run. Scratch tensors are
+    /// NaN before they are written.
     pub validation: bool,
     /// Binds at most so many bytes at once, as a device with a smaller limit would have it.
     pub max_binding_bytes: Option<u64>,
@@ -234,6 +235,10 @@ impl Shared {
 
     /// Fails with the validation messages gathered since the last call.
     pub fn check_messages(&self) -> Result<()> {
+        if self.instance.debug.is_some() {
+            // What the layer finds in shaders it says once it knows that they have ended.
+            self.queue.wait_idle(&self.raw).map_err(|e| self.failed("vkQueueWaitIdle", e))?;
+        }
         let messages = std::mem::take(&mut *lock(&self.instance.messages));
         if messages.is_empty() {
             return Ok(());

@@ -213,6 +213,10 @@ unsafe extern "system" fn on_message(
         let text = (*data).message_as_c_str().map(|t| t.to_string_lossy().into_owned()).unwrap_or_default();
         (text, &*user.cast::<Mutex<Vec<String>>>())
     };
+    // What the layer switches on for itself, where its settings have it watch shaders.
+    if text.contains("Internal Warning") {
+        return vk::FALSE;
+    }
     log::error!("{text}");
     messages.lock().unwrap_or_else(|e| e.into_inner()).push(text);
     vk::FALSE

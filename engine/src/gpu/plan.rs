@@ -134,6 +134,27 @@ impl Plan {
         self.blocks.iter().sum()
     }
 
+    /// Fills every scratch tensor before its first use with what no kernel may rely on: NaN as a float, far out of range as an
+    /// index. Memory that a CPU hands out is zero, a GPU's holds what others left there.
+    pub(super) fn poison(&mut self) {
+        let mut born = vec![Vec::new(); self.commands.len()];
+        for (id, (allocation, placement)) in self.allocations.iter().zip(&self.placements).enumerate() {
+            let used = (placement.first as usize) < self.commands.len();
+            if used && allocation.role == Role::Scratch && allocation.bytes > 0 {
+                let target = Tensor { home: Home::Arena(id as u32), offset: 0, bytes: allocation.bytes };
+                born[placement.first as usize].push(target);
+            }
+        }
+        let commands = std::mem::take(&mut self.commands);
+        for (command, targets) in commands.into_iter().zip(born) {
+            for target in targets {
+                let operation = Operation::Fill { target, value: u32::MAX };
+                self.commands.push(Command { operation, scope: command.scope, flops: 0 });
+            }
+            self.commands.push(command);
+        }
+    }
+
     /// The outermost scope of a command: its stage.
     pub(super) fn stage(&self, command: usize) -> &str {
         let scope = &self.scopes[self.commands[command].scope as usize];

@@ -37,4 +37,11 @@ impl Queue {
         }
         result
     }
+
+    /// Waits for all that was submitted.
+    pub fn wait_idle(&self, device: &ash::Device) -> VkResult<()> {
+        let queue = lock(&self.raw);
+        // SAFETY: the queue is locked.
+        unsafe { device.queue_wait_idle(*queue) }
+    }
 }

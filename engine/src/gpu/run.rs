@@ -101,7 +101,10 @@ impl Run {
     ///
     /// # Errors
     /// As [`Run::new`].
-    pub fn with_resident(device: &Device, plan: Plan, resident: Option<Arc<Resident>>) -> Result<Self> {
+    pub fn with_resident(device: &Device, mut plan: Plan, resident: Option<Arc<Resident>>) -> Result<Self> {
+        if device.0.instance.debug.is_some() {
+            plan.poison();
+        }
         let arena = Memory::new(device, "arena", &plan.blocks)?;
         let bound = Bound { shared: &device.0, plan: &plan, arena: &arena, resident: resident.as_deref() };
         let descriptors = Descriptors::new(device, &bound)?;

@@ -1,0 +1,34 @@
+#!/usr/bin/env bash
+# Makes a lavapipe with subgroups of 32, as most GPUs have them, under PREFIX, from that which tools/lavapipe.sh unpacked under
+# LAVAPIPE. Lavapipe computes with vectors of any width and gives subgroups as many invocations, but never more than 16: the
+# copy's comparisons with that limit are changed to 32.
+# usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
+set -euo pipefail
+
+prefix=$(realpath -m "${1:?usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE}")
+root=$(realpath -m "${2:?usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE}")/root
+library=$root/usr/lib/x86_64-linux-gnu/libvulkan_lvp.so
+mkdir -p "$prefix"
+exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
+[[ ! -x $prefix/run || $library -nt $prefix/run ]] || exit 0
+[[ -e $library ]] || { echo "zipsplat: $root has no unpacked lavapipe, which is there on x86-64 only" >&2; exit 1; }
+
+# min(width / 32, 16) as compilers write it: cmp width, 512; mov lanes, 16.
+found=$(LC_ALL=C perl -0777 -ne 'print scalar(() = /(?:\x3d|\x81[\xf8-\xff])\0\x02\0\0[\xb8-\xbf]\x10\0\0\0/g)' "$library")
+if [[ $found != 8 ]]; then
+  echo "zipsplat: $library compares widths with 512 in $found places, expected 8 (Mesa 26.1): it cannot be widened" >&2
+  exit 1
+fi
+LC_ALL=C perl -0777 -pe 's/(\x3d|\x81[\xf8-\xff])\0\x02\0\0([\xb8-\xbf])\x10\0\0\0/$1\0\x04\0\0$2\x20\0\0\0/g' \
+  "$library" > "$prefix/libvulkan_lvp.so"
+sed "s,\"library_path\": \".*\",\"library_path\": \"$prefix/libvulkan_lvp.so\"," \
+  "$root/usr/share/vulkan/icd.d/lvp_icd.json" > "$prefix/lvp_icd.json"
+
+cat > "$prefix/run.part" << END
+#!/usr/bin/env bash
+export VK_DRIVER_FILES=$prefix/lvp_icd.json LP_NATIVE_VECTOR_WIDTH=1024 MESA_SHADER_CACHE_DIR=$prefix/shaders
+export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DISABLE='~implicit~'
+exec $root/usr/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2 --library-path $root/usr/lib/x86_64-linux-gnu "\$@"
+END
+chmod +x "$prefix/run.part"
+mv "$prefix/run.part" "$prefix/run" # last: it marks PREFIX as complete
