@@ -2,15 +2,15 @@
 # Kernels and stages with every access of every invocation held to the tensor that is bound there: the validation layer
 # instruments the shaders (GPU-AV). A GPU would read on into the next tensor. What takes minutes so is left out.
 set -euo pipefail
-here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-export VK_LAYER_SETTINGS_PATH=$here/../tests/vk_layer_settings_bounds.txt
+test=$(dirname "${BASH_SOURCE[0]}")/test.sh
+export ZIPSPLAT_LAYER_SETTINGS=vk_layer_settings_bounds
 slow=(determinism every_head_size every_epilogue short_and_long_sums beyond_the_most tiles_of_gpus bound_in_parts self_test
   tuning small_is_vits slice_of_the_giant)
 said=$(mktemp)
 trap 'rm "$said"' EXIT
 # The layer aborts where a process ends with a device open, so what counts is what the tests said before.
 {
-  "$here/test.sh" -p zipsplat-tests --test kernels -- --ignored reading_beyond_what_is_bound || true
-  "$here/test.sh" --no-fail-fast -p zipsplat-tests --test kernels --test stages -- "${slow[@]/#/--skip=}" || true
+  "$test" -p zipsplat-tests --test kernels -- --ignored reading_beyond_what_is_bound || true
+  "$test" --no-fail-fast -p zipsplat-tests --test kernels --test stages -- "${slow[@]/#/--skip=}" || true
 } 2>&1 | tee "$said"
 [[ $(grep -c '^test result: ok' "$said") == 3 ]] || { echo "zipsplat: not all of these tests have passed" >&2; exit 1; }

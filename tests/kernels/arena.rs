@@ -91,7 +91,7 @@ fn fills_and_copies_touch_nothing_else() {
 }
 
 #[test]
-fn under_validation_nothing_was_written_before_it_is() {
+fn under_validation_scratch_is_nan_until_it_is_written() {
     let device = Device::open(&DeviceOptions { validation: true, ..Default::default() }).unwrap();
     let mut rec = Recorder::new(device.limits());
     let (left, right) = (rec.input::<f32>("left", 5), rec.input::<f32>("right", 5));
