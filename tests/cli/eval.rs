@@ -1,8 +1,17 @@
 //! `zipsplat eval`, and its numbers against scikit-image's.
 
 use crate::{Folder, zipsplat};
-use zipsplat::types::{Image, read_ply};
-use zipsplat_cli::metrics::{psnr, ssim};
+use glam::{DMat3, DVec3};
+use zipsplat::{
+    Error,
+    stages::render::{RenderRequest, Renderer},
+    types::{Camera, Image, Intrinsics, Pose, read_ply},
+};
+use zipsplat_cli::{
+    align::align,
+    metrics::{psnr, ssim},
+};
+use zipsplat_tests::device::device;
 
 const WIDTH: usize = 37;
 const HEIGHT: usize = 23;
@@ -105,6 +114,47 @@ fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
     folder.run(&format!("reconstruct {} --poses @/place {options} @/scene.ply", photos.join(" "))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
+}
+
+#[test]
+fn a_camera_is_found_by_its_photo() {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 4 --size 84x56 --splats -o @/place").success();
+    let scene = read_ply(folder.path("place/splats.ply")).expect("a scene");
+    let mut renderer = Renderer::new(device());
+    renderer.load(&scene).expect("loaded");
+    let truth = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
+    let frame = renderer.render_loaded(&[truth], &RenderRequest::default()).expect("drawn").remove(0);
+    let photo = Image::from_rgb_f32(84, 56, &frame.rgb.expect("colour")).expect("a picture");
+    let rotation = DMat3::from_rotation_y(0.06) * DMat3::from_rotation_x(-0.04) * DMat3::from_rotation_z(0.05);
+    let start = Camera { pose: Pose { rotation, translation: DVec3::new(0.06, -0.04, 0.05) }, ..truth };
+    let found = align(&mut renderer, &photo, &start, &|| Ok(())).expect("aligned");
+    let (angle, distance) = (found.pose.rotation.x_axis.angle_between(DVec3::X), found.pose.translation.length());
+    assert!(angle < 1e-3 && distance < 2e-3, "{angle} radians and {distance} from the truth");
+    assert_eq!(found.intrinsics, truth.intrinsics);
+    let stop = || Err(Error::Cancelled);
+    assert!(matches!(align(&mut renderer, &photo, &start, &stop), Err(Error::Cancelled)));
+    // Where nothing is better, nothing moves.
+    assert_eq!(align(&mut renderer, &photo, &found, &|| Ok(())).expect("aligned"), found);
+}
+
+#[test]
+fn pictures_without_cameras_are_aligned() {
+    let folder = place();
+    let options = "--weights @/micro.safetensors --size 28x28";
+    let line = format!("eval @/place --views 2 --targets 2 {options} --json");
+    let json = folder.run(&format!("{line} --pose-free -o @/out")).json();
+    let psnr = |value: &serde_json::Value| value["psnr"].as_f64().expect("a number");
+    let (before, after) = (psnr(&json["aligned"]["before"]), psnr(&json["mean"]));
+    assert!(after > before + 0.1, "{before} dB before, {after} after");
+    assert!(json["aligned"]["degrees"].as_f64().is_some_and(|degrees| degrees > 0.0), "{}", json["aligned"]);
+    // The network has seen the photos and nothing else.
+    let inputs = json["inputs"].as_array().expect("names").iter();
+    let photos: Vec<String> = inputs.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
+    folder.run(&format!("reconstruct {} {options} -o @/scene.ply", photos.join(" "))).success();
+    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
+    assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
+    assert!(folder.run(&line).json()["aligned"].is_null());
 }
 
 #[test]

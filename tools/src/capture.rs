@@ -2,12 +2,13 @@
 
 use crate::{
     cameras,
-    metrics::{psnr, ssim},
+    metrics::{psnr, ssim, values},
     options::Size,
     photos,
     session::Stage,
 };
 use glam::DVec3;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use zipsplat::{
@@ -130,9 +131,14 @@ impl Capture {
         nearest.expect("a capture has an input")
     }
 
+    /// Compares what was drawn in each target's place with it.
+    pub fn scores(&self, drawn: &[Vec<f32>]) -> Vec<Score> {
+        self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
+    }
+
     /// Compares what was drawn in a photo's place, `[height][width][rgb]` in 0..1, with it.
     pub fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
-        let (truth, near) = (floats(&view.image), floats(&self.nearest(view).image));
+        let (truth, near) = (values(&view.image), values(&self.nearest(view).image));
         let mut mean = [0.0; 3];
         near.iter().enumerate().for_each(|(i, value)| mean[i % 3] += f64::from(*value));
         let mean: Vec<f32> = (0..near.len()).map(|i| (mean[i % 3] * 3.0 / near.len() as f64) as f32).collect();
@@ -152,9 +158,18 @@ impl Posed {
     /// # Errors
     /// As [`Renderer::render_loaded`].
     pub fn draw(&self, renderer: &mut Renderer) -> Result<Vec<f32>> {
-        let frame = renderer.render_loaded(&[self.camera], &RenderRequest::default())?.remove(0);
-        Ok(frame.rgb.unwrap_or_default().iter().map(|value| value.clamp(0.0, 1.0)).collect())
+        Ok(draw(renderer, &[self.camera])?.remove(0))
     }
+}
+
+/// The scene that a renderer holds as each camera sees it, `[height][width][rgb]` in 0..1.
+///
+/// # Errors
+/// As [`Renderer::render_loaded`].
+pub fn draw(renderer: &mut Renderer, cameras: &[Camera]) -> Result<Vec<Vec<f32>>> {
+    let frames = renderer.render_loaded(cameras, &RenderRequest::default())?;
+    let clamped = |rgb: Vec<f32>| rgb.into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
+    Ok(frames.into_iter().map(|frame| clamped(frame.rgb.unwrap_or_default())).collect())
 }
 
 impl Score {
@@ -199,10 +214,6 @@ fn posed(frames: &[&Frame], views: Vec<View>) -> Result<Vec<Posed>> {
         camera,
     };
     Ok(frames.iter().zip(views).zip(cameras).map(posed).collect())
-}
-
-fn floats(image: &Image) -> Vec<f32> {
-    image.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //!
 //! Each command is one file of `commands`; it says what to do with the engine and how to show the result, no more.
 
+pub mod align;
 mod animation;
 mod cameras;
 mod capture;

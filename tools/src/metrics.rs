@@ -1,9 +1,16 @@
 //! How alike two pictures are: the numbers of scikit-image's `skimage.metrics`.
 
+use zipsplat::types::Image;
+
 /// Standard deviation of SSIM's windows, in pixels.
 const SIGMA: f64 = 1.5;
 /// Pixels from the centre of a window to its edge.
 const RADIUS: usize = 5;
+
+/// A picture's values in 0..1.
+pub fn values(image: &Image) -> Vec<f32> {
+    image.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()
+}
 
 /// Peak signal-to-noise ratio in dB of values in 0..1; infinite where they are equal.
 pub fn psnr(a: &[f32], b: &[f32]) -> f64 {

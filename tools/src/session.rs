@@ -214,6 +214,15 @@ impl Stage<'_> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
+    /// What `body` makes of each item; the progress is that of their count.
+    ///
+    /// # Errors
+    /// The body's, and [`Error::Cancelled`].
+    pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
+        let step = |(i, item)| self.reach(i as f64 / items.len() as f64).and_then(|()| body(item));
+        items.iter().enumerate().map(step).collect()
+    }
+
     /// [`Error::Cancelled`] where the command should stop.
     pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }

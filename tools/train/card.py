@@ -3,7 +3,7 @@
     python tools/train/card.py --zipsplat target/release/zipsplat --captures FOLDER
 
 Every number is the mean that `zipsplat eval` prints. Scenes are procedural ones that training never sees; captures are the
-folders of FOLDER that have a transforms.json.
+folders of FOLDER that have a transforms.json. Without cameras pictures are aligned with 8 photos of each, as in the paper.
 """
 
 import argparse
@@ -16,6 +16,8 @@ from pathlib import Path
 FIRST_SEED, SCENES, SCENE_VIEWS = 1 << 41, 20, 16
 INPUTS, RATIOS = (4, 8), (1, 0.5, 0.25)
 CAPTURE_INPUTS = 8
+POSE_FREE = ("--pose-free", "--targets", "8")
+HEADINGS = "\n| {} | PSNR | SSIM | nearest photo | its mean colour | above the better |\n|---|---|---|---|---|---|"
 
 
 def main():
@@ -26,31 +28,40 @@ def main():
     parser.add_argument("--out", help="folder to keep every comparison.png in")
     args = parser.parse_args()
     weights = ["--weights", args.weights] if args.weights else []
+    captures = sorted(path.parent for path in Path(args.captures).glob("*/transforms.json")) if args.captures else []
 
-    def evaluate(folder, inputs, ratio, name):
+    def evaluate(folder, inputs, ratio, name, *more):
         keep = ["-o", str(Path(args.out) / name)] if args.out else []
-        command = [args.zipsplat, "eval", folder, "--views", str(inputs), "--ratio", str(ratio), "--json", *weights, *keep]
+        command = [args.zipsplat, "eval", folder, "--views", str(inputs), "--ratio", str(ratio), "--json", *weights, *keep, *more]
         return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)["mean"]
 
+    def row(name, means):
+        gains = sum(map(gain, means)) / len(means)
+        print(f"| {name} | {' | '.join(cells(average(means)))} | {gains:+.2f} |", flush=True)
+
     with tempfile.TemporaryDirectory() as places:
-        for scene in range(SCENES):
-            command = [args.zipsplat, "scene", "--seed", str(FIRST_SEED + scene), "--views", str(SCENE_VIEWS), "-q"]
-            subprocess.run([*command, "-o", f"{places}/{scene}"], check=True)
+        scenes = [f"{places}/{i}" for i in range(SCENES)]
+        for i, scene in enumerate(scenes):
+            command = [args.zipsplat, "scene", "--seed", str(FIRST_SEED + i), "--views", str(SCENE_VIEWS), "-q"]
+            subprocess.run([*command, "-o", scene], check=True)
         print(f"| {SCENES} procedural scenes | ratio | PSNR | SSIM | nearest photo | its mean colour |\n|---|---|---|---|---|---|")
         for inputs in INPUTS:
             for ratio in RATIOS:
-                means = [evaluate(f"{places}/{i}", inputs, ratio, f"scene{i}-{inputs}-{ratio}") for i in range(SCENES)]
+                means = [evaluate(scene, inputs, ratio, f"scene{i}-{inputs}-{ratio}") for i, scene in enumerate(scenes)]
                 print(f"| {inputs} inputs | {ratio} | {' | '.join(cells(average(means)))} |", flush=True)
-    if args.captures:
-        print(f"\n| capture, {CAPTURE_INPUTS} inputs | PSNR | SSIM | nearest photo | its mean colour | above the better |")
-        print("|---|---|---|---|---|---|")
-        means = {}
-        for path in sorted(Path(args.captures).glob("*/transforms.json")):
-            mean = means[path.parent.name] = evaluate(path.parent, CAPTURE_INPUTS, 1, path.parent.name)
-            print(f"| {path.parent.name} | {' | '.join(cells(mean))} | {gain(mean):+.2f} |", flush=True)
-        total = average(list(means.values()))
-        gains = sum(map(gain, means.values())) / len(means)
-        print(f"| **mean** | {' | '.join(cells(total))} | {gains:+.2f} |")
+        if captures:
+            print(HEADINGS.format(f"capture, {CAPTURE_INPUTS} inputs"))
+            means = {path.name: evaluate(path, CAPTURE_INPUTS, 1, path.name) for path in captures}
+            for name, mean in means.items():
+                row(name, [mean])
+            row("**mean**", list(means.values()))
+        print(HEADINGS.format("without cameras, aligned"))
+        for inputs in INPUTS:
+            means = [evaluate(scene, inputs, 1, f"scene{i}-{inputs}-free", *POSE_FREE) for i, scene in enumerate(scenes)]
+            row(f"{SCENES} procedural scenes, {inputs} inputs", means)
+        if captures:
+            means = [evaluate(path, CAPTURE_INPUTS, 1, f"{path.name}-free", *POSE_FREE) for path in captures]
+            row(f"{len(captures)} captures, {CAPTURE_INPUTS} inputs", means)
 
 
 def average(means):

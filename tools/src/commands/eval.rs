@@ -1,20 +1,22 @@
 //! `zipsplat eval`: reconstructs a capture from some of its photos and compares pictures of it with the others.
 
 use crate::{
-    capture::{Capture, Choice, Posed, Score},
+    align::align,
+    capture::{Capture, Choice, Posed, Score, draw},
     options::{Quality, Weights, parse_length},
     outputs,
     session::Session,
     table::Table,
 };
 use clap::Args;
-use rayon::prelude::*;
+use glam::DQuat;
+use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{
     Result,
     reconstruct::{Request, Shape},
     stages::render::Renderer,
-    types::{Image, contact_sheet},
+    types::{Camera, Image, Pose, contact_sheet},
 };
 
 /// Held-out photos in the picture.
@@ -26,10 +28,15 @@ const SHOWN: usize = 12;
 /// and compares. The scene is given to the network in the unit it expects: the median distance of the capture's points
 /// (ply_file_path of transforms.json, points.ply, or COLMAP's points3D) from the first camera. Beside PSNR and SSIM stand two trivial
 /// predictions: the input photo that was taken nearest, and that photo's mean colour.
+///
+/// With --pose-free the network is given the photos alone. Where its scene's cameras stand is then the network's own guess, so every
+/// picture is drawn with the camera from which the scene looks most like the photo, searched for from the camera that the
+/// capture has for it.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat eval capture/ --views 8
-  zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/")]
+  zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
+  zipsplat eval capture/ --views 8 --targets 8 --pose-free")]
 pub struct Eval {
     /// Folder with photos and their cameras: a transforms.json or a COLMAP model
     folder: PathBuf,
@@ -39,6 +46,9 @@ pub struct Eval {
     /// Compare with so many of the other photos, evenly spread [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     targets: Option<u32>,
+    /// Reconstruct without the cameras, and align each picture with its photo
+    #[arg(long)]
+    pose_free: bool,
     #[command(flatten)]
     weights: Weights,
     #[command(flatten)]
@@ -65,7 +75,8 @@ impl Eval {
         let choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;
         choice.notes().iter().for_each(|note| session.note(note));
         let chosen = (self.quality.ratio, &self.quality.select);
-        let shape = Shape::new(checkpoint.architecture(), self.views as usize, [size.0, size.1], chosen, true)?;
+        let (views, posed) = (self.views as usize, !self.pose_free);
+        let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
@@ -76,30 +87,42 @@ impl Eval {
         let request = Request {
             ratio: self.quality.ratio,
             selection: self.quality.select.clone(),
-            cameras: Some(capture.cameras()),
+            cameras: posed.then(|| capture.cameras()),
         };
         let (mut result, took) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         let mut renderer = Renderer::new(&device);
         renderer.load(&result.scene)?;
-        let (drawn, _) = session.stage("compare", |stage| {
-            let draw = |(i, view): (usize, &Posed)| {
-                stage.reach(i as f64 / capture.targets.len() as f64)?;
-                view.draw(&mut renderer)
-            };
-            capture.targets.iter().enumerate().map(draw).collect::<Result<Vec<Vec<f32>>>>()
-        })?;
-        let scores: Vec<Score> =
-            capture.targets.par_iter().zip(&drawn).map(|(view, drawn)| capture.score(view, drawn)).collect();
+        let given: Vec<Camera> = capture.targets.iter().map(|view| view.camera).collect();
+        let mut cameras = given.clone();
+        if self.pose_free {
+            (cameras, _) = session.stage("align", |stage| {
+                let found = |view: &Posed| align(&mut renderer, &view.image, &view.camera, &|| stage.check());
+                stage.each(&capture.targets, found)
+            })?;
+        }
+        let mut pictures = |cameras: &[Camera]| -> Result<Vec<Vec<f32>>> {
+            let picture = |camera: &Camera| Ok(draw(&mut renderer, &[*camera])?.remove(0));
+            Ok(session.stage("draw", |stage| stage.each(cameras, picture))?.0)
+        };
+        let drawn = pictures(&cameras)?;
+        let scores = capture.scores(&drawn);
+        let aligned = match self.pose_free {
+            true => Some(Aligned::new(&given, &cameras, capture.unit, &capture.scores(&pictures(&given)?))),
+            false => None,
+        };
 
         if let Some(path) = &self.csv {
             outputs::save_csv(path, &scores)?;
         }
         if let Some(folder) = &self.output {
             outputs::make_folder(folder)?;
-            // Drawn and compared in the network's unit, kept in that of the cameras.
-            result.scene.scale(capture.unit as f32);
-            outputs::save_scene(&folder.join("scene.ply"), &result.scene, Some(&capture.inputs[0].name))?;
+            // Drawn and compared in the network's unit, kept in that of the cameras that it was given.
+            if posed {
+                result.scene.scale(capture.unit as f32);
+            }
+            let origin = posed.then_some(capture.inputs[0].name.as_str());
+            outputs::save_scene(&folder.join("scene.ply"), &result.scene, origin)?;
             comparison(&capture, &drawn)?.save_png(folder.join("comparison.png"))?;
         }
         let mean = Score::mean(&scores);
@@ -113,15 +136,45 @@ impl Eval {
             result.tokens,
             took.as_secs_f64(),
             capture.unit
-        );
+        ) + &aligned.as_ref().map_or_else(String::new, Aligned::told);
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
             "peak_bytes": result.peak_bytes,
-            "mean": mean, "views": scores,
+            "mean": mean, "aligned": aligned, "views": scores,
         });
         session.report(&json, text)
+    }
+}
+
+/// How far pictures' cameras were aligned, and what they scored before.
+#[derive(Serialize)]
+struct Aligned {
+    /// Median angle between the camera found and the one given.
+    degrees: f64,
+    /// Median distance between them, in the unit of the cameras.
+    distance: f64,
+    /// The mean score with the cameras given.
+    before: Score,
+}
+
+impl Aligned {
+    fn new(given: &[Camera], found: &[Camera], unit: f64, before: &[Score]) -> Self {
+        let median = |value: fn(&Pose) -> f64| {
+            let movements = given.iter().zip(found).map(|(given, found)| found.pose.relative_to(&given.pose));
+            let mut values: Vec<f64> = movements.map(|pose| value(&pose)).collect();
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let angle = |pose: &Pose| DQuat::from_mat3(&pose.rotation).to_axis_angle().1.to_degrees();
+        let distance = unit * median(|pose| pose.translation.length());
+        Self { degrees: median(angle), distance, before: Score::mean(before) }
+    }
+
+    fn told(&self) -> String {
+        let Self { degrees, distance, before } = self;
+        format!("\naligned by {degrees:.2} degrees and {distance:.4} (medians); before {:.2} dB", before.psnr)
     }
 }
 
