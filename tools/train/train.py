@@ -33,6 +33,7 @@ import weights as files
 from data import Pool, Shards, batch, fixed_split, generator_command
 from initialise import initialise
 from model import ZipSplat
+from optimiser import Optimiser
 from rasterise import rasterise
 from schedule import Schedule, read_config
 
@@ -64,7 +65,7 @@ class Trainer:
         state = self.resume(model)
         self.model = model.to(self.device)
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
-        self.optimiser = self.make_optimiser()
+        self.optimiser = Optimiser(self.model, config["weight_decay"], self.rank, self.processes)
         if state:
             self.average.load_state_dict(state["average"])
             self.optimiser.load_state_dict(state["optimiser"])
@@ -116,15 +117,6 @@ class Trainer:
         self.log = state["log"]
         return state
 
-    def make_optimiser(self):
-        matrices = [p for p in self.model.parameters() if p.ndim > 1]
-        vectors = [p for p in self.model.parameters() if p.ndim <= 1]
-        groups = [
-            {"params": matrices, "weight_decay": self.config["weight_decay"]},
-            {"params": vectors, "weight_decay": 0.0},
-        ]
-        return torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.95), fused=True)
-
     def compile(self):
         """Blocks and projection one by one: a few graphs for every number of views and ratio."""
         import model as network
@@ -164,13 +156,7 @@ class Trainer:
         loss, parts = losses.total(gaussians, tokens, pictures, given, data, weights, sample, self.perceptual)
         loss.backward()
         self.share_gradients()
-        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config["clip"])
-        # The fused optimiser skips a step whose gradients are not finite, without asking the device.
-        self.optimiser.found_inf = (~norm.isfinite()).float()
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.schedule.rate(self.elapsed)
-        self.optimiser.step()
-        self.optimiser.zero_grad(set_to_none=True)
+        norm = self.optimiser.step(self.schedule.rate(self.elapsed), self.config["clip"])
         self.step += 1
         self.samples += scenes * self.processes
         decay = min(self.config["ema"], self.step / (10 + self.step))
@@ -207,7 +193,7 @@ class Trainer:
             gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
             weights = self.config["losses"]
             losses.total(gaussians, tokens, pictures, given, data, weights, 64, self.perceptual)[0].backward()
-        self.optimiser.zero_grad(set_to_none=True)
+        self.model.zero_grad(set_to_none=True)
         self.evaluate()
         self.pool.waited = 0.0
 
