@@ -9,7 +9,7 @@ use zipsplat::{
 };
 use zipsplat_cli::{
     align::align,
-    metrics::{psnr, ssim},
+    metrics::{psnr, ssim, values},
 };
 use zipsplat_tests::device::device;
 
@@ -46,6 +46,13 @@ fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
     folder
+}
+
+/// The photos that a scene was reconstructed from, as arguments.
+fn inputs(json: &serde_json::Value) -> String {
+    let names = json["inputs"].as_array().expect("names").iter();
+    let paths: Vec<String> = names.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
+    paths.join(" ")
 }
 
 #[test]
@@ -109,9 +116,7 @@ fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
     let outcome = folder.run(&format!("eval @/place --views 2 --json {options} @/out"));
     assert!(outcome.err.contains("33 % of the photos' area"), "{}", outcome.err);
     let json = outcome.json();
-    let inputs = json["inputs"].as_array().expect("names").iter();
-    let photos: Vec<String> = inputs.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
-    folder.run(&format!("reconstruct {} --poses @/place {options} @/scene.ply", photos.join(" "))).success();
+    folder.run(&format!("reconstruct {} --poses @/place {options} @/scene.ply", inputs(&json))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
 }
@@ -128,14 +133,16 @@ fn a_camera_is_found_by_its_photo() {
     let photo = Image::from_rgb_f32(84, 56, &frame.rgb.expect("colour")).expect("a picture");
     let rotation = DMat3::from_rotation_y(0.06) * DMat3::from_rotation_x(-0.04) * DMat3::from_rotation_z(0.05);
     let start = Camera { pose: Pose { rotation, translation: DVec3::new(0.06, -0.04, 0.05) }, ..truth };
-    let found = align(&mut renderer, &photo, &start, &|| Ok(())).expect("aligned");
+    let aligned = align(&mut renderer, &photo, &start, &|| Ok(())).expect("aligned");
+    let (found, likeness) = (aligned.camera, |drawn: &[f32]| psnr(drawn, &values(&photo)));
+    assert!(likeness(&aligned.drawn) > likeness(&aligned.before) + 10.0, "the pictures are those of the cameras");
     let (angle, distance) = (found.pose.rotation.x_axis.angle_between(DVec3::X), found.pose.translation.length());
     assert!(angle < 1e-3 && distance < 2e-3, "{angle} radians and {distance} from the truth");
     assert_eq!(found.intrinsics, truth.intrinsics);
     let stop = || Err(Error::Cancelled);
     assert!(matches!(align(&mut renderer, &photo, &start, &stop), Err(Error::Cancelled)));
     // Where nothing is better, nothing moves.
-    assert_eq!(align(&mut renderer, &photo, &found, &|| Ok(())).expect("aligned"), found);
+    assert_eq!(align(&mut renderer, &photo, &found, &|| Ok(())).expect("aligned").camera, found);
 }
 
 #[test]
@@ -149,9 +156,7 @@ fn pictures_without_cameras_are_aligned() {
     assert!(after > before + 0.1, "{before} dB before, {after} after");
     assert!(json["aligned"]["degrees"].as_f64().is_some_and(|degrees| degrees > 0.0), "{}", json["aligned"]);
     // The network has seen the photos and nothing else.
-    let inputs = json["inputs"].as_array().expect("names").iter();
-    let photos: Vec<String> = inputs.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
-    folder.run(&format!("reconstruct {} {options} -o @/scene.ply", photos.join(" "))).success();
+    folder.run(&format!("reconstruct {} {options} -o @/scene.ply", inputs(&json))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
     assert!(folder.run(&line).json()["aligned"].is_null());

@@ -1,6 +1,9 @@
 //! Where in a scene a photo was taken: the camera whose picture of the scene is most like the photo.
 
-use crate::{capture::draw, metrics::values};
+use crate::{
+    capture::{draw, draw_all},
+    metrics::{psnr, values},
+};
 use glam::{DMat3, DQuat, DVec3};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DVector, Dyn, OMatrix, U6, Vector6, storage::Owned};
@@ -20,6 +23,16 @@ const TOLERANCE: f64 = 1e-4;
 /// At a size at most 7 times so many movements are tried.
 const PATIENCE: usize = 12;
 
+/// What [`align`] found.
+pub struct Aligned {
+    /// The camera.
+    pub camera: Camera,
+    /// The scene as it sees it, `[height][width][rgb]` in 0..1.
+    pub drawn: Vec<f32>,
+    /// As the camera sees it that the search began with.
+    pub before: Vec<f32>,
+}
+
 /// Turns and moves `camera` until its picture of the scene that a renderer holds has the least squared error to `photo`, of
 /// the camera's size; at a distance of about 1 there should be something to see. Its lens stays.
 ///
@@ -33,7 +46,7 @@ pub fn align(
     photo: &Image,
     camera: &Camera,
     check: &dyn Fn() -> Result<()>,
-) -> Result<Camera> {
+) -> Result<Aligned> {
     let halves = successors(Some((photo.width, photo.height)), |(width, height)| Some((width / 2, height / 2)));
     let sizes: Vec<_> = halves.enumerate().take_while(|(i, size)| *i == 0 || size.0.min(size.1) >= SMALLEST).collect();
     let mut pose = camera.pose;
@@ -45,12 +58,14 @@ pub fn align(
         found.failure.into_inner()?;
         pose = moved(&found.start, &found.movement).pose;
     }
-    // Small pictures may be most alike elsewhere.
     let found = Camera { pose, ..*camera };
-    let drawn = draw(renderer, &[*camera, found])?;
-    let truth = values(photo);
-    let error = |drawn: &[f32]| drawn.iter().zip(&truth).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
-    Ok(if error(&drawn[1]) < error(&drawn[0]) { found } else { *camera })
+    let [before, drawn] = [camera, &found].map(|camera| draw(renderer, camera));
+    let (before, drawn, truth) = (before?, drawn?, values(photo));
+    // Small pictures may be most alike elsewhere.
+    Ok(match psnr(&drawn, &truth) > psnr(&before, &truth) {
+        true => Aligned { camera: found, drawn, before },
+        false => Aligned { camera: *camera, drawn: before.clone(), before },
+    })
 }
 
 /// The search among pictures of one size.
@@ -86,7 +101,7 @@ impl<'a> Search<'a> {
     /// Pictures from where movements lead.
     fn pictures(&self, movements: &[Vector6<f64>]) -> Option<Vec<Vec<f32>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
-        let drawn = (self.check)().and_then(|()| draw(&mut self.renderer.borrow_mut(), &cameras));
+        let drawn = (self.check)().and_then(|()| draw_all(&mut self.renderer.borrow_mut(), &cameras));
         drawn.map_err(|error| *self.failure.borrow_mut() = Err(error)).ok()
     }
 }

@@ -131,13 +131,12 @@ impl Capture {
         nearest.expect("a capture has an input")
     }
 
-    /// Compares what was drawn in each target's place with it.
+    /// Compares what was drawn in each target's place, `[height][width][rgb]` in 0..1, with it.
     pub fn scores(&self, drawn: &[Vec<f32>]) -> Vec<Score> {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
 
-    /// Compares what was drawn in a photo's place, `[height][width][rgb]` in 0..1, with it.
-    pub fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
+    fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
         let (truth, near) = (values(&view.image), values(&self.nearest(view).image));
         let mut mean = [0.0; 3];
         near.iter().enumerate().for_each(|(i, value)| mean[i % 3] += f64::from(*value));
@@ -152,21 +151,19 @@ impl Capture {
     }
 }
 
-impl Posed {
-    /// The scene that a renderer holds as the photo's camera sees it, `[height][width][rgb]` in 0..1.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`].
-    pub fn draw(&self, renderer: &mut Renderer) -> Result<Vec<f32>> {
-        Ok(draw(renderer, &[self.camera])?.remove(0))
-    }
-}
-
-/// The scene that a renderer holds as each camera sees it, `[height][width][rgb]` in 0..1.
+/// The scene that a renderer holds as a camera sees it, `[height][width][rgb]` in 0..1.
 ///
 /// # Errors
 /// As [`Renderer::render_loaded`].
-pub fn draw(renderer: &mut Renderer, cameras: &[Camera]) -> Result<Vec<Vec<f32>>> {
+pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
+    Ok(draw_all(renderer, &[*camera])?.remove(0))
+}
+
+/// As [`draw`], of several cameras.
+///
+/// # Errors
+/// As [`Renderer::render_loaded`].
+pub fn draw_all(renderer: &mut Renderer, cameras: &[Camera]) -> Result<Vec<Vec<f32>>> {
     let frames = renderer.render_loaded(cameras, &RenderRequest::default())?;
     let clamped = |rgb: Vec<f32>| rgb.into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
     Ok(frames.into_iter().map(|frame| clamped(frame.rgb.unwrap_or_default())).collect())

@@ -10,18 +10,17 @@ ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
 class Optimiser:
     """Processes share Muon's work: each changes some of the matrices and sends them to the others."""
 
-    def __init__(self, model, weight_decay, rank=0, processes=1):
-        named = list(model.named_parameters())
-        matrices = [p for name, p in named if p.ndim == 2 and not name.endswith(ENDS)]
-        chosen = set(map(id, matrices))
-        rest = [p for _, p in named if id(p) not in chosen]
+    def __init__(self, model, weight_decay, rank, processes):
+        matrices, rest = [], []
+        for name, p in model.named_parameters():
+            (matrices if p.ndim == 2 and not name.endswith(ENDS) else rest).append(p)
         groups = [
             {"params": [p for p in rest if p.ndim > 1], "weight_decay": weight_decay},
             {"params": [p for p in rest if p.ndim <= 1], "weight_decay": 0.0},
         ]
         matrices.sort(key=torch.numel, reverse=True)
         self.shares = [matrices[i::processes] for i in range(processes)]
-        self.parameters = [p for _, p in named]
+        self.parameters = list(model.parameters())
         self.adamw = torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.95), fused=True)
         # Steps as long as AdamW's, so that both take the same rate.
         share = self.shares[rank]
@@ -38,10 +37,8 @@ class Optimiser:
                 group["lr"] = rate
             optimiser.step()
         for rank, share in enumerate(self.shares if len(self.shares) > 1 else []):
-            flat = torch.cat([p.flatten() for p in share])
-            dist.broadcast(flat, rank)
-            for p, values in zip(share, flat.split([p.numel() for p in share])):
-                p.copy_(values.view_as(p))
+            for p in share:
+                dist.broadcast(p, rank)
         for p in self.parameters:
             p.grad = None
         return norm

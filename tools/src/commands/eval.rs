@@ -1,7 +1,7 @@
 //! `zipsplat eval`: reconstructs a capture from some of its photos and compares pictures of it with the others.
 
 use crate::{
-    align::align,
+    align::{Aligned, align},
     capture::{Capture, Choice, Posed, Score, draw},
     options::{Quality, Weights, parse_length},
     outputs,
@@ -16,7 +16,7 @@ use zipsplat::{
     Result,
     reconstruct::{Request, Shape},
     stages::render::Renderer,
-    types::{Camera, Image, Pose, contact_sheet},
+    types::{Image, Pose, contact_sheet},
 };
 
 /// Held-out photos in the picture.
@@ -59,8 +59,8 @@ pub struct Eval {
     /// Table to write: view, psnr, ssim, nearest_psnr, mean_colour_psnr, a row for each photo compared
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Folder for scene.ply, in the cameras' unit, and comparison.png: photos, what was drawn in their place, and the nearest
-    /// input photos
+    /// Folder for scene.ply, in the unit of cameras that the network was given, and comparison.png: photos, what was drawn in
+    /// their place, and the nearest input photos
     #[arg(long, short, value_name = "FOLDER")]
     output: Option<PathBuf>,
 }
@@ -93,24 +93,19 @@ impl Eval {
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         let mut renderer = Renderer::new(&device);
         renderer.load(&result.scene)?;
-        let given: Vec<Camera> = capture.targets.iter().map(|view| view.camera).collect();
-        let mut cameras = given.clone();
-        if self.pose_free {
-            (cameras, _) = session.stage("align", |stage| {
+        let targets = &capture.targets;
+        let (drawn, alignment) = if self.pose_free {
+            let (found, _) = session.stage("align", |stage| {
                 let found = |view: &Posed| align(&mut renderer, &view.image, &view.camera, &|| stage.check());
-                stage.each(&capture.targets, found)
+                stage.each(targets, found)
             })?;
-        }
-        let mut pictures = |cameras: &[Camera]| -> Result<Vec<Vec<f32>>> {
-            let picture = |camera: &Camera| Ok(draw(&mut renderer, &[*camera])?.remove(0));
-            Ok(session.stage("draw", |stage| stage.each(cameras, picture))?.0)
+            let alignment = Alignment::new(&capture, &found);
+            (found.into_iter().map(|found| found.drawn).collect(), Some(alignment))
+        } else {
+            let picture = |view: &Posed| draw(&mut renderer, &view.camera);
+            (session.stage("compare", |stage| stage.each(targets, picture))?.0, None)
         };
-        let drawn = pictures(&cameras)?;
         let scores = capture.scores(&drawn);
-        let aligned = match self.pose_free {
-            true => Some(Aligned::new(&given, &cameras, capture.unit, &capture.scores(&pictures(&given)?))),
-            false => None,
-        };
 
         if let Some(path) = &self.csv {
             outputs::save_csv(path, &scores)?;
@@ -136,13 +131,13 @@ impl Eval {
             result.tokens,
             took.as_secs_f64(),
             capture.unit
-        ) + &aligned.as_ref().map_or_else(String::new, Aligned::told);
+        ) + &alignment.as_ref().map_or_else(String::new, Alignment::told);
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
             "peak_bytes": result.peak_bytes,
-            "mean": mean, "aligned": aligned, "views": scores,
+            "mean": mean, "aligned": alignment, "views": scores,
         });
         session.report(&json, text)
     }
@@ -150,7 +145,7 @@ impl Eval {
 
 /// How far pictures' cameras were aligned, and what they scored before.
 #[derive(Serialize)]
-struct Aligned {
+struct Alignment {
     /// Median angle between the camera found and the one given.
     degrees: f64,
     /// Median distance between them, in the unit of the cameras.
@@ -159,17 +154,21 @@ struct Aligned {
     before: Score,
 }
 
-impl Aligned {
-    fn new(given: &[Camera], found: &[Camera], unit: f64, before: &[Score]) -> Self {
+impl Alignment {
+    fn new(capture: &Capture, found: &[Aligned]) -> Self {
         let median = |value: fn(&Pose) -> f64| {
-            let movements = given.iter().zip(found).map(|(given, found)| found.pose.relative_to(&given.pose));
+            let pairs = found.iter().zip(&capture.targets);
+            let movements = pairs.map(|(found, given)| found.camera.pose.relative_to(&given.camera.pose));
             let mut values: Vec<f64> = movements.map(|pose| value(&pose)).collect();
             values.sort_by(f64::total_cmp);
             values[values.len() / 2]
         };
-        let angle = |pose: &Pose| DQuat::from_mat3(&pose.rotation).to_axis_angle().1.to_degrees();
-        let distance = unit * median(|pose| pose.translation.length());
-        Self { degrees: median(angle), distance, before: Score::mean(before) }
+        let before: Vec<Vec<f32>> = found.iter().map(|found| found.before.clone()).collect();
+        Self {
+            degrees: median(|pose| DQuat::from_mat3(&pose.rotation).to_axis_angle().1.to_degrees()),
+            distance: capture.unit * median(|pose| pose.translation.length()),
+            before: Score::mean(&capture.scores(&before)),
+        }
     }
 
     fn told(&self) -> String {

@@ -6,7 +6,7 @@ use super::{
     truth::{Compared, Errors, MOST_FLOPS, Truth},
 };
 use crate::{
-    capture::{Capture, Score},
+    capture::{Capture, Score, draw},
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
@@ -256,15 +256,15 @@ struct Drawn {
 fn compare(renderer: &mut Renderer, scene: &Scene, capture: &Capture) -> Result<Drawn> {
     renderer.load(scene)?;
     // The first picture of a scene also builds the plan.
-    capture.targets[0].draw(renderer)?;
+    draw(renderer, &capture.targets[0].camera)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
     for view in &capture.targets {
         let start = Instant::now();
-        pictures.push(view.draw(renderer)?);
+        pictures.push(draw(renderer, &view.camera)?);
         times.push(start.elapsed());
     }
-    let scores: Vec<Score> = capture.targets.iter().zip(&pictures).map(|(v, drawn)| capture.score(v, drawn)).collect();
-    Ok(Drawn { pictures, times, score: Score::mean(&scores) })
+    let score = Score::mean(&capture.scores(&pictures));
+    Ok(Drawn { pictures, times, score })
 }
 
 /// Bytes of a scene as a PLY file.
@@ -287,7 +287,7 @@ fn psnr_to_f64(
         let mut scene = scene.clone();
         scene.keep(&kept);
         renderer.load(&scene)?;
-        Ok(capture.targets.iter().map(|view| view.draw(renderer)).collect::<Result<Vec<_>>>()?.concat())
+        Ok(capture.targets.iter().map(|view| draw(renderer, &view.camera)).collect::<Result<Vec<_>>>()?.concat())
     };
     Ok(psnr(&draw(&compared.scene)?, &draw(&compared.truth)?))
 }
