@@ -6,6 +6,7 @@
 //! - [`mod@device`] is the device that tests run on.
 //! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
 //! - [`networks`] are models and pictures of the goldens.
+//! - [`photos`] are photos as cameras write them.
 //! - [`processes`] are tests that run in processes of their own.
 //! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
 //! - [`scenes`] are Gaussians and cameras as the engine takes them.
@@ -16,6 +17,7 @@ pub mod device;
 pub mod faults;
 pub mod golden;
 pub mod networks;
+pub mod photos;
 pub mod processes;
 pub mod scenes;
 

@@ -14,11 +14,11 @@ mkdir -p "$out"
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
 stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
-stage reconstruct zipsplat eval "$out/place" --views 8 "${weights[@]}" -o "$out/place"
+stage reconstruct zipsplat eval "$out/place" --views 8 ${weights[@]+"${weights[@]}"} -o "$out/place"
 stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 --overwrite -o "$out/place"
 say "photos that it was not shown, what it drew in their place, and the nearest it was shown: $out/place/comparison.png"
 if [[ $# != 0 ]]; then
-  stage 'reconstruct your photos' zipsplat reconstruct "$@" "${weights[@]}" -o "$out/scene.ply"
+  stage 'reconstruct your photos' zipsplat reconstruct "$@" ${weights[@]+"${weights[@]}"} -o "$out/scene.ply"
   stage render zipsplat render "$out/scene.ply" --wiggle --frames 8 --overwrite -o "$out"
   say "your photos are $out/scene.ply, pictures of it $out/000.png and on, all of them together $out/contact.png"
 fi

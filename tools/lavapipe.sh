@@ -12,9 +12,9 @@ exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run ]] || exit 0
 
 say() { echo "zipsplat: $*" >&2; }
-# The mirror that is used already, where this is Debian.
+# The mirror that is used already, where this is Debian; others' repositories (Docker's) may end in /debian, too.
 # shellcheck disable=SC2016 # $(REPO_URI) is apt's
-mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' |
+mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 'Origin: Debian' |
   awk '/\/debian(\.list)?\/?$/ { mirror = $0 } END { print mirror }')
 mirror=${mirror:-https://deb.debian.org/debian}
 say "unpacking lavapipe from $suite of $mirror in $prefix (84 MB to download)"

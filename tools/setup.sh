@@ -10,6 +10,8 @@ set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cache=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}
 mkdir -p "$cache"
+[[ $cache != *[[:space:]]* ]] ||
+  { echo "zipsplat: the cache folder is '$cache', and cargo runs nothing from a path with spaces: set ZIPSPLAT_CACHE" >&2; exit 1; }
 export MESA_SHADER_CACHE_DIR="$cache/mesa" # a lavapipe kernel takes up to a second to compile
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 
@@ -111,6 +113,11 @@ if [[ -e /etc/debian_version ]]; then
     lavapipe25) use_lavapipe 25 trixie ;;
     wide-lavapipe | swiftshader) use_lavapipe 26 trixie-backports && use_driver "$ZIPSPLAT_DRIVER" ;;
     *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe, lavapipe25, wide-lavapipe or swiftshader" ;;
+  esac
+else
+  case ${ZIPSPLAT_DRIVER:-auto} in
+    auto | system) ;; # what the Vulkan loader finds
+    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto or system, as others are unpacked on Debian and Ubuntu only" ;;
   esac
 fi
 

@@ -611,7 +611,8 @@ zs_status zs_context_get_info(const struct zs_context *context, struct zs_device
 void zs_context_destroy(struct zs_context *context);
 
 // Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-// the high byte is kept. `path` is UTF-8.
+// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation:
+// photos that have one and such cameras have to be decoded by the app. `path` is UTF-8.
 zs_status zs_photo_open(const char *path,
                         struct zs_photo **photo);
 

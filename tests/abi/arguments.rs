@@ -149,6 +149,11 @@ fn devices_are_described() {
     let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
     assert_eq!(name, zipsplat_tests::device::device().limits().name);
     assert!(info.usable == 1 && info.memory_bytes > 0);
+    let (index, memory) = (info.index, info.memory_bytes);
+    // SAFETY: as above.
+    ok(unsafe { zs_device_get(index, &mut info) });
+    let listed: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
+    assert_eq!((listed, info.memory_bytes), (name, memory), "the device of the number that was given");
 }
 
 #[test]

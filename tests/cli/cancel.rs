@@ -31,6 +31,7 @@ fn a_cancelled_command_leaves_no_file() {
         "render @/scene.ply --wiggle -o @/out",
         "convert @/micro.safetensors @/out.safetensors",
         "bench render --gaussians 10",
+        "scene --seed 3 --views 2 --size 28x28 -o @/place",
     ] {
         command(&folder.line(line), &AtomicBool::new(true)).fails(130, &["cancelled"]);
         assert_eq!(folder.names(), before, "{line}");

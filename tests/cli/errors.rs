@@ -68,6 +68,11 @@ fn numbers() {
         let line = format!("{line} --weights @/micro.safetensors --keep 5 {output}");
         refused(&folder, &line, 3, &["--keep: found 5", "1 to 4"]);
     }
+    for keep in ["5", "4,0"] {
+        let line =
+            format!("bench tradeoff @/absent --weights @/micro.safetensors --size 28x28 --keep {keep} -o @/report");
+        refused(&folder, &line, 3, &["--keep: found", "1 to 4"]);
+    }
     let little = "--weights @/micro.safetensors --size 28x28 --memory 100K -o @/out.ply";
     refused(&folder, &format!("reconstruct @/photos {little}"), 4, &["--memory leaves this command 102400 bytes"]);
 }

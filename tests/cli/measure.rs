@@ -138,7 +138,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     // One that shows some of the random network's Gaussians: pictures of nothing are equal.
     folder.run("scene --seed 3 --views 6 --size 42x28 -o @/place").success();
     let line = "bench tradeoff @/place --weights @/micro.safetensors --size 42x28 --views 2,3 --ratio 1,0.5 \
-                --select kmeans,kmeans:1,random:3 --keep 4,1 --repeats 1 --targets 2 -o @/report --json";
+                --select kmeans,kmeans:1,random:3 --keep 4,1 --repeats 1 --targets 2 --unit 1.5 -o @/report --json";
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
     // Of each number of photos all tokens once, and half of them chosen in three ways; two of each, in each arithmetic.

@@ -4,6 +4,7 @@ use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};
 use zipsplat::weights::Checkpoint;
+use zipsplat_tests::photos::with_orientation;
 
 #[test]
 fn two_photos_become_a_scene() {
@@ -136,6 +137,30 @@ fn poses_count_relative_to_the_first_view() {
     };
     assert!(apart(&moved) < 1e-4, "the capture's own world shows: {}", apart(&moved));
     assert!(apart(&none) > 1e-3, "the cameras do not show: {}", apart(&none));
+}
+
+/// As COLMAP sees them.
+#[test]
+fn photos_with_cameras_are_taken_as_stored() {
+    let folder = Folder::new();
+    let noise = image::RgbImage::from_fn(40, 30, |x, y| image::Rgb([(x * 6) as u8, (y * 8) as u8, (x * y) as u8]));
+    let mut jpeg = std::io::Cursor::new(Vec::new());
+    noise.write_to(&mut jpeg, image::ImageFormat::Jpeg).expect("a photo");
+    let jpeg = jpeg.into_inner();
+    write_transforms(folder.path("c.json"), &[zipsplat_tests::scenes::camera(40, 30)], &["photo.jpg"])
+        .expect("a camera");
+    let scene = |bytes: &[u8], options: &str| {
+        std::fs::write(folder.path("photo.jpg"), bytes).expect("a photo");
+        let line = format!("reconstruct @/photo.jpg --weights @/micro.safetensors --size 28x28 {options} -o @/s.ply");
+        folder.run(&line).success();
+        read_ply(folder.path("s.ply")).expect("the scene can be read")
+    };
+    // On its side, and on its head, where the shape of the picture tells nothing.
+    for orientation in [6, 3] {
+        let turned = with_orientation(&jpeg, orientation);
+        assert!(scene(&turned, "--poses @/c.json") == scene(&jpeg, "--poses @/c.json"), "orientation {orientation}");
+        assert!(scene(&turned, "") != scene(&jpeg, ""), "orientation {orientation}");
+    }
 }
 
 #[test]

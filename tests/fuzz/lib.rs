@@ -9,7 +9,7 @@ use zip::{ZipWriter, write::SimpleFileOptions};
 use zipsplat::{
     types::{
         Image, Intrinsics,
-        poses::{Poses, read_cameras, read_poses},
+        poses::{Poses, read_cameras, read_cloud, read_poses},
         read_scene, read_scene_unchecked,
     },
     weights::Checkpoint,
@@ -70,6 +70,13 @@ pub fn colmap(extension: &str, bytes: &[u8]) {
     stored(&format!("images.{extension}"), images);
     let path = stored(&format!("cameras.{extension}"), cameras);
     sound(read_poses(path));
+}
+
+/// A capture's points in a file of this name.
+pub fn points(name: &str, bytes: &[u8]) {
+    for point in read_cloud(stored(name, bytes)).unwrap_or_default() {
+        assert!(point.iter().all(|x| x.is_finite()), "what is read is finite");
+    }
 }
 
 /// A checkpoint of any kind.

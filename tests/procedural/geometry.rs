@@ -24,7 +24,7 @@ fn depth_is_that_of_brute_force_in_f64() {
     let mut compared = 0;
     for seed in 0..24 {
         let setup = setup(seed, &options);
-        let capture = setup.shoot(&Photos::default());
+        let capture = setup.shoot(&Photos::default(), &|| Ok(())).expect("nothing stops it");
         for (view, pose) in setup.poses().iter().enumerate() {
             let i = capture.cameras[view].intrinsics;
             // z that a ray beside the pixel's centre sees; 0 in the sky.

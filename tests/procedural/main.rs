@@ -14,9 +14,9 @@ fn options(views: usize, side: u32) -> Options {
 }
 
 fn setup(seed: u64, options: &Options) -> Setup {
-    Setup::new(seed, options, &Photos::default()).expect("the options are usable")
+    Setup::new(seed, options, &Photos::default(), &|| Ok(())).expect("the options are usable")
 }
 
 fn capture(seed: u64, options: &Options) -> Capture {
-    setup(seed, options).shoot(&Photos::default())
+    setup(seed, options).shoot(&Photos::default(), &|| Ok(())).expect("nothing stops it")
 }

@@ -11,6 +11,7 @@ use zipsplat::types::resample::resize_lanczos;
 use zipsplat::types::{Image, Intrinsics, contact_sheet};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::golden::{self, Golden};
+use zipsplat_tests::photos::with_orientation;
 
 fn chw_to_hwc<T: Copy>(chw: &[T]) -> Vec<T> {
     let plane = chw.len() / 3;
@@ -94,7 +95,7 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
         let view = fit(&photo, width, height).unwrap();
         assert_eq!((view.image.width, view.image.height), (width, height));
         let lens = Intrinsics { width: 640, height: 427, fx: 500.0, fy: 510.0, cx: 320.0, cy: 213.5 };
-        let mapped = view.map.apply(&lens).unwrap();
+        let mapped = view.map.apply(&lens, "lens").unwrap();
         // A centred principal point stays centred but for the half pixel that an odd crop leaves over.
         let scale = view.map.scale[0].max(view.map.scale[1]);
         assert!((mapped.cx - f64::from(width) / 2.0).abs() <= 0.5 * scale.max(1.0) + 1e-9, "{mapped:?}");
@@ -103,12 +104,12 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
         assert!((uneven - 1.0).abs() < 0.05, "{uneven}");
         // The same lens given at half the resolution.
         let half = Intrinsics { width: 320, height: 214, fx: 250.0, fy: 255.0 * 428.0 / 427.0, cx: 160.0, cy: 107.0 };
-        let from_half = view.map.apply(&half).unwrap();
+        let from_half = view.map.apply(&half, "half").unwrap();
         assert!((from_half.fx - mapped.fx).abs() < 1e-9 && (from_half.cy - mapped.cy).abs() < 1e-9);
     }
     let turned = Intrinsics { width: 427, height: 640, fx: 500.0, fy: 500.0, cx: 213.5, cy: 320.0 };
     let view = fit(&photo, 252, 252).unwrap();
-    assert!(matches!(view.map.apply(&turned), Err(Error::Argument { .. })));
+    assert!(matches!(view.map.apply(&turned, "turned"), Err(Error::Argument { .. })));
     for (width, height) in [(0, 252), (252, 0), (250, 252)] {
         assert!(matches!(fit(&photo, width, height), Err(Error::Argument { .. })));
     }
@@ -121,16 +122,6 @@ fn extreme_photos_are_cropped_or_refused() {
     let broken = Image { width: 10, height: 10, rgb: vec![0; 299] };
     assert!(matches!(fit(&broken, 14, 14), Err(Error::Argument { .. })));
     assert!(Image::new(0, 5, Vec::new()).is_err());
-}
-
-/// A JPEG with an EXIF segment that holds an orientation and, as a thumbnail would, an end marker.
-fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {
-    let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
-    exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xd9]);
-    let mut bytes = vec![0xff, 0xd8, 0xff, 0xe1, 0, exif.len() as u8 + 2];
-    bytes.extend(exif);
-    bytes.extend(&jpeg[2..]);
-    bytes
 }
 
 #[test]
@@ -163,6 +154,8 @@ fn exif_orientations_are_applied() {
         let file = tempfile::NamedTempFile::new().unwrap();
         fs::write(file.path(), &bytes).unwrap();
         assert_eq!(Image::size(file.path()).unwrap(), expected_size);
+        assert_eq!(Image::open_as_stored(file.path()).unwrap(), stored, "as COLMAP sees it");
+        assert_eq!(Image::size_as_stored(file.path()).unwrap(), (width, height));
     }
     assert_eq!(open(&with_orientation(&jpeg, 77)).unwrap(), stored, "an unknown orientation is none");
 }

@@ -180,6 +180,9 @@ fn photos_are_matched_by_the_end_of_their_path() {
         let refused = poses.for_photos(&[photo]).unwrap_err();
         assert!(matches!(refused, Error::Argument { .. }) && refused.to_string().contains(reason), "{refused}");
     }
+    let refused = poses.for_photos(&["/a/left/000.png", "/b/left/000.png"]).unwrap_err().to_string();
+    assert!(refused.contains("camera of /b/left/000.png: found left/000.png, as of /a/left/000.png"), "{refused}");
+    assert!(poses.for_photos(&["/a/left/000.png"; 2]).is_ok(), "one photo, given twice");
 }
 
 #[test]

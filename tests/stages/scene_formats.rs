@@ -12,7 +12,7 @@ use zipsplat_tests::scenes;
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 
-/// A scene with the corners of what files hold: every largest component and sign of a rotation, opaque and clear ones.
+/// A scene with the corners of what files hold: every largest component, sign and length of a rotation, opaque and clear ones.
 fn scene(sh_degree: u32) -> Scene {
     let mut scene = scenes::random_scene(400, sh_degree, 0.1);
     for (i, quat) in scene.quats.iter_mut().enumerate() {
@@ -21,6 +21,8 @@ fn scene(sh_degree: u32) -> Scene {
         *quat = quat.map(|q| sign * q);
     }
     (scene.quats[0], scene.quats[1]) = ([0.0, 0.0, 0.0, -2.0], [0.0, 1.0, -1.0, 0.0]);
+    // Whose squares f32 does not hold.
+    (scene.quats[2], scene.quats[3]) = ([1e20, -1e20, 0.0, 0.0], [0.0, 3e-25, 4e-25, 0.0]);
     (scene.opacities[0], scene.opacities[1]) = (0.0, 1.0);
     scene
 }

@@ -17,6 +17,18 @@ losses = [float(row["l1"]) for row in csv.DictReader(open(sys.argv[1])) if row["
 assert len(losses) >= 2 and losses[-1] < 0.8 * losses[0], f"found losses {losses}, expected them to fall by a fifth"
 END
 
+# On from there with more Gaussians a token, which show the same.
+"$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out/finer" --minutes 0.05 \
+    --resume "$out/model.safetensors" --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set reuse=1000 \
+    --set architecture.gaussians_per_token=36 --set 'anchor_cells=[6,6]'
+"$python" - "$out/model.safetensors" "$out/finer/model.safetensors" <<'END'
+import json, sys
+from safetensors import safe_open
+coarse, fine = (json.loads(safe_open(path, "np").metadata()["zipsplat.training"])["unseen_psnr"]["priors_r1"]
+                for path in sys.argv[1:])
+assert fine > coarse - 0.5, f"found {fine} dB with more Gaussians, expected about {coarse}"
+END
+
 "$python" "$root/tools/train/check.py" dump "$out/model.safetensors" "$out/golden.safetensors"
 "$zipsplat" scene --seed 7 --views 4 --size 84x84 -o "$out/scene"
 "$zipsplat" reconstruct "$out/scene/images" --weights "$out/model.safetensors" -o "$out/scene.ply"

@@ -51,7 +51,7 @@ def main():
     parser.add_argument("--architecture", required=True, help="the engine's Architecture as JSON")
     parser.add_argument("--views", required=True, type=lambda text: [int(part) for part in text.split(",")])
     parser.add_argument("--ratio", required=True, type=lambda text: [float(part) for part in text.split(",")],
-                        help="one for each number of views and each ratio, views outermost")  # fmt: skip
+                        help="one for each number of views")  # fmt: skip
     parser.add_argument("--size", required=True, type=lambda text: [int(part) for part in text.split("x")])
     parser.add_argument("--warmup", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=20)
@@ -61,7 +61,6 @@ def main():
     device = "cuda" if torch.cuda.is_available() else "cpu"
     width, height = args.size
     model = network.ZipSplat(Architecture.from_json(args.architecture)).to(device).eval()
-    each = len(args.ratio) // len(args.views)
     rows = []
     for name, (autocast, tf32, compiled) in precisions(device, args.precision).items():
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = tf32
@@ -69,8 +68,7 @@ def main():
             # Block by block, as in training: the whole would be compiled anew for every number of views.
             for kind in (network.Block, network.CrossBlock):
                 kind.forward = torch.compile(kind.forward, dynamic=True)
-        for i, ratio in enumerate(args.ratio):
-            views = args.views[i // each]
+        for views, ratio in zip(args.views, args.ratio):
             images = torch.rand(1, views, 3, height, width, device=device)
             if device == "cuda":
                 gc.collect()
@@ -87,6 +85,8 @@ def main():
                 row["peak_bytes"] = torch.cuda.max_memory_allocated() if device == "cuda" else None
             except torch.cuda.OutOfMemoryError:
                 row["failed"] = "out of memory"
+            except Exception as error:  # a compiler that fails costs its rows and no others
+                row["failed"] = f"{type(error).__name__}: {error}".splitlines()[0]
             rows.append(row)
     name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
     print(json.dumps({"device": name, "torch": torch.__version__, "rows": rows}))

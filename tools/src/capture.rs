@@ -91,7 +91,7 @@ impl Choice {
     pub fn load(&self, size: Size, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i]).collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
-        let photos = photos::load(&paths, size, stage)?;
+        let photos = photos::load(&paths, true, size, stage)?;
         let cropping = photos::cropping(&photos, size);
         let mut inputs = posed(&frames, photos)?;
         let views = self.inputs.len();

@@ -74,10 +74,10 @@ impl Weights {
         }
     }
 
-    /// These options again, each with a space before it.
-    pub fn as_arguments(&self) -> String {
+    /// These options again.
+    pub fn as_arguments(&self) -> Vec<&str> {
         let named = [("--weights", &self.weights), ("--variant", &self.variant)];
-        named.iter().filter_map(|(name, value)| Some(format!(" {name} {}", value.as_ref()?))).collect()
+        named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
     /// Whether they are those that are built in.

@@ -118,14 +118,16 @@ fn end_of_digits(text: &str) -> usize {
     text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())
 }
 
-/// Reads photos and brings them to `size`, several at once.
+/// Reads photos and brings them to `size`, several at once. Those that are `posed` are taken as stored: cameras of COLMAP, and
+/// of what is built on it, are of a photo's pixels before its EXIF orientation is applied.
 ///
 /// # Errors
 /// The first photo's, in their order, that cannot be read.
-pub fn load(photos: &[PathBuf], Size(width, height): Size, stage: &Stage<'_>) -> Result<Vec<View>> {
+pub fn load(photos: &[PathBuf], posed: bool, Size(width, height): Size, stage: &Stage<'_>) -> Result<Vec<View>> {
     let done = AtomicUsize::new(0);
     let load = |path: &PathBuf| {
-        let view = fit(&Image::open(path)?, width, height)?;
+        let photo = if posed { Image::open_as_stored(path) } else { Image::open(path) };
+        let view = fit(&photo?, width, height)?;
         let done = 1 + done.fetch_add(1, atomic::Ordering::Relaxed);
         stage.reach(done as f64 / photos.len() as f64)?;
         Ok(view)

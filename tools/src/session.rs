@@ -155,11 +155,6 @@ impl<'a> Session<'a> {
         std::mem::replace(&mut self.terminal.out, Box::leak(Box::new(std::io::sink())))
     }
 
-    /// Where results go, for those that are no text.
-    pub fn out(&mut self) -> &mut dyn Write {
-        self.terminal.out
-    }
-
     /// Set when the command should stop.
     pub fn cancelled(&self) -> &'a AtomicBool {
         self.terminal.cancelled

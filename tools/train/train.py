@@ -21,6 +21,7 @@ import random
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from PIL import Image
 import losses
 import weights as files
 from data import Pool, Shards, batch, fixed_split, generator_command
-from initialise import initialise
+from initialise import initialise, refine
 from model import ZipSplat
 from optimiser import Optimiser
 from rasterise import rasterise
@@ -61,8 +62,8 @@ class Trainer:
         signal.signal(signal.SIGTERM, self.stop)
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
-        model = initialise(ZipSplat(self.architecture), config["anchor_cells"], **config["initial"])
-        state = self.resume(model)
+        model = ZipSplat(self.architecture)
+        state = self.begin(model)
         self.model = model.to(self.device)
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         self.optimiser = Optimiser(self.model, config["weight_decay"], self.rank, self.processes)
@@ -96,15 +97,19 @@ class Trainer:
         """Ends the run after the step that is under way, and saves."""
         self.stopped = True
 
-    def resume(self, model):
-        """Takes weights over from --resume; gives the rest of the state of a run that goes on."""
+    def begin(self, model):
+        """Makes weights, or takes them over from --resume; gives the rest of the state of a run that goes on."""
         if not self.args.resume:
+            initialise(model, self.config["anchor_cells"], **self.config["initial"])
             return None
         path = Path(self.args.resume)
         if path.is_file():
             architecture, tensors, metadata = files.load(path)
-            if architecture != self.architecture:
+            count = self.architecture.gaussians_per_token
+            if replace(architecture, gaussians_per_token=count) != self.architecture:
                 raise SystemExit(f"{path}: found {architecture}, the configuration expects {self.architecture}")
+            if count != architecture.gaussians_per_token:
+                tensors = refine(tensors, architecture, count)
             model.load_state_dict(tensors)
             before = json.loads(metadata.get("zipsplat.training", "{}"))
             self.steps_before, self.seconds_before = before.get("steps", 0), before.get("seconds", 0.0)

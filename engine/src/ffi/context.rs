@@ -160,9 +160,10 @@ pub unsafe extern "C" fn zs_context_create(
 pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *mut zs_device_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let limits = unsafe { borrow(context, "context") }?.device.limits().clone();
+        let device = &unsafe { borrow(context, "context") }?.device;
+        let (index, limits) = (device.index(), device.limits().clone());
         // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, describe(&DeviceInfo { index: 0, missing: Vec::new(), limits })) }
+        unsafe { write_versioned(info, describe(&DeviceInfo { index, missing: Vec::new(), limits })) }
     })
 }
 

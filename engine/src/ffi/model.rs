@@ -164,7 +164,10 @@ pub unsafe extern "C" fn zs_model_open(
 ) -> zs_status {
     // SAFETY: a string or NULL.
     let checkpoint = |variant: Option<&str>| match unsafe { text(path, "path") }? {
-        "embedded" => embedded(),
+        "embedded" => match variant {
+            Some(variant) => Err(Failure::argument("variant", variant, "NULL: the embedded model says what it is")),
+            None => embedded(),
+        },
         path => Ok(Checkpoint::parse(path, variant)?),
     };
     // SAFETY: the caller's objects.

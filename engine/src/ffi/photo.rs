@@ -14,7 +14,8 @@ pub struct zs_photo {
 }
 
 /// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-/// the high byte is kept. `path` is UTF-8.
+/// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation:
+/// photos that have one and such cameras have to be decoded by the app. `path` is UTF-8.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_photo) -> zs_status {
     // SAFETY: a string or NULL.

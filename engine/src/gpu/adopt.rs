@@ -107,6 +107,7 @@ impl Device {
         let parts = SharedParts {
             instance,
             physical,
+            index: 0,
             raw,
             owned: false,
             queue,

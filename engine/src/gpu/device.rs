@@ -59,6 +59,8 @@ pub(super) struct Shared {
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
     /// See [`DeviceOptions::staged`].
     pub staged: bool,
+    /// See [`Device::index`].
+    index: usize,
     /// See [`Device::passed_over`].
     passed_over: Vec<String>,
     /// See [`super::lost`].
@@ -76,6 +78,7 @@ pub(super) struct Shared {
 pub(super) struct SharedParts {
     pub instance: Instance,
     pub physical: vk::PhysicalDevice,
+    pub index: usize,
     pub raw: ash::Device,
     pub owned: bool,
     pub queue: Queue,
@@ -113,10 +116,15 @@ impl Device {
             let why: Vec<_> = matching.iter().map(|(_, d)| d.lacks()).collect();
             return Err(Error::NoDevice(why.join("; ")));
         };
-        let physical = *physical;
+        let (physical, index) = (*physical, chosen.index);
         let passed_over: Vec<_> =
             matching.iter().filter(|(_, d)| chosen.limits.cpu && !d.limits.cpu).map(|(_, d)| d.lacks()).collect();
-        Shared::open(instance, physical, options, passed_over).map(|s| Self(Arc::new(s)))
+        Shared::open(instance, (physical, index), options, passed_over).map(|s| Self(Arc::new(s)))
+    }
+
+    /// Its number among the machine's devices, as [`DeviceOptions::selector`] takes it; 0 where it was adopted.
+    pub fn index(&self) -> usize {
+        self.0.index
     }
 
     /// GPUs that matched and cannot be used, and why, where a CPU was taken for them.
@@ -133,7 +141,7 @@ impl Device {
 impl Shared {
     fn open(
         instance: Instance,
-        physical: vk::PhysicalDevice,
+        (physical, index): (vk::PhysicalDevice, usize),
         options: &DeviceOptions,
         passed_over: Vec<String>,
     ) -> Result<Self> {
@@ -195,12 +203,13 @@ impl Shared {
         // SAFETY: the family and queue were asked for above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
         let staged = options.staged;
-        let parts = SharedParts { instance, physical, raw, owned: true, queue, family, limits, staged, passed_over };
+        let owned = true;
+        let parts = SharedParts { instance, physical, index, raw, owned, queue, family, limits, staged, passed_over };
         Self::new(parts, found.subgroup_control)
     }
 
     pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
-        let SharedParts { instance, physical, raw, owned, queue, family, limits, staged, passed_over } = parts;
+        let SharedParts { instance, physical, index, raw, owned, queue, family, limits, staged, passed_over } = parts;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -217,6 +226,7 @@ impl Shared {
             allocated: AtomicU64::new(0),
             flops_per_ms: Mutex::default(),
             staged,
+            index,
             passed_over,
             lost: AtomicBool::new(false),
             subgroup_control,

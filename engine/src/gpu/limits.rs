@@ -169,6 +169,9 @@ pub(super) struct Found {
     pub llvmpipe_major: Option<u32>,
 }
 
+/// Its number among PCI vendors.
+const INTEL: u32 = 0x8086;
+
 /// Reads what a device is and can do.
 pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
     let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
@@ -225,13 +228,17 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         // Mesa 26.1's lavapipe crashes where it compiles its matrices of 8 x 8 for subgroups of 16.
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
     let offers = Offers { bf16: bf16.has_matrices(), i8: f12.shader_int8 == vk::TRUE };
+    let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    // Intel's drivers name 32, of the sizes that there are the one that leaves a lane the fewest registers: 32 of 4 bytes on
+    // most of their GPUs. The kernels keep tiles in registers.
+    let narrowest = base.vendor_id == INTEL && subgroup_control;
     let limits = Limits {
         name: text(base.device_name_as_c_str().ok()),
         driver: format!("{} {driver_version}", text(v12.driver_name_as_c_str().ok())),
         api: format!("{}.{}.{}", vk::api_version_major(api), vk::api_version_minor(api), vk::api_version_patch(api)),
         cpu: kind == vk::PhysicalDeviceType::CPU,
         discrete: kind == vk::PhysicalDeviceType::DISCRETE_GPU,
-        subgroup_size: v11.subgroup_size,
+        subgroup_size: if narrowest { v13.min_subgroup_size } else { v11.subgroup_size },
         max_binding_bytes: base.limits.max_storage_buffer_range as u64,
         max_block_bytes: v11.max_memory_allocation_size.min(v13.max_buffer_size).min(4 << 30),
         max_groups: base.limits.max_compute_work_group_count,
@@ -268,7 +275,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         | vk::SubgroupFeatureFlags::SHUFFLE;
     let subgroups = v11.subgroup_supported_operations.contains(operations)
         && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
     let offered = [
         f12.timeline_semaphore,
         f12.scalar_block_layout,

@@ -97,8 +97,9 @@ impl Run {
         let times = self.profiled(queries, count);
         // SAFETY: `profiled` waits for each of its submissions, also when one fails.
         unsafe { raw.destroy_query_pool(queries, None) };
-        let times = times?;
+        // Part of the plan may have run over them where it failed.
         self.forget_inputs();
+        let times = times?;
         self.device.0.check_messages()?;
         Ok(Profile::new(&self.plan, &times))
     }

@@ -104,7 +104,7 @@ impl Cursor {
         let mut piece = Piece { command: self.command, base: [0; 3], groups: [1; 3] };
         let Operation::Dispatch(dispatch) = &command.operation else { return (piece, command.cost(), true) };
         let Groups::Fixed(groups) = dispatch.groups else { return (piece, command.cost(), true) };
-        let axis = cut_axis(groups);
+        let axis = longest_axis(groups);
         let per_group = (command.cost() / groups[axis] as u64).max(1);
         let count = (room / per_group).clamp(1, (groups[axis] - self.done) as u64) as u32;
         piece.groups = groups;
@@ -115,10 +115,10 @@ impl Cursor {
     }
 }
 
-/// The longest axis; of a folded dispatch, which counts its groups along x, the rows.
-fn cut_axis(groups: [u32; 3]) -> usize {
-    let longest = (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0);
-    if groups[1] > 1 && groups[2] == 1 { longest.max(1) } else { longest }
+/// Which is cut, for the smallest pieces. A kernel knows its groups by their index alone, so that those of a folded dispatch may
+/// be cut along x, too.
+fn longest_axis(groups: [u32; 3]) -> usize {
+    (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -164,13 +164,23 @@ mod tests {
         assert!(learned(known, 10 * known, Duration::from_micros(50), true, false) > known);
     }
 
-    /// Every workgroup of every command is in exactly one piece, whatever the budget.
+    fn least_cost(command: &Command) -> u64 {
+        match &command.operation {
+            Operation::Dispatch(d) => match d.groups {
+                Groups::Fixed(groups) => command.cost() / u64::from(groups.into_iter().max().unwrap_or(1)),
+                Groups::Indirect(_) => command.cost(),
+            },
+            _ => command.cost(),
+        }
+    }
+
+    /// Every workgroup of every command is in exactly one piece, whatever the budget, which no piece exceeds by much.
     #[test]
     fn pieces_cover_a_plan_once() {
         let mut rec = Recorder::new(&Limits::default());
         let left = rec.input::<f32>("left", 1 << 20);
         let right = rec.input::<f32>("right", 1 << 20);
-        let shapes = [[1, 1, 1], [100, 1, 1], [32768, 7, 1], [3, 50, 1], [4, 6, 9], [1, 1, 65535]];
+        let shapes = [[1, 1, 1], [100, 1, 1], [32768, 7, 1], [4000, 24, 1], [3, 50, 1], [4, 6, 9], [1, 1, 65535]];
         for (i, groups) in shapes.into_iter().enumerate() {
             rec.scope(if i < 3 { "first" } else { "second" }, |rec| {
                 rec.dispatch_groups(Add { left, right, out: left, count: 1 << 20 }, groups);
@@ -182,8 +192,11 @@ mod tests {
             let mut cursor = Cursor::default();
             let mut covered = vec![0u64; plan.commands.len()];
             while cursor.command < plan.commands.len() {
-                let (pieces, _) = cursor.next_pieces(&plan, budget);
+                let (pieces, cost) = cursor.next_pieces(&plan, budget);
                 assert!(!pieces.is_empty());
+                // One group along the longest axis, of all that there is along the others, is the least.
+                let least = pieces.iter().map(|piece| least_cost(&plan.commands[piece.command])).max().unwrap_or(0);
+                assert!(cost <= budget.saturating_add(least), "found {cost}, expected {budget} or {least} more");
                 for piece in &pieces {
                     assert_eq!(plan.stage(piece.command), plan.stage(pieces[0].command));
                     covered[piece.command] += piece.groups.iter().map(|g| *g as u64).product::<u64>();

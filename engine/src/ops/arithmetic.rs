@@ -34,9 +34,9 @@ impl Precision {
 /// Number types and kernels of linear layers, attention and k-means.
 ///
 /// With a type of 16 bits, these are rounded to it: weights, and activations that only feed matrix products: normed rows,
-/// queries, keys and values, hidden layers, what attention gives. They saturate at its largest value rather than overflow;
-/// networks with activations beyond f16's 65504 are not known. Queries are scaled before they are rounded, and scores are
-/// f32, so that those of blocks without q/k norm, which reach 1e4 and more, stay finite.
+/// queries, keys and values, hidden layers, what attention gives; and the normed rows of an output layer, whose mean goes on
+/// beside their product. They saturate at its largest value rather than overflow; networks with activations beyond f16's 65504
+/// are not known. Scores are f32, so that those of blocks without q/k norm, which reach 1e4 and more, stay finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arithmetic {
     /// Type of the factors of matrix products.

@@ -2,7 +2,7 @@
 
 use super::{
     Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, Nearest,
-    NearestKernel, NearestTile, SelfTest, Tiles, Units, cache::cache_file, pack_matrix,
+    NearestKernel, NearestTile, Part, SelfTest, Tiles, Units, cache::cache_file, pack_matrix, self_test::noise,
 };
 use crate::{
     Error, Result,
@@ -77,34 +77,57 @@ impl Tuning {
         write_atomic(&file, |out| out.write_all(&bytes))
     }
 
-    /// Measures every tile of every matrix kernel. `progress` gets what comes next and the share that is done, and may stop.
+    /// Measures every tile of every matrix kernel that is not known to be unusable. `progress` gets what comes next and the share
+    /// that is done, and may stop. What was measured before an error stays.
     ///
     /// # Errors
-    /// A failure of the device; [`Error::Cancelled`].
-    pub fn measure(device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
+    /// [`Error::DeviceLost`], after which the tile that was at work is unusable; [`Error::Cancelled`].
+    pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let units = |factors: &'static [Element]| factors.iter().filter_map(|f| Units::of(*f, device.limits()));
         let linear = units(&Element::FACTORS).map(|units| (Tuned::Linear, units));
         let attention = units(&Element::HALVES).map(|units| (Tuned::Attention, units));
         let nearest = units(&[Element::F16]).map(|units| (Tuned::Nearest, units));
-        let jobs: Vec<_> = linear.chain(attention).chain(nearest).collect();
-        let mut tuning = Self::default();
-        for (job, (kernel, units)) in jobs.iter().enumerate() {
-            let tiles = kernel.usable(device, *units, &mut tuning.unusable)?;
-            for class in 0..Tiles::CLASSES {
-                let done = (job as f64 + class as f64 / Tiles::CLASSES as f64) / jobs.len() as f64;
-                let next = |tile: &str| progress(tile, done);
-                let measured = match kernel.measure(device, *units, &tiles, Tiles::values(class), next) {
-                    Err(Error::Memory { .. }) => break,
-                    measured => measured?,
-                };
-                let slow = measured.tiles.iter().any(|(_, ms)| *ms > LONGEST);
-                tuning.measured.push(measured);
-                if slow {
-                    break;
-                }
+        let mut tiles: Vec<_> = linear
+            .chain(attention)
+            .chain(nearest)
+            .flat_map(|(kernel, units)| {
+                let candidates = kernel.candidates(units, device.limits()).into_iter().enumerate();
+                candidates.map(move |(index, (name, experimental))| Tile { kernel, units, index, name, experimental })
+            })
+            .collect();
+        // Those that may lose the device come last.
+        tiles.sort_by_key(|tile| tile.experimental);
+        self.measured.clear();
+        for (i, tile) in tiles.iter().enumerate() {
+            let name = tile.full_name();
+            if self.unusable.contains(&name) {
+                continue;
+            }
+            if progress(&name, i as f64 / tiles.len() as f64).is_break() {
+                return Err(Error::Cancelled);
+            }
+            let outcome = tile.times(device);
+            if !matches!(outcome, Ok(Some(_)) | Err(Error::Memory { .. })) {
+                self.unusable.push(name);
+            }
+            match outcome {
+                Err(Error::DeviceLost) => return Err(Error::DeviceLost),
+                Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
+                // A driver may refuse what it offers.
+                _ => {}
             }
         }
-        Ok(tuning)
+        Ok(())
+    }
+
+    fn add(&mut self, tile: &Tile, values: usize, ms: f64) {
+        let Tile { kernel, units: Units { factor, .. }, .. } = *tile;
+        let is_it = |m: &Measured| (m.kernel, m.factor, m.values) == (kernel, factor, values);
+        let at = self.measured.iter().position(is_it).unwrap_or_else(|| {
+            self.measured.push(Measured { kernel, factor, values, tiles: Vec::new() });
+            self.measured.len() - 1
+        });
+        self.measured[at].tiles.push((tile.name.clone(), ms));
     }
 
     /// An arithmetic with the tiles that were fastest. Names that are no candidate's are left out.
@@ -152,49 +175,6 @@ impl Tuned {
         }
     }
 
-    /// Its candidates by index and name, without those that compute wrongly: the self-test has passed on all others.
-    fn usable(self, device: &Device, units: Units, unusable: &mut Vec<String>) -> Result<Vec<(usize, String)>> {
-        let mut usable = Vec::new();
-        for (index, (name, is_experimental)) in self.candidates(units, device.limits()).into_iter().enumerate() {
-            let passes = || match SelfTest::passes_with(device, self, units, index) {
-                Err(Error::DeviceLost) => Err(Error::DeviceLost),
-                // A driver may refuse what it offers: then it is only this tile that cannot be used.
-                result => Ok(result.unwrap_or(false)),
-            };
-            if !is_experimental || passes()? {
-                usable.push((index, name));
-            } else {
-                unusable.push(self.full_name(units, &name));
-            }
-        }
-        Ok(usable)
-    }
-
-    /// Measures tiles for results of `values`.
-    fn measure(
-        self,
-        device: &Device,
-        units: Units,
-        tiles: &[(usize, String)],
-        values: usize,
-        mut next: impl FnMut(&str) -> ControlFlow<()>,
-    ) -> Result<Measured> {
-        let mut times = Vec::new();
-        for (index, name) in tiles {
-            if next(&self.full_name(units, name)).is_break() {
-                return Err(Error::Cancelled);
-            }
-            let units = Units { tiles: Tiles::always(*index), ..units };
-            let run = match self {
-                Tuned::Linear => linear_run(device, units, values / COLUMNS),
-                Tuned::Attention => attention_run(device, units, values / COLUMNS),
-                Tuned::Nearest => nearest_run(device, units, values / COLUMNS),
-            };
-            times.push((name.clone(), median(run?)?));
-        }
-        Ok(Measured { kernel: self, factor: units.factor, values, tiles: times })
-    }
-
     /// `linear`, `attention` or `nearest`.
     pub fn name(self) -> &'static str {
         match self {
@@ -203,9 +183,47 @@ impl Tuned {
             Tuned::Nearest => "nearest",
         }
     }
+}
 
-    fn full_name(self, units: Units, tile: &str) -> String {
-        format!("{} {} {tile}", self.name(), units.factor.name())
+/// A candidate of a kernel.
+struct Tile {
+    kernel: Tuned,
+    units: Units,
+    index: usize,
+    name: String,
+    /// Whether it is used only after it was measured.
+    experimental: bool,
+}
+
+impl Tile {
+    fn full_name(&self) -> String {
+        format!("{} {} {}", self.kernel.name(), self.units.factor.name(), self.name)
+    }
+
+    /// Values of the result and milliseconds, for growing results until one takes long or does not fit. Nothing where the tile
+    /// computes wrongly; the self-test tells of those that are not experimental.
+    fn times(&self, device: &Device) -> Result<Option<Vec<(usize, f64)>>> {
+        if self.experimental && !SelfTest::passes_with(device, self.kernel, self.units, self.index)? {
+            return Ok(None);
+        }
+        let units = Units { tiles: Tiles::always(self.index), ..self.units };
+        let mut times = Vec::new();
+        for values in (0..Tiles::CLASSES).map(Tiles::values) {
+            let run = match self.kernel {
+                Tuned::Linear => linear_run(device, units, values / COLUMNS),
+                Tuned::Attention => attention_run(device, units, values / COLUMNS),
+                Tuned::Nearest => nearest_run(device, units, values / COLUMNS),
+            };
+            let ms = match run.and_then(median) {
+                Err(Error::Memory { .. }) if !times.is_empty() => break,
+                ms => ms?,
+            };
+            times.push((values, ms));
+            if ms > LONGEST {
+                break;
+            }
+        }
+        Ok(Some(times))
     }
 }
 
@@ -213,7 +231,7 @@ fn linear_run(device: &Device, units: Units, rows: usize) -> Result<Run> {
     let kernel = LinearKernel::Matrix(units);
     let element = kernel.element();
     let mut rec = Recorder::new(device.limits());
-    let packed = pack_matrix(kernel, &vec![1.0; COLUMNS * TERMS], TERMS, COLUMNS);
+    let packed = pack_matrix(kernel, &noise(1, COLUMNS, TERMS, units.factor), TERMS, COLUMNS);
     let (weight, bias) = (rec.constant::<u8>("weight", packed.len()), rec.constant::<f32>("bias", COLUMNS));
     let input = rec.constant::<u8>("input", rows * TERMS * element.bytes());
     let layer = Linear { weight, bias, inner: TERMS, columns: COLUMNS, kernel };
@@ -221,8 +239,8 @@ fn linear_run(device: &Device, units: Units, rows: usize) -> Result<Run> {
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     run.write(weight, &packed)?;
-    run.write(bias, &vec![1f32; COLUMNS])?;
-    run.write(input, &element.encode(&vec![1.0; rows * TERMS]))?;
+    run.write(bias, &noise(2, 1, COLUMNS, Element::F32))?;
+    run.write(input, &element.encode(&noise(3, rows, TERMS, units.factor)))?;
     Ok(run)
 }
 
@@ -230,22 +248,35 @@ fn attention_run(device: &Device, units: Units, queries: usize) -> Result<Run> {
     let heads = Heads::new(COLUMNS / AttentionTile::TUNED_CHANNELS, COLUMNS);
     let attention = Attention { heads, sequences: 1, queries, keys: TERMS, kernel: AttentionKernel::Matrix(units) };
     let mut rec = Recorder::new(device.limits());
-    let tensors = attention.tensors(&mut rec);
-    tensors.iter().for_each(|tensor| rec.fill(*tensor, 0));
+    let (tensors, element) = (attention.tensors(&mut rec), attention.kernel.element());
+    let rows = [queries, TERMS, TERMS];
+    let inputs = rows.map(|rows| rec.constant::<u8>("part", rows * COLUMNS * element.bytes()));
+    let of_queries = Part { scale: attention.scale(), ..Part::default() };
+    let parts = [of_queries, Part { keys: true, ..Part::default() }, Part::default()];
+    for i in 0..3 {
+        attention.split(&mut rec, (inputs[i], COLUMNS), 0, rows[i], parts[i], tensors[i]);
+    }
     let out = attention.record(&mut rec, tensors);
     rec.output(out);
-    Run::new(device, rec.finish()?)
+    let mut run = Run::new(device, rec.finish()?)?;
+    for (i, input) in inputs.into_iter().enumerate() {
+        run.write(input, &element.encode(&noise(i as u64, rows[i], COLUMNS, element)))?;
+    }
+    Ok(run)
 }
 
 fn nearest_run(device: &Device, units: Units, points: usize) -> Result<Run> {
     let mut rec = Recorder::new(device.limits());
-    let rows = [points, COLUMNS].map(|count| (rec.tensor::<f32>("rows", count * TERMS), count));
-    rows.iter().for_each(|(tensor, _)| rec.fill(*tensor, 0));
+    let rows = [points, COLUMNS].map(|count| (rec.constant::<f32>("rows", count * TERMS), count));
     let nearest = Nearest::among(&mut rec, NearestKernel::Matrix(units), rows[1], TERMS);
     let [points, targets] = rows.map(|rows| nearest.rows(&mut rec, rows));
     let out = nearest.record(&mut rec, points, targets);
     rec.output(out);
-    Run::new(device, rec.finish()?)
+    let mut run = Run::new(device, rec.finish()?)?;
+    for (i, (input, count)) in rows.into_iter().enumerate() {
+        run.write(input, &noise(i as u64, count, TERMS, Element::F32))?;
+    }
+    Ok(run)
 }
 
 /// Median milliseconds of matrix kernels on the device, warmed up.

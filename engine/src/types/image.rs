@@ -54,10 +54,18 @@ impl Image {
     /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB; of HEIC, AVIF and videos
     /// with the command that makes photos of them.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let bytes = read(path)?;
-        let (mut decoded, orientation) = decode(&bytes).map_err(|reason| Error::format(path, None, reason))?;
+        let (mut decoded, orientation) = decode(path.as_ref())?;
         decoded.apply_orientation(orientation);
+        Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
+    }
+
+    /// As [`Image::open`], but with the pixels as they are stored, whatever the EXIF orientation says. So COLMAP sees a photo, and
+    /// the cameras that it finds are of these pixels.
+    ///
+    /// # Errors
+    /// As [`Image::open`].
+    pub fn open_as_stored(path: impl AsRef<Path>) -> Result<Self> {
+        let (decoded, _) = decode(path.as_ref())?;
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
@@ -66,11 +74,16 @@ impl Image {
     /// # Errors
     /// As [`Image::open`], but damage after the header goes unseen.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
-        let path = path.as_ref();
-        let bytes = read(path)?;
-        let (decoder, orientation) = open_decoder(&bytes).map_err(|reason| Error::format(path, None, reason))?;
-        let (width, height) = decoder.dimensions();
+        let ((width, height), orientation) = stored_size(path.as_ref())?;
         Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
+    }
+
+    /// Width and height of a photo as [`Image::open_as_stored`] would return it, read from the file's header.
+    ///
+    /// # Errors
+    /// As [`Image::size`].
+    pub fn size_as_stored(path: impl AsRef<Path>) -> Result<(u32, u32)> {
+        Ok(stored_size(path.as_ref())?.0)
     }
 
     /// Writes a PNG; the file appears whole or not at all.
@@ -210,7 +223,17 @@ fn open_decoder(bytes: &[u8]) -> Decoded<(impl ImageDecoder + '_, Orientation)> 
     Ok((decoder, orientation))
 }
 
-fn decode(bytes: &[u8]) -> Decoded<(DynamicImage, Orientation)> {
+fn stored_size(path: &Path) -> Result<((u32, u32), Orientation)> {
+    let bytes = read(path)?;
+    let (decoder, orientation) = open_decoder(&bytes).map_err(|reason| Error::format(path, None, reason))?;
+    Ok((decoder.dimensions(), orientation))
+}
+
+fn decode(path: &Path) -> Result<(DynamicImage, Orientation)> {
+    decode_bytes(&read(path)?).map_err(|reason| Error::format(path, None, reason))
+}
+
+fn decode_bytes(bytes: &[u8]) -> Decoded<(DynamicImage, Orientation)> {
     let (decoder, orientation) = open_decoder(bytes)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
     if bytes.starts_with(&JPEG_START) && !jpeg_has_end(bytes) {

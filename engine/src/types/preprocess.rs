@@ -36,19 +36,16 @@ impl PixelMap {
     /// are scaled to it first.
     ///
     /// # Errors
-    /// [`Error::Argument`] when their aspect ratio is more than 1 % off the photo's.
-    pub fn apply(&self, intrinsics: &Intrinsics) -> Result<Intrinsics> {
+    /// [`Error::Argument`] with `label` when their aspect ratio is more than 1 % off the photo's.
+    pub fn apply(&self, intrinsics: &Intrinsics, label: &str) -> Result<Intrinsics> {
         let [width, height] = self.from;
         let stretch =
             f64::from(intrinsics.width) * f64::from(height) / (f64::from(intrinsics.height) * f64::from(width));
         let alike = (stretch - 1.0).abs() < 0.01;
         if !alike {
             let found = format!("{}x{}", intrinsics.width, intrinsics.height);
-            return Err(Error::argument(
-                "intrinsics",
-                found,
-                format!("the aspect ratio of the photo, {width}x{height}"),
-            ));
+            let expected = format!("the aspect ratio of its photo, {width}x{height}");
+            return Err(Error::argument(format!("size of {label}"), found, expected));
         }
         let photo = intrinsics.resized(width, height);
         let ([sx, sy], [x, y]) = (self.scale, self.offset);
@@ -69,8 +66,9 @@ impl PixelMap {
 /// As [`Camera::validate`] and [`PixelMap::apply`].
 pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
-        camera.validate(&format!("camera {i}"))?;
-        let intrinsics = view.map.apply(&camera.intrinsics)?;
+        let label = format!("camera {i}");
+        camera.validate(&label)?;
+        let intrinsics = view.map.apply(&camera.intrinsics, &label)?;
         Ok(Camera { intrinsics, pose: camera.pose.relative_to(&cameras[0].pose) })
     };
     cameras.iter().zip(views).enumerate().map(of_view).collect()

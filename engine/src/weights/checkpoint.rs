@@ -76,14 +76,18 @@ impl Checkpoint {
         found
     }
 
-    /// `seeded:VARIANT[:KEY]` or the path of a file; `variant` is as in [`Checkpoint::open`] and only for files.
+    /// `seeded:VARIANT[:KEY]` or the path of a file; `variant` is as in [`Checkpoint::open`].
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`].
     pub fn parse(text: &str, variant: Option<&str>) -> Result<Self> {
-        match text.strip_prefix("seeded:") {
-            None => Self::open(text, variant),
-            Some(seed) => match seed.split_once(':') {
-                Some((name, key)) => Self::seeded(name, Some(key)),
-                None => Self::seeded(seed, None),
-            },
+        let Some(seed) = text.strip_prefix("seeded:") else { return Self::open(text, variant) };
+        let (name, key) = seed.split_once(':').map_or((seed, None), |(name, key)| (name, Some(key)));
+        match variant {
+            Some(variant) if variant != name => {
+                Err(Error::argument("variant", variant, format!("{name}, as in {text}")))
+            }
+            _ => Self::seeded(name, key),
         }
     }
 
@@ -131,6 +135,9 @@ impl Checkpoint {
     }
 
     fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>) -> Result<Self> {
+        if path.is_dir() {
+            return Err(Error::argument("weights", format!("the folder {}", path.display()), "a file"));
+        }
         let file = File::open(path).map_err(|error| Error::io(path, error))?;
         // SAFETY: the map is only read, as bytes, for which every value is valid. As with every mapped file, whoever
         // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.

@@ -18,7 +18,7 @@ use zipsplat::{
     Error,
     types::{
         Image, Scene,
-        poses::{Poses, read_cameras, read_poses},
+        poses::{Poses, read_cameras, read_cloud, read_poses},
         read_points, read_scene, read_scene_unchecked,
     },
     weights::Checkpoint,
@@ -120,6 +120,12 @@ fn parsers() -> Vec<Parser> {
         }),
         parser("COLMAP binary cameras", vec![seeds::colmap_cameras()], |folder, bytes| {
             colmap(folder, [("cameras.bin", bytes), ("images.bin", &seeds::colmap_images())])
+        }),
+        parser("COLMAP text points", vec![seeds::COLMAP_POINTS.into()], |folder, bytes| {
+            read_cloud(stored(folder, "points3D.txt", bytes)).map(drop)
+        }),
+        parser("COLMAP binary points", vec![seeds::colmap_points()], |folder, bytes| {
+            read_cloud(stored(folder, "points3D.bin", bytes)).map(drop)
         }),
         parser("safetensors", vec![seeds::safetensors()], checkpoint),
         parser("checkpoint archive", vec![seeds::archive(&seeds::pickle())], checkpoint),

@@ -98,6 +98,21 @@ pub fn colmap_images() -> Vec<u8> {
     out
 }
 
+pub const COLMAP_POINTS: &str = "# points\n7 0.5 -1 2 255 0 10 0.3 1 0 2 0\n9 1 1 4 0 0 0 0.1 2 5\n";
+
+pub fn colmap_points() -> Vec<u8> {
+    let mut out = 2u64.to_le_bytes().to_vec();
+    for id in [7u64, 9] {
+        out.extend(id.to_le_bytes());
+        out.extend([0.5f64, -1.0, 2.0].into_iter().flat_map(f64::to_le_bytes));
+        out.extend([255, 0, 10]);
+        out.extend(0.3f64.to_le_bytes());
+        out.extend(2u64.to_le_bytes());
+        out.extend([1i32, 0, 2, 0].into_iter().flat_map(i32::to_le_bytes));
+    }
+    out
+}
+
 fn weights() -> Checkpoint {
     Checkpoint::seeded_architecture(pico(), "pico").unwrap()
 }

@@ -99,6 +99,12 @@ fn buffers_are_found_beside_the_file_and_nowhere_else() {
     file["buffers"][0]["uri"] = "the%20numbers.bin".into();
     fs::write(&path, file.to_string()).unwrap();
     assert_eq!(read_scene(&path).unwrap().means, scene(1).means);
+    // Two buffers of one file.
+    let buffer = file["buffers"][0].clone();
+    file["buffers"].as_array_mut().unwrap().push(buffer);
+    file["bufferViews"][0]["buffer"] = 1.into();
+    fs::write(&path, file.to_string()).unwrap();
+    assert_eq!(read_scene(&path).unwrap(), scene(1));
     for uri in ["../b.bin", "/etc/hostname", "http://host/b.bin", "a/../../b.bin", "%2e%2e/b.bin", "", "data:,x"] {
         file["buffers"][0]["uri"] = uri.into();
         assert!(failure("b.gltf", file.to_string().as_bytes()).contains("buffer 0"), "{uri}");
@@ -160,6 +166,14 @@ fn damaged_documents_are_refused() {
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1000].into();
     shared["scenes"][0]["nodes"] = (0..1000).collect();
     assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("expected fewer than bytes"));
+    // Each of many nodes shows each of many primitives, 10^10 in all, without a Gaussian.
+    let empty = json!({ "attributes": shared["meshes"][0]["primitives"][0]["attributes"],
+                        "extensions": shared["meshes"][0]["primitives"][0]["extensions"] });
+    shared["meshes"][0]["primitives"] = vec![empty; 10_000].into();
+    shared["nodes"] = vec![json!({ "mesh": 0 }); 1_000_000].into();
+    shared["scenes"][0]["nodes"] = (0..1_000_000).collect();
+    shared["accessors"].as_array_mut().unwrap().iter_mut().for_each(|accessor| accessor["count"] = json!(0));
+    assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("no Gaussian"));
 }
 
 #[test]

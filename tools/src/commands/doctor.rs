@@ -59,16 +59,22 @@ impl Doctor {
             ));
         }
         let all: usize = areas.iter().map(|area| area.on(device.limits()).count()).sum();
-        let (findings, time) = session.stage("doctor", |stage| {
+        let ((findings, lost_by), time) = session.stage("doctor", |stage| {
             let mut findings = Vec::with_capacity(all);
             for area in &areas {
                 stage.name(area.kernel);
                 for (case, mode) in area.on(device.limits()) {
                     stage.reach(findings.len() as f64 / all as f64)?;
-                    findings.push(area.examine(case, &device, mode)?);
+                    match area.examine(case, &device, mode) {
+                        Err(Error::DeviceLost) => {
+                            let by = format!("{}, {}, {}", area.kernel, case.name, mode.name());
+                            return Ok((findings, Some(by)));
+                        }
+                        finding => findings.push(finding?),
+                    }
                 }
             }
-            Ok(findings)
+            Ok((findings, None))
         })?;
         if let Some(path) = &self.report {
             let page = report::page(device.limits(), &areas, &findings);
@@ -80,6 +86,10 @@ impl Doctor {
             &Report { device: device.limits(), seconds, outside, findings: &findings },
             text(device.limits(), &findings, outside, seconds),
         )?;
+        if let Some(case) = lost_by {
+            session.note(format!("the device was lost by {case}: what comes after it has not been tried"));
+            return Err(Error::DeviceLost);
+        }
         if outside > 0 {
             session.end_with(OUTSIDE);
         }
@@ -100,7 +110,11 @@ fn text(limits: &Limits, findings: &[Finding], outside: usize, seconds: f64) -> 
             number(error),
             number(bound),
             format!("{:.1} %", 100.0 * share),
-            if finding.holds { String::new() } else { "OUTSIDE".into() },
+            match &finding.failed {
+                Some(failed) => failed.clone(),
+                None if finding.holds => String::new(),
+                None => "OUTSIDE".into(),
+            },
         ]);
     }
     let verdict = match outside {

@@ -90,7 +90,8 @@ impl Reconstruct {
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
-        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, size, stage))?;
+        let (views, load_photos) =
+            session.stage("load photos", |stage| photos::load(&photos, poses.is_some(), size, stage))?;
         if let Some(note) = photos::cropping(&views, size) {
             session.note(note);
         }

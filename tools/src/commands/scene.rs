@@ -84,8 +84,10 @@ impl Scene {
 
     fn write(&self, folder: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
         outputs::check_folder(folder)?;
-        let (capture, took) =
-            session.stage("take photos", |_| Ok(Setup::new(self.seed, options, photos)?.shoot(photos)))?;
+        let (capture, took) = session.stage("take photos", |stage| {
+            let go_on = || stage.check();
+            Setup::new(self.seed, options, photos, &go_on)?.shoot(photos, &go_on)
+        })?;
         session.stage("write", |_| {
             write_folder(folder, &capture, photos.crops())?;
             if self.splats { write_ply(&capture.splats(), folder.join("splats.ply")) } else { Ok(()) }
@@ -122,7 +124,7 @@ impl Scene {
             shards::write(BufWriter::with_capacity(BUFFER, out), self.seed..end, options, photos, written)
         };
         let result = if to_stdout {
-            write(session.out()).map_err(|source| Error::io("standard output", source))
+            write(session.take_output()).map_err(|source| Error::io("standard output", source))
         } else {
             outputs::check_file(path)?;
             write_atomic(path, write)
@@ -135,10 +137,6 @@ impl Scene {
         }
         let rate = count as f64 / started.elapsed().as_secs_f64();
         let text = format!("{}: {}, {rate:.1} a second", path.display(), counted(count as usize, "scene"));
-        if to_stdout {
-            session.note(text);
-            return Ok(());
-        }
         session.report(&json!({"output": path, "scenes": count, "scenes_per_second": rate}), text)
     }
 }

@@ -3,6 +3,7 @@
 use crate::{session::Session, table::Table};
 use clap::Args;
 use serde::Serialize;
+use std::time::Instant;
 use zipsplat::{
     Error, Result,
     gpu::Matrices,
@@ -36,12 +37,19 @@ impl Tune {
             return Err(Error::NoDevice(format!("{} has no matrix units, whose tiles could be chosen", limits.name)));
         }
         limits.check_timestamps()?;
-        let (tuning, time) = session.stage("tune", |stage| {
-            Tuning::measure(&device, |what, done| {
+        // What lost the device, or a driver refused, it would again.
+        let mut tuning = Tuning::known(&device).unwrap_or_default();
+        let started = Instant::now();
+        let outcome = session.stage("tune", |stage| {
+            tuning.measure(&device, |what, done| {
                 stage.name(what);
                 stage.at(done)
             })
-        })?;
+        });
+        if let Err(Error::Cancelled) = outcome {
+            return Err(Error::Cancelled);
+        }
+        let time = started.elapsed();
         tuning.keep(&device)?;
         let mut table = Table::new(3, &["kernel", "factors", "tile", "values", "ms", ""]);
         for measured in &tuning.measured {
@@ -59,9 +67,11 @@ impl Tune {
         }
         let mut text = format!("{table}{}: measured in {:.1} s", limits.name, time.as_secs_f64());
         for tile in &tuning.unusable {
-            text += &format!("\nnot used, its results are wrong or the driver refuses it: {tile}");
+            text +=
+                &format!("\nnot used, as its results are wrong, or the driver refuses it or was lost by it: {tile}");
         }
         let Tuning { measured, unusable } = &tuning;
-        session.report(&Report { device: &limits.name, measured, unusable }, text)
+        session.report(&Report { device: &limits.name, measured, unusable }, text)?;
+        outcome.map(drop)
     }
 }

@@ -50,6 +50,9 @@ impl Worst {
     /// Nothing was compared.
     pub const NONE: Self = Self { error: 0.0, bound: 0.0, share: 0.0 };
 
+    /// Nothing could be compared.
+    pub const UNKNOWN: Self = Self { error: f64::INFINITY, bound: f64::INFINITY, share: f64::INFINITY };
+
     /// One comparison. What is not finite is wrong.
     pub fn one(got: f64, truth: f64, bound: f64) -> Self {
         let error = if got.is_finite() { (got - truth).abs() } else { f64::INFINITY };

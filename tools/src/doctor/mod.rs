@@ -23,7 +23,7 @@ pub use bound::Worst;
 
 use serde::Serialize;
 use zipsplat::{
-    Result,
+    Error, Result,
     gpu::{Device, Element, Limits},
     ops::Units,
 };
@@ -172,6 +172,8 @@ pub struct Finding {
     /// The worst element; errors that are not finite are null in JSON.
     #[serde(flatten)]
     pub worst: Worst,
+    /// What kept it from being computed, where something did.
+    pub failed: Option<String>,
 }
 
 impl Area {
@@ -181,14 +183,18 @@ impl Area {
         modes.flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))
     }
 
-    /// Computes one of its cases on a device.
+    /// Computes one of its cases on a device. What a driver refuses to do does not hold.
     ///
     /// # Errors
-    /// Where the device has too little memory or fails.
+    /// [`Error::DeviceLost`], after which nothing can be computed.
     pub fn examine(&self, case: &Case, device: &Device, mode: Mode) -> Result<Finding> {
-        let worst = (case.check)(device, mode)?;
+        let (worst, failed) = match (case.check)(device, mode) {
+            Err(Error::DeviceLost) => return Err(Error::DeviceLost),
+            Err(error) => (Worst::UNKNOWN, Some(error.to_string())),
+            Ok(worst) => (worst, None),
+        };
         let (kernel, name) = (self.kernel, case.name.clone());
-        Ok(Finding { kernel, case: name, mode, size: case.size, holds: worst.share <= 1.0, worst })
+        Ok(Finding { kernel, case: name, mode, size: case.size, holds: worst.share <= 1.0, worst, failed })
     }
 }
 

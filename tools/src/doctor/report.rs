@@ -92,7 +92,7 @@ fn plot(area: &Area, mode: Mode, findings: &[&Finding]) -> String {
         escape(area.size)
     );
     let mut lines: BTreeMap<&str, Vec<(usize, f64)>> = BTreeMap::new();
-    for f in findings {
+    for f in findings.iter().filter(|f| f.failed.is_none()) {
         let Worst { error, bound, .. } = f.worst;
         lines.entry(&f.case).or_default().push((f.size, bound));
         let title = escape(&format!("{}: error {error:.2e}, bound {bound:.2e}", f.case));
@@ -121,6 +121,9 @@ fn table(findings: &[&Finding]) -> String {
         let class = if f.holds { "" } else { " class=outside" };
         let Worst { error, bound, share } = f.worst;
         let (name, percent) = (escape(&f.case), 100.0 * share);
+        if let Some(failed) = &f.failed {
+            return format!("<tr{class}><td>{name}<td>{}<td colspan=3>{}", f.size, escape(failed));
+        }
         format!("<tr{class}><td>{name}<td>{}<td>{error:.2e}<td>{bound:.2e}<td>{percent:.2} %", f.size)
     };
     let rows: String = findings.iter().map(row).collect();

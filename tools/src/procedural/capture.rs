@@ -17,6 +17,8 @@ use super::world::{Seen, World};
 
 /// Paths that are tried in one place before another is built.
 const PATHS: usize = 20;
+/// Places that are built for one seed, far more than any has needed.
+const PLACES: u64 = 1000;
 /// Views with less contrast (standard deviation of brightness, 0..1) are not worth taking.
 const LEAST_CONTRAST: f32 = 0.05;
 /// Mean brightness of a view.
@@ -28,6 +30,9 @@ const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
 /// Two rays that with the one through the centre give such edges three steps.
 const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
+
+/// Asked now and then whether to go on; its error ends the work.
+pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// What is asked of every scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +89,7 @@ pub struct Capture {
 
 impl Options {
     /// # Errors
-    /// [`Error::Argument`] when there are no views or a side is empty or beyond 4096 pixels.
+    /// [`Error::Argument`] when there are no views, a side is empty or beyond 4096 pixels, or one is more than 8 times the other.
     pub fn validate(&self) -> Result<()> {
         if !(1..=1024).contains(&self.views) {
             return Err(Error::argument("views", self.views, "1 to 1024"));
@@ -96,6 +101,10 @@ impl Options {
                 "sides of 1 to 4096 pixels",
             ));
         }
+        if self.width.max(self.height) > 8 * self.width.min(self.height) {
+            let found = format!("{}x{}", self.width, self.height);
+            return Err(Error::argument("size", found, "a side of at most 8 times the other"));
+        }
         Ok(())
     }
 }
@@ -104,12 +113,16 @@ impl Setup {
     /// Builds places and proposes paths until one is worth its photos.
     ///
     /// # Errors
-    /// As [`Options::validate`].
-    pub fn new(seed: u64, options: &Options, photos: &Photos) -> Result<Self> {
+    /// As [`Options::validate`], and that of `go_on`, which is asked now and then.
+    pub fn new(seed: u64, options: &Options, photos: &Photos, go_on: GoOn<'_>) -> Result<Self> {
         options.validate()?;
-        let place = |place| Self::try_place(seed, place, options, photos);
-        let found = (0..u64::MAX).find_map(place);
-        found.ok_or_else(|| Error::argument("seed", seed, "one that gives a scene"))
+        for place in 0..PLACES {
+            go_on()?;
+            if let Some(setup) = Self::try_place(seed, place, options, photos) {
+                return Ok(setup);
+            }
+        }
+        Err(Error::argument("seed", seed, format!("one that has a scene worth its photos among {PLACES} places")))
     }
 
     fn try_place(seed: u64, place: u64, options: &Options, photos: &Photos) -> Option<Self> {
@@ -148,9 +161,12 @@ impl Setup {
     }
 
     /// Takes the photos.
-    pub fn shoot(&self, photos: &Photos) -> Capture {
+    ///
+    /// # Errors
+    /// That of `go_on`, which is asked for every row of pixels.
+    pub fn shoot(&self, photos: &Photos, go_on: GoOn<'_>) -> Result<Capture> {
         let Lens { width, height, focal } = self.lens;
-        let frames: Vec<Frame> = self.views.par_iter().map(|view| self.frame(*view, photos)).collect();
+        let frames = self.views.par_iter().map(|view| self.frame(*view, photos, go_on)).collect::<Result<Vec<_>>>()?;
         let poses = self.poses();
         let metres = self.median_distance(&frames);
         let intrinsics = Intrinsics {
@@ -174,7 +190,7 @@ impl Setup {
             rgb: self.development.develop(i, width, light),
         };
         let scaled = |depth: Vec<f32>| depth.into_iter().map(|z| z / metres as f32).collect();
-        Capture {
+        Ok(Capture {
             seed: self.seed,
             family: self.family,
             path: self.path,
@@ -183,7 +199,7 @@ impl Setup {
             images: lights.into_par_iter().enumerate().map(develop).collect(),
             depths: depths.into_iter().map(scaled).collect(),
             overlap: self.overlap.clone(),
-        }
+        })
     }
 
     /// Of all views' points from the first camera, metres.
@@ -202,12 +218,12 @@ impl Setup {
         f64::from(*distances.select_nth_unstable_by(middle, f32::total_cmp).1)
     }
 
-    fn frame(&self, view: View, photos: &Photos) -> Frame {
+    fn frame(&self, view: View, photos: &Photos, go_on: GoOn<'_>) -> Result<Frame> {
         let Lens { width, height, .. } = self.lens;
         let look = |x: f32, y: f32, pixel: f32| self.look(view, x, y, pixel, photos);
         let centres = |y: usize| (0..width).map(move |x| (x as f32 + 0.5, y as f32 + 0.5));
-        let rows: Vec<Vec<(Seen, f32)>> =
-            (0..height).into_par_iter().map(|y| centres(y).map(|(x, y)| look(x, y, 1.0)).collect()).collect();
+        let row = |y: usize| go_on().map(|()| centres(y).map(|(x, y)| look(x, y, 1.0)).collect());
+        let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<(Seen, f32)>>>>()?;
         let region = |x: usize, y: usize| rows[y][x].0.region;
         let is_edge = |x: usize, y: usize| {
             let here = region(x, y);
@@ -224,9 +240,9 @@ impl Setup {
             centre if is_edge(x, y) => (centre + around(x, y, &BESIDE_CENTRE)) / 3.0,
             centre => centre,
         };
-        let light =
-            (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| pixel(x, y));
-        Frame { light: light.collect(), depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() }
+        let row = |y: usize| go_on().map(|()| (0..width).map(|x| pixel(x, y)).collect());
+        let light = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?.concat();
+        Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
     }
 
     /// What a point of the picture shows, and its z; `pixel` is the width that is averaged, in pixels.

@@ -22,7 +22,7 @@ mod texture;
 mod tone;
 mod world;
 
-pub use capture::{Capture, Options, Setup};
+pub use capture::{Capture, GoOn, Options, Setup};
 pub use families::Family;
 pub use folder::write_folder;
 pub use height_field::HeightField;

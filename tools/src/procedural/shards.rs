@@ -158,7 +158,8 @@ pub fn write(
     let scenes = if seeds.end == u64::MAX { 0 } else { seeds.end - seeds.start };
     let header = Header { scenes, views: options.views as u32, height: options.height, width: options.width };
     to.write_all(&header.bytes())?;
-    let make = |seed| Setup::new(seed, options, photos).map(|setup| encode(&setup.shoot(photos)));
+    let make =
+        |seed| Setup::new(seed, options, photos, &|| Ok(()))?.shoot(photos, &|| Ok(())).map(|capture| encode(&capture));
     let (sender, receiver) = sync_channel::<zipsplat::Result<Vec<Vec<u8>>>>(1);
     std::thread::scope(|scope| {
         scope.spawn(move || {

@@ -63,7 +63,7 @@ impl SelfTest {
         };
         self.outcome(NAME, |test| {
             let (exact, fast) = (distances(NearestKernel::Lanes)?, distances(NearestKernel::Matrix(units))?);
-            test.compare(NAME, LIMIT, &exact, &fast);
+            test.compare(NAME, LIMIT, 0.0, &exact, &fast);
             Ok(())
         })
     }

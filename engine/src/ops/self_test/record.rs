@@ -22,11 +22,14 @@ pub(in crate::ops) fn unfinished(device: &Device) -> String {
     )
 }
 
-/// What is known of a device: the result, and until there is one how often a test was begun.
+/// What is known of a device: the result, and until it is whole how often the test was begun.
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct Record {
     begun: u32,
     result: Option<SelfTest>,
+    /// Not where the device was lost by a kernel: the others are tested the next time.
+    #[serde(default)]
+    whole: bool,
 }
 
 impl Record {
@@ -55,15 +58,16 @@ impl SelfTest {
     /// [`Error::DeviceLost`], [`Error::Memory`]; other failures are those of its kernels.
     pub fn of(device: &Device) -> Result<Self> {
         let file = cache_file(device, "self-test");
-        let known = file.as_deref().and_then(Record::read).unwrap_or_default();
-        if let Some(test) = known.result {
+        let Record { begun, result, whole } = file.as_deref().and_then(Record::read).unwrap_or_default();
+        let mut test = match result {
+            Some(test) if whole => return Ok(test),
+            found => found.unwrap_or_default(),
+        };
+        if begun >= ATTEMPTS {
+            test.deviations.push((UNFINISHED.into(), None));
             return Ok(test);
         }
-        if known.begun >= ATTEMPTS {
-            return Ok(Self { deviations: vec![(UNFINISHED.into(), None)] });
-        }
-        Record { begun: known.begun + 1, result: None }.keep(file.as_deref());
-        let mut test = Self::default();
+        Record { begun: begun + 1, result: Some(test.clone()), whole: false }.keep(file.as_deref());
         let outcome = test.run_all(device);
         if let Err(error @ Error::Memory { .. }) = outcome {
             // Another time there may be enough.
@@ -71,7 +75,7 @@ impl SelfTest {
             return Err(error);
         }
         // Also where the device was lost: the kernel that was at work then is not used again.
-        Record { begun: 0, result: Some(test.clone()) }.keep(file.as_deref());
+        Record { begun: 0, result: Some(test.clone()), whole: outcome.is_ok() }.keep(file.as_deref());
         outcome.map(|()| test)
     }
 }

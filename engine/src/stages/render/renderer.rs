@@ -107,9 +107,10 @@ impl Renderer {
         scene.validate()?;
         let degree = if self.plain { 0 } else { used_degree(scene) };
         let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
-        let loaded = match self.scene.take() {
-            Some(loaded) if same(&loaded.tensors) => loaded,
-            _ => {
+        let loaded = match self.scene.take().filter(|loaded| same(&loaded.tensors)) {
+            Some(loaded) => loaded,
+            None => {
+                // Before another is allocated: they hold the scene that was.
                 self.plans.clear();
                 self.cameras_at_once = usize::MAX;
                 Loaded::allocate(&self.device, scene.len(), degree)?
@@ -214,6 +215,8 @@ impl Renderer {
         let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.device.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
+        // Plans of other sizes and requests, which take memory, too.
+        let mut others = !self.plans.is_empty();
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
             let together = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
@@ -222,6 +225,10 @@ impl Renderer {
                 Err(Error::Memory { .. }) if together.len() > 1 => {
                     self.cameras_at_once = together.len() / 2;
                     self.capacity = 0;
+                }
+                Err(Error::Memory { .. }) if others => {
+                    others = false;
+                    self.forget_plans();
                 }
                 Err(error) => return Err(error),
             }

@@ -1,6 +1,7 @@
 //! The bytes of a glTF's buffers, and the numbers that accessors see in them.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 
 use base64::{Engine, engine::general_purpose::STANDARD};
@@ -8,42 +9,59 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use super::{Document, Parsed, document::Buffer};
 use crate::{Error, Result};
 
-/// One byte slice a buffer.
-pub(super) struct Buffers<'a>(Vec<Cow<'a, [u8]>>);
+/// The bytes that buffers are made of, and which of them each buffer is: several may name one file.
+pub(super) struct Buffers<'a> {
+    contents: Vec<Cow<'a, [u8]>>,
+    of_buffer: Vec<usize>,
+}
 
 impl<'a> Buffers<'a> {
     /// Bytes of all buffers.
     pub(super) fn len(&self) -> usize {
-        self.0.iter().map(|buffer| buffer.len()).sum()
+        self.contents.iter().map(|bytes| bytes.len()).sum()
     }
 
     /// `binary` is the container's chunk, the content of a buffer without an address. Files are looked for beside `path`
     /// and below, nowhere else.
     pub(super) fn open(buffers: &[Buffer], binary: Option<&'a [u8]>, path: &Path) -> Result<Self> {
         let fail = |i: usize, reason: String| Error::format(path, None, format!("buffer {i}: {reason}"));
-        let mut opened = Vec::new();
+        let (mut contents, mut of_buffer) = (Vec::new(), Vec::new());
+        let mut files = HashMap::new();
         for (i, buffer) in buffers.iter().enumerate() {
-            let bytes = match (&buffer.uri, binary) {
-                (None, Some(binary)) if i == 0 => Cow::Borrowed(binary),
+            let mut add = |bytes| {
+                contents.push(bytes);
+                contents.len() - 1
+            };
+            let content = match (&buffer.uri, binary) {
+                (None, Some(binary)) if i == 0 => add(Cow::Borrowed(binary)),
                 (None, _) => return Err(fail(i, "no address and no binary chunk".into())),
-                (Some(uri), _) if uri.starts_with("data:") => Cow::Owned(embedded(uri).map_err(|e| fail(i, e))?),
+                (Some(uri), _) if uri.starts_with("data:") => add(Cow::Owned(embedded(uri).map_err(|e| fail(i, e))?)),
                 (Some(uri), _) => {
                     let name = beside(uri).ok_or_else(|| {
                         fail(i, format!("found the address {uri:?}, expected a file in the folder or base64 data"))
                     })?;
                     let file = path.parent().unwrap_or(Path::new("")).join(name);
-                    Cow::Owned(std::fs::read(&file).map_err(|source| Error::io(&file, source))?)
+                    match files.get(&file) {
+                        Some(content) => *content,
+                        None => {
+                            let bytes = std::fs::read(&file).map_err(|source| Error::io(&file, source))?;
+                            *files.entry(file).or_insert(add(Cow::Owned(bytes)))
+                        }
+                    }
                 }
             };
-            if bytes.len() < buffer.byte_length {
-                return Err(fail(
-                    i,
-                    format!("truncated: found {} bytes, expected {}", bytes.len(), buffer.byte_length),
-                ));
+            let found = contents[content].len();
+            if found < buffer.byte_length {
+                return Err(fail(i, format!("truncated: found {found} bytes, expected {}", buffer.byte_length)));
             }
-            opened.push(bytes);
+            of_buffer.push(content);
         }
-        Ok(Self(opened))
+        Ok(Self { contents, of_buffer })
+    }
+
+    /// The bytes of a buffer.
+    fn get(&self, buffer: usize) -> Option<&[u8]> {
+        self.of_buffer.get(buffer).map(|content| &*self.contents[*content])
     }
 
     /// The values of an accessor of `N` components, as floats. Lengths are checked before anything is allocated.
@@ -62,7 +80,7 @@ impl<'a> Buffers<'a> {
         let view = view.ok_or_else(|| fail("no such buffer view".into()))?;
         let size = N * scalar.size();
         let stride = view.byte_stride.unwrap_or(size);
-        let bytes = self.0.get(view.buffer).and_then(|buffer| buffer.get(view.byte_offset..)?.get(..view.byte_length));
+        let bytes = self.get(view.buffer).and_then(|bytes| bytes.get(view.byte_offset..)?.get(..view.byte_length));
         let bytes = bytes.and_then(|bytes| bytes.get(accessor.byte_offset..)).unwrap_or_default();
         let needed = accessor.count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
         if stride < size || needed.is_none_or(|needed| needed > bytes.len()) {

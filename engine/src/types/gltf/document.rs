@@ -147,11 +147,11 @@ impl Document {
         }
     }
 
-    /// The primitives with Gaussians that the default scene shows, and where: their frame to the world.
-    pub(super) fn primitives(&self) -> Parsed<Vec<(&Primitive, DMat4)>> {
+    /// Visits the primitives with Gaussians that the default scene shows, with where: their frame to the world. Many nodes may
+    /// show one mesh, so there may be far more than the file has bytes.
+    pub(super) fn visit(&self, mut visit: impl FnMut(&Primitive, &DMat4) -> Parsed<()>) -> Parsed<()> {
         let mut seen = vec![false; self.nodes.len()];
         let mut waiting: Vec<_> = self.roots()?.into_iter().rev().map(|node| (node, DMat4::IDENTITY)).collect();
-        let mut found = Vec::new();
         while let Some((index, parent)) = waiting.pop() {
             let node =
                 self.nodes.get(index).ok_or_else(|| format!("no node {index}, there are {}", self.nodes.len()))?;
@@ -165,11 +165,11 @@ impl Document {
                 self.meshes.get(mesh).ok_or_else(|| format!("no mesh {mesh}, there are {}", self.meshes.len()))?;
             for primitive in &mesh.primitives {
                 if primitive.has_gaussians()? {
-                    found.push((primitive, to_world));
+                    visit(primitive, &to_world)?;
                 }
             }
         }
-        Ok(found)
+        Ok(())
     }
 
     /// Of the default scene, else the first one; without any, every node that is no child.

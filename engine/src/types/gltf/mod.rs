@@ -56,18 +56,18 @@ pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
     let buffers = Buffers::open(&document.buffers, binary, path)?;
     let mut parts = Vec::new();
     let mut count = 0;
-    for (primitive, to_world) in document.primitives().map_err(fail)? {
-        let part =
-            read_primitive(&document, &buffers, primitive).and_then(|part| place(part, &to_world)).map_err(fail)?;
+    let shown = document.visit(|primitive, to_world| {
+        let part = place(read_primitive(&document, &buffers, primitive)?, to_world)?;
         count += part.len();
         // Nodes may share a mesh, and a small file could ask for any number.
         if count > buffers.len() {
-            let reason =
-                format!("nodes show {count} Gaussians from {} bytes, expected fewer than bytes", buffers.len());
-            return Err(Error::format(path, None, reason));
+            let bytes = buffers.len();
+            return Err(format!("nodes show {count} Gaussians from {bytes} bytes, expected fewer than bytes").into());
         }
         parts.push(part);
-    }
+        Ok(())
+    });
+    shown.map_err(fail)?;
     if parts.is_empty() {
         return Err(Error::format(path, None, format!("the default scene shows no primitive with {EXTENSION}")));
     }
@@ -83,6 +83,9 @@ fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive)
     let own = |name: &str| attribute(&format!("{EXTENSION}:{name}"));
     let means = buffers.values::<3>(document, attribute("POSITION")?)?;
     let count = means.len();
+    if count == 0 {
+        return Err(Fault::from(format!("a primitive with {EXTENSION} has no Gaussian, expected one at least")));
+    }
     let checked = |name: &str, found: usize| match found == count {
         true => Ok(()),
         false => Err(Fault::from(format!("{name} has {found} values, expected {count} as POSITION has"))),

@@ -51,7 +51,7 @@ impl Poses {
     /// The frames of `photos`, matched by file name; where several frames share it, by the longest common end of the path.
     ///
     /// # Errors
-    /// [`Error::Argument`] when a photo has no frame or several equally good ones.
+    /// [`Error::Argument`] when a photo has no frame or several equally good ones, or shares it with another photo.
     pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&Frame>> {
         let mut by_name: HashMap<_, Vec<&Frame>> = HashMap::new();
         for frame in &self.frames {
@@ -72,7 +72,18 @@ impl Poses {
                 }
             }
         };
-        photos.iter().map(|photo| find(photo.as_ref())).collect()
+        let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&Frame>>>()?;
+        // A photo may be given twice, but two photos were not taken by one camera.
+        let file = |photo: &Path| photo.canonicalize().unwrap_or_else(|_| photo.to_path_buf());
+        let mut photo_of: HashMap<*const Frame, &Path> = HashMap::new();
+        for (photo, frame) in photos.iter().map(AsRef::as_ref).zip(&frames) {
+            let other = *photo_of.entry(*frame).or_insert(photo);
+            if other != photo && file(other) != file(photo) {
+                let found = format!("{}, as of {}", frame.name, other.display());
+                return Err(Error::argument(format!("camera of {}", photo.display()), found, "one of its own"));
+            }
+        }
+        Ok(frames)
     }
 
     /// What photos have cameras, for messages.

@@ -96,7 +96,7 @@ impl<'a> Fields<'a> {
         };
         match (side("w")?, side("h")?) {
             (Some(width), Some(height)) => Ok(Some((width, height))),
-            _ => photo.map(Image::size).transpose().map_err(|error| format!("{}: {error}", self.label)),
+            _ => photo.map(Image::size_as_stored).transpose().map_err(|error| format!("{}: {error}", self.label)),
         }
     }
 

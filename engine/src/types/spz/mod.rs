@@ -103,7 +103,7 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
         let reason = format!("found {} Gaussians, which take more than {} bytes can inflate to", word(2), bytes.len());
         return Err(fault(8, reason));
     }
-    let mut body = Vec::with_capacity(expected as usize);
+    let mut body = Vec::new(); // grows with what there is, whatever the header says
     stream.by_ref().take(expected).read_to_end(&mut body).map_err(gzip)?;
     if body.len() as u64 != expected {
         let reason = format!("truncated: {} Gaussians take {expected} bytes, found {}", word(2), body.len());

@@ -18,7 +18,7 @@ use std::{
     time::{Duration, Instant},
 };
 use zipsplat::{
-    Result,
+    Error, Result,
     gpu::Profile,
     reconstruct::{MAX_VIEWS, Model, Ratio, Request, Shape},
     types::Image,
@@ -87,6 +87,7 @@ impl Forward {
         for (views, Request { ratio, selection, .. }) in &requests {
             Shape::new(checkpoint.architecture(), *views, [width, height], (*ratio, selection), false)?;
         }
+        self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
@@ -99,27 +100,41 @@ impl Forward {
         let (mut rows, mut text) = (Vec::new(), String::new());
         for (views, request) in &requests {
             let name = format!("{views} views");
-            let (measured, _) =
-                session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage))?;
+            let measured = session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage));
+            let measured = match measured {
+                // What is too large does not cost what was measured before.
+                Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
+                    session.note(format!("{name}: {error}"));
+                    continue;
+                }
+                measured => measured?.0,
+            };
             text += &describe(&measured, precision.name(), &device.limits().name, &peak);
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
-        if let Some(python) = &self.pytorch {
+        let compared = self.pytorch.as_ref().map(|python| {
             let totals: Vec<Row> = rows.iter().filter(|row| row.stage.is_empty()).cloned().collect();
-            let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
-            text += &compared.text;
-            rows.extend(compared.rows);
-        }
-        session.report(&rows, text)
+            session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))
+        });
+        let failed = match compared {
+            Some(Ok((compared, _))) => {
+                text += &compared.text;
+                rows.extend(compared.rows);
+                None
+            }
+            failed => failed.and_then(Result::err),
+        };
+        // Ours, whatever became of the other.
+        session.report(&rows, text)?;
+        failed.map_or(Ok(()), Err)
     }
 
     /// PyTorch's times beside ours, `totals` in the order in which they were measured.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
-        let ratios: Vec<f64> = totals.iter().map(|row| row.ratio).collect();
+        let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
         let Repeats { warmup, repeats } = self.repeats;
         let times = [warmup, repeats];
-        let found =
-            pytorch::forward(python, checkpoint.architecture(), &self.views, &ratios, &size.to_string(), times)?;
+        let found = pytorch::forward(python, checkpoint.architecture(), &cases, &size.to_string(), times)?;
         let mut table =
             Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
         let mut rows = Vec::new();

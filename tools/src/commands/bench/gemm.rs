@@ -108,7 +108,7 @@ impl Gemm {
         let flops = 2 * (rows * inner * columns) as u64;
         let measure = |(name, kernel, peak): &(String, LinearKernel, Rate)| {
             let (times, on_device) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
-            let apart = on_host.iter().zip(&on_device).fold(0f32, |most, (x, y)| most.max((x - y).abs()));
+            let apart = on_host.iter().zip(&on_device).map(|(x, y)| (x - y).abs()).fold(0f32, larger_or_nan);
             let device_ms = Spread::of(times);
             let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
             Ok(Row {
@@ -127,6 +127,11 @@ impl Gemm {
         };
         kernels.iter().map(measure).collect()
     }
+}
+
+/// As `f32::max`, which would hide a NaN.
+fn larger_or_nan(most: f32, value: f32) -> f32 {
+    if value > most || value.is_nan() { value } else { most }
 }
 
 /// The kernels of linear layers that a device has, with the limit of each.

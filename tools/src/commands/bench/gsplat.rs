@@ -19,7 +19,7 @@ pub fn check(python: &Path) -> Result<()> {
     run(python, &[]).map(drop)
 }
 
-/// Milliseconds that gsplat takes for a frame.
+/// Milliseconds that gsplat takes for one of `repeats` frames in a row.
 ///
 /// # Errors
 /// As [`check`].

@@ -33,15 +33,23 @@ pub struct Row {
     pub failed: Option<String>,
 }
 
-/// Times a network for each of `views` and, views outermost, each of `ratios`.
+/// Holds that `python` has what is needed.
 ///
 /// # Errors
-/// [`Error::Argument`] where `python` cannot be run, or ends in an error, whose last line is told.
+/// [`Error::Argument`] where it does not run or lacks something, with what it said.
+pub fn check(python: &Path) -> Result<()> {
+    let mut command = Command::new(python);
+    super::python::run("--pytorch", NEEDED, command.args(["-c", "import torch, numpy, safetensors"])).map(drop)
+}
+
+/// Times a network for each of `cases`: views, and share of the tokens.
+///
+/// # Errors
+/// As [`check`].
 pub fn forward(
     python: &Path,
     architecture: &Architecture,
-    views: &[usize],
-    ratios: &[f64],
+    cases: &[(usize, f64)],
     size: &str,
     [warmup, repeats]: [u32; 2],
 ) -> Result<Pytorch> {
@@ -54,8 +62,8 @@ pub fn forward(
     let architecture = serde_json::to_string(architecture).expect("numbers and names are JSON");
     let mut command = Command::new(python);
     command.arg(folder.path().join(FILES[0].0)).args(["--architecture", &architecture, "--size", size]);
-    command.args(["--views", &list(views.iter().map(usize::to_string).collect())]);
-    command.args(["--ratio", &list(ratios.iter().map(f64::to_string).collect())]);
+    command.args(["--views", &list(cases.iter().map(|(views, _)| views.to_string()).collect())]);
+    command.args(["--ratio", &list(cases.iter().map(|(_, ratio)| ratio.to_string()).collect())]);
     command.args(["--warmup", &warmup.to_string(), "--repeats", &repeats.to_string()]);
     let printed = super::python::run("--pytorch", NEEDED, &mut command)?;
     serde_json::from_str(&printed)

@@ -83,10 +83,10 @@ impl Tradeoff {
         outputs::check_folder(&self.output)?;
         let checkpoint = self.weights.open()?;
         let size = Size::or_best(self.size, &checkpoint);
+        sweep::check(self, checkpoint.architecture(), size)?;
         let choices: Vec<Choice> = (self.views.iter())
             .map(|views| Choice::new(&self.folder, *views, Some(self.targets as usize)))
             .collect::<Result<_>>()?;
-        sweep::check(self, checkpoint.architecture(), size)?;
         let device = timed_device(session)?;
         let captures: Vec<Capture> = (choices.iter())
             .map(|choice| Ok(session.stage("load photos", |stage| choice.load(size, self.unit, stage))?.0))

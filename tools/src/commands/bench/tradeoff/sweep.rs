@@ -18,7 +18,7 @@ use std::{
     time::{Duration, Instant},
 };
 use zipsplat::{
-    Result,
+    Error, Result,
     gpu::{Device, StageTimes},
     ops::{Arithmetic, Precision},
     reconstruct::{Kept, Model, Ratio, Request, Selection, Shape},
@@ -74,11 +74,15 @@ struct Forward {
     compared: Option<Compared>,
 }
 
-/// Whether every combination can be reconstructed; needs no device.
+/// Whether every combination can be reconstructed, and so many Gaussians of a token kept; needs no device.
 ///
 /// # Errors
 /// That of the first that cannot.
 pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): Size) -> Result<()> {
+    let all = architecture.gaussians_per_token;
+    if let Some(keep) = args.keep.iter().flatten().find(|keep| !(1..=all).contains(*keep)) {
+        return Err(Error::argument("--keep", keep, format!("1 to {all}, the Gaussians of a token")));
+    }
     for views in &args.views {
         for (ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (*ratio, s))) {
             Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
@@ -152,9 +156,7 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
 impl Bench<'_> {
     fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<()> {
         let forward = self.forward(model, case, stage)?;
-        let all = model.architecture().gaussians_per_token;
-        let keep: Vec<usize> = self.keep.iter().copied().filter(|keep| *keep <= all).collect();
-        for keep in keep {
+        for keep in self.keep.clone() {
             stage.check()?;
             let point = self.point(model, case, &forward, keep)?;
             self.sweep.points.push(point);
@@ -329,11 +331,15 @@ fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32
 }
 
 fn command(args: &Tradeoff, case: &Case<'_>, keep: usize) -> String {
-    let mut command = format!("zipsplat eval {} --views {}", args.folder.display(), case.capture.inputs.len());
-    command += &format!(" {} --keep {keep} --precision {}", case.settings, case.precision);
-    command += &format!(" --targets {}", args.targets);
+    let folder = args.folder.to_string_lossy();
+    let mut options = format!("--views {} {}", case.capture.inputs.len(), case.settings);
+    options += &format!(" --keep {keep} --precision {} --targets {}", case.precision, args.targets);
     if let Some(size) = args.size {
-        command += &format!(" --size {size}");
+        options += &format!(" --size {size}");
     }
-    command + &args.weights.as_arguments()
+    if let Some(unit) = args.unit {
+        options += &format!(" --unit {unit}");
+    }
+    let words = ["zipsplat", "eval", &folder].into_iter().chain(options.split(' ')).chain(args.weights.as_arguments());
+    shlex::try_join(words).expect("no argument of a command holds a NUL")
 }

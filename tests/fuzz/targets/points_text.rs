@@ -1,0 +1,4 @@
+#![no_main]
+//! COLMAP points as text.
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::points("points3D.txt", bytes));

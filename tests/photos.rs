@@ -1,0 +1,11 @@
+//! Photos as cameras write them.
+
+/// A JPEG with an EXIF segment that holds an orientation and, as a thumbnail would, an end marker.
+pub fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {
+    let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+    exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xd9]);
+    let mut bytes = vec![0xff, 0xd8, 0xff, 0xe1, 0, exif.len() as u8 + 2];
+    bytes.extend(exif);
+    bytes.extend(&jpeg[2..]);
+    bytes
+}
