@@ -104,7 +104,7 @@ fn buffers_are_found_beside_the_file_and_nowhere_else() {
     file["buffers"].as_array_mut().unwrap().push(buffer);
     file["bufferViews"][0]["buffer"] = 1.into();
     fs::write(&path, file.to_string()).unwrap();
-    assert_eq!(read_scene(&path).unwrap(), scene(1));
+    assert_eq!(read_scene(&path).unwrap().means, scene(1).means);
     for uri in ["../b.bin", "/etc/hostname", "http://host/b.bin", "a/../../b.bin", "%2e%2e/b.bin", "", "data:,x"] {
         file["buffers"][0]["uri"] = uri.into();
         assert!(failure("b.gltf", file.to_string().as_bytes()).contains("buffer 0"), "{uri}");

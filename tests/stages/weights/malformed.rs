@@ -86,6 +86,6 @@ fn neither_format() {
     assert_reason(&header, "bytes of values");
     assert_reason(b"PK\x03\x04 and no more", "zip archive");
     let folder = tempfile::tempdir().unwrap();
-    assert!(matches!(Checkpoint::open(folder.path(), None), Err(Error::Io { .. })));
+    assert!(matches!(Checkpoint::open(folder.path(), None), Err(Error::Argument { .. })));
     assert!(matches!(Checkpoint::open(Path::new("no/such/file"), None), Err(Error::Io { .. })));
 }
