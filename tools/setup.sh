@@ -10,14 +10,15 @@ set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cache=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}
 mkdir -p "$cache"
-[[ $cache != *[[:space:]]* ]] ||
-  { echo "zipsplat: the cache folder is '$cache', and cargo runs nothing from a path with spaces: set ZIPSPLAT_CACHE" >&2; exit 1; }
 export MESA_SHADER_CACHE_DIR="$cache/mesa" # a lavapipe kernel takes up to a second to compile
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 
 say() { echo "zipsplat: $*" >&2; }
 note() { [[ -n ${quiet:-} ]] || say "$@"; }
 die() { say "$@"; exit 1; }
+
+[[ $cache != *[[:space:]]* ]] ||
+  die "the cache folder is '$cache', and cargo runs nothing from a path with spaces: set ZIPSPLAT_CACHE"
 
 # zipsplat ARGS...: the command, built where something changed, in the caller's folder on the driver that was chosen.
 zipsplat() { cargo run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli -- "$@"; }

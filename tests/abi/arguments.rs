@@ -149,11 +149,20 @@ fn devices_are_described() {
     let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
     assert_eq!(name, zipsplat_tests::device::device().limits().name);
     assert!(info.usable == 1 && info.memory_bytes > 0);
-    let (index, memory) = (info.index, info.memory_bytes);
-    // SAFETY: as above.
-    ok(unsafe { zs_device_get(index, &mut info) });
-    let listed: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
-    assert_eq!((listed, info.memory_bytes), (name, memory), "the device of the number that was given");
+    for index in 0..count {
+        // SAFETY: as above.
+        ok(unsafe { zs_device_get(index, &mut info) });
+        if info.usable == 0 {
+            continue;
+        }
+        let number = c_string(index.to_string());
+        let options = zs_context_options { device: number.as_ptr(), ..context_options() };
+        // SAFETY: options that live as long as the call, and where to put it.
+        let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
+        // SAFETY: as above.
+        ok(unsafe { zs_context_get_info(context.handle, &mut info) });
+        assert_eq!(info.index, index);
+    }
 }
 
 #[test]

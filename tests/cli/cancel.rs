@@ -31,7 +31,6 @@ fn a_cancelled_command_leaves_no_file() {
         "render @/scene.ply --wiggle -o @/out",
         "convert @/micro.safetensors @/out.safetensors",
         "bench render --gaussians 10",
-        "scene --seed 3 --views 2 --size 28x28 -o @/place",
     ] {
         command(&folder.line(line), &AtomicBool::new(true)).fails(130, &["cancelled"]);
         assert_eq!(folder.names(), before, "{line}");
@@ -65,6 +64,16 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
             delay *= 2;
         }
     }
+}
+
+/// Photos that would take minutes.
+#[test]
+fn taking_photos_of_a_place_can_be_cancelled() {
+    let folder = Folder::new();
+    let before = folder.names();
+    let line = folder.line("scene --seed 3 --views 16 --size 4096x4096 --supersample -o @/place");
+    cancelled_after(Duration::from_millis(300), &line).fails(130, &["cancelled"]);
+    assert_eq!(folder.names(), before);
 }
 
 /// What a command did that was cancelled so long after its start.

@@ -6,10 +6,11 @@ use zipsplat::{
     Error,
     gpu::{Device, DeviceOptions},
     reconstruct::{Model, Ratio, Request},
+    stages::render::{RenderRequest, Renderer},
     types::write_ply,
     weights::Dtype,
 };
-use zipsplat_tests::scenes::random_scene;
+use zipsplat_tests::scenes::{camera, random_scene};
 
 #[test]
 fn a_plan_runs_in_its_peak_and_is_refused_below() {
@@ -41,6 +42,30 @@ fn a_plan_runs_in_its_peak_and_is_refused_below() {
         let error = load(&open(weights - 1, staged)).map(drop).unwrap_err();
         let Error::Memory { needed, available, .. } = error else { panic!("{error}") };
         assert_eq!((needed, available), (weights, weights - 1));
+    }
+}
+
+#[test]
+fn a_picture_needs_no_more_memory_after_others() {
+    let (scene, smaller) = (random_scene(60_000, 1, 0.01), random_scene(50_000, 1, 0.01));
+    let draw =
+        |renderer: &mut Renderer, scene, side| renderer.render(scene, &[camera(side, side)], &RenderRequest::default());
+    let renderer = |bytes| {
+        let options = DeviceOptions { max_memory_bytes: Some(bytes), ..DeviceOptions::default() };
+        Renderer::new(&Device::open(&options).unwrap())
+    };
+    let mut bytes = 0;
+    let alone = loop {
+        match draw(&mut renderer(bytes), &scene, 256) {
+            Err(Error::Memory { needed, available, .. }) => bytes += needed - available,
+            drawn => break drawn.unwrap(),
+        }
+    };
+    let mut renderer = renderer(bytes);
+    // Another scene, then other sizes of this one.
+    for (before, side) in [(&smaller, 128), (&scene, 128), (&scene, 64)] {
+        draw(&mut renderer, before, side).unwrap();
+        assert!(draw(&mut renderer, &scene, 256).unwrap() == alone, "after {} at {side}", before.len());
     }
 }
 

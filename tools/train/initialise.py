@@ -94,9 +94,9 @@ def refine(tensors, architecture, count):
     What the head says of a Gaussian, it says of those between by interpolation; sizes shrink with the spacing.
     """
     old, new = math.isqrt(architecture.gaussians_per_token), math.isqrt(count)
-    if old < 2 or old**2 != architecture.gaussians_per_token or new**2 != count:
-        raise SystemExit(f"found {architecture.gaussians_per_token} Gaussians a token in the weights and {count} in the "
-                         "configuration, expected squares, of 4 at least")  # fmt: skip
+    if old < 2 or old**2 != architecture.gaussians_per_token or new**2 != count or new < old:
+        raise SystemExit(f"found {architecture.gaussians_per_token} Gaussians a token in the weights and {count} in the configuration, "
+                         "expected squares, of 4 at least, and no fewer: set architecture.gaussians_per_token and anchor_cells")  # fmt: skip
     place = (torch.arange(new) + 0.5) * old / new - 0.5
     before = place.floor().clamp(0, old - 2).long()
     line = torch.zeros(new, old)

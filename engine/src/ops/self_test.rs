@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Element, Recorder, Run},
+    gpu::{Device, Element, Recorder, Run, Tensor},
 };
 use std::collections::HashSet;
 
@@ -222,25 +222,9 @@ impl SelfTest {
         let [queries, keys] = [queries, keys].map(|tokens| sequences * tokens);
         let parts = [(1, queries), (2, keys), (3, keys)].map(|(seed, tokens)| noise(seed, tokens, width, element));
         let run = |kernel: AttentionKernel| -> Result<Vec<f32>> {
-            let attention = Attention { kernel, ..attention };
-            let element = kernel.element();
-            let mut rec = Recorder::new(device.limits());
-            let inputs = [0, 1, 2].map(|i| rec.input::<u8>("part", parts[i].len() * element.bytes()));
-            let tensors = attention.tensors(&mut rec);
-            let of_queries = Part { scale: peaked * attention.scale(), ..Part::default() };
-            let of_keys = Part { keys: true, ..Part::default() };
-            let split = [(of_queries, queries), (of_keys, keys), (Part::default(), keys)];
-            for ((part, rows), (input, out)) in split.into_iter().zip(inputs.into_iter().zip(tensors)) {
-                attention.split(&mut rec, (input, width), 0, rows, part, out);
-            }
-            let out = attention.record(&mut rec, tensors);
-            rec.output(out);
-            let mut run = Run::new(device, rec.finish()?)?;
-            for (input, values) in inputs.into_iter().zip(&parts) {
-                run.write(input, &element.encode(values))?;
-            }
+            let (mut run, out) = attention_run(device, Attention { kernel, ..attention }, &parts, peaked)?;
             run.execute()?;
-            Ok(element.decode(&run.read::<u8>(out)?))
+            Ok(kernel.element().decode(&run.read::<u8>(out)?))
         };
         let (name, limit) = (attention_name(kernel), ATTENTION_LIMIT * element.roundoff());
         self.outcome(&name, |test| {
@@ -249,6 +233,31 @@ impl SelfTest {
             Ok(())
         })
     }
+}
+
+/// A run of attention over queries, keys and values, and its result. Scores are `peaked` times what they are.
+pub(super) fn attention_run(
+    device: &Device,
+    attention: Attention,
+    parts: &[Vec<f32>; 3],
+    peaked: f32,
+) -> Result<(Run, Tensor)> {
+    let (width, element) = (attention.heads.width(), attention.kernel.element());
+    let mut rec = Recorder::new(device.limits());
+    let inputs = [0, 1, 2].map(|i| rec.constant::<u8>("part", parts[i].len() * element.bytes()));
+    let tensors = attention.tensors(&mut rec);
+    let of_queries = Part { scale: peaked * attention.scale(), ..Part::default() };
+    let kinds = [of_queries, Part { keys: true, ..Part::default() }, Part::default()];
+    for i in 0..3 {
+        attention.split(&mut rec, (inputs[i], width), 0, parts[i].len() / width, kinds[i], tensors[i]);
+    }
+    let out = attention.record(&mut rec, tensors);
+    rec.output(out);
+    let mut run = Run::new(device, rec.finish()?)?;
+    for (input, values) in inputs.into_iter().zip(parts) {
+        run.write(input, &element.encode(values))?;
+    }
+    Ok((run, out))
 }
 
 /// What a kernel's results are stored as: what goes on in f32, and what only feeds other products.

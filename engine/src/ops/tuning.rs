@@ -2,7 +2,10 @@
 
 use super::{
     Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, Nearest,
-    NearestKernel, NearestTile, Part, SelfTest, Tiles, Units, cache::cache_file, pack_matrix, self_test::noise,
+    NearestKernel, NearestTile, SelfTest, Tiles, Units,
+    cache::cache_file,
+    pack_matrix,
+    self_test::{attention_run, noise},
 };
 use crate::{
     Error, Result,
@@ -211,7 +214,7 @@ impl Tile {
         for values in (0..Tiles::CLASSES).map(Tiles::values) {
             let run = match self.kernel {
                 Tuned::Linear => linear_run(device, units, values / COLUMNS),
-                Tuned::Attention => attention_run(device, units, values / COLUMNS),
+                Tuned::Attention => attention_of_noise(device, units, values / COLUMNS),
                 Tuned::Nearest => nearest_run(device, units, values / COLUMNS),
             };
             let ms = match run.and_then(median) {
@@ -244,25 +247,13 @@ fn linear_run(device: &Device, units: Units, rows: usize) -> Result<Run> {
     Ok(run)
 }
 
-fn attention_run(device: &Device, units: Units, queries: usize) -> Result<Run> {
+fn attention_of_noise(device: &Device, units: Units, queries: usize) -> Result<Run> {
     let heads = Heads::new(COLUMNS / AttentionTile::TUNED_CHANNELS, COLUMNS);
-    let attention = Attention { heads, sequences: 1, queries, keys: TERMS, kernel: AttentionKernel::Matrix(units) };
-    let mut rec = Recorder::new(device.limits());
-    let (tensors, element) = (attention.tensors(&mut rec), attention.kernel.element());
-    let rows = [queries, TERMS, TERMS];
-    let inputs = rows.map(|rows| rec.constant::<u8>("part", rows * COLUMNS * element.bytes()));
-    let of_queries = Part { scale: attention.scale(), ..Part::default() };
-    let parts = [of_queries, Part { keys: true, ..Part::default() }, Part::default()];
-    for i in 0..3 {
-        attention.split(&mut rec, (inputs[i], COLUMNS), 0, rows[i], parts[i], tensors[i]);
-    }
-    let out = attention.record(&mut rec, tensors);
-    rec.output(out);
-    let mut run = Run::new(device, rec.finish()?)?;
-    for (i, input) in inputs.into_iter().enumerate() {
-        run.write(input, &element.encode(&noise(i as u64, rows[i], COLUMNS, element)))?;
-    }
-    Ok(run)
+    let kernel = AttentionKernel::Matrix(units);
+    let attention = Attention { heads, sequences: 1, queries, keys: TERMS, kernel };
+    let parts = [(1, queries), (2, TERMS), (3, TERMS)];
+    let parts = parts.map(|(seed, rows)| noise(seed, rows, COLUMNS, kernel.element()));
+    attention_run(device, attention, &parts, 1.0).map(|(run, _)| run)
 }
 
 fn nearest_run(device: &Device, units: Units, points: usize) -> Result<Run> {

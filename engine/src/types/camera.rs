@@ -189,6 +189,13 @@ pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {
     products.map(|product| sign * product / (2.0 * squares[largest].sqrt()))
 }
 
+/// A quaternion of any length but zero, of length 1: in f64, where no square of an f32 overflows or vanishes.
+pub(super) fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
+    let quat = quat.map(f64::from);
+    let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+    quat.map(|q| (q / length) as f32)
+}
+
 /// Rotation matrix of a quaternion `wxyz` of any length but zero.
 pub fn matrix_from_quaternion([w, x, y, z]: [f64; 4]) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())

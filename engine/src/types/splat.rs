@@ -5,7 +5,7 @@
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
-use super::{Scene, file::write_atomic};
+use super::{Scene, camera::unit_quaternion, file::write_atomic};
 use crate::{Error, Result};
 
 /// Bytes a Gaussian.
@@ -33,10 +33,7 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
     // Casting saturates.
     let level = |value: f32| (255.0 * value).round() as u8;
     let [r, g, b] = scene.sh_coeffs[i * scene.sh_coeffs_per_gaussian()].map(|dc| level(0.5 + sh_constant() * dc));
-    // In f64, where no length of an f32 quaternion overflows or vanishes.
-    let quat = scene.quats[i].map(f64::from);
-    let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
-    let rotation = quat.map(|q| (128.0 * q / length + 128.0).round() as u8);
+    let rotation = unit_quaternion(scene.quats[i]).map(|q| (128.0 * q + 128.0).round() as u8);
     let mut row = [0; ROW];
     row[..12].copy_from_slice(bytemuck::cast_slice(&scene.means[i].map(f32::to_le_bytes)));
     row[12..24].copy_from_slice(bytemuck::cast_slice(&scene.scales[i].map(f32::to_le_bytes)));

@@ -6,7 +6,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::types::{Scene, axes::HalfTurn::AboutZ, file::write_atomic};
+use crate::types::{Scene, axes::HalfTurn::AboutZ, camera::unit_quaternion, file::write_atomic};
 use crate::{Error, Result};
 
 const FLOAT: u32 = 5126;
@@ -96,10 +96,8 @@ fn attributes(scene: &Scene) -> Attributes {
         attributes.accessors[0][key] = json!(bound);
     }
     let unit = |quat: &[f32; 4]| {
-        let [w, x, y, z] = AboutZ.quat(*quat).map(f64::from);
-        // In f64, where no length of an f32 quaternion overflows or vanishes.
-        let length = (w * w + x * x + y * y + z * z).sqrt();
-        [x, y, z, w].map(|value| (value / length) as f32)
+        let [w, x, y, z] = unit_quaternion(AboutZ.quat(*quat));
+        [x, y, z, w]
     };
     attributes.add(&own("ROTATION"), scene.quats.iter().map(unit));
     attributes.add(&own("SCALE"), scene.scales.iter().copied());

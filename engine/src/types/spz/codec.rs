@@ -2,7 +2,7 @@
 
 use std::f32::consts::FRAC_1_SQRT_2;
 
-use crate::types::{Scene, axes::HalfTurn::AboutX};
+use crate::types::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 use crate::{Error, Result};
 
 /// Bits of a position's magnitude: 24 with the sign.
@@ -71,7 +71,7 @@ impl Layout {
         write(&colors.map(|dc| byte(255.0 * (COLOR_SCALE * dc + 0.5))).collect::<Vec<u8>>())?;
         let scales = scene.scales.iter().flatten();
         write(&scales.map(|scale| byte(LOG_SCALE_LEVELS * (scale.ln() - MIN_LOG_SCALE))).collect::<Vec<u8>>())?;
-        let rotations = scene.quats.iter().map(|&quat| normalised(AboutX.quat(quat)));
+        let rotations = scene.quats.iter().map(|&quat| unit_quaternion(AboutX.quat(quat)));
         if self.version == 2 {
             write(&rotations.flat_map(first_three).collect::<Vec<u8>>())?;
         } else {
@@ -138,12 +138,6 @@ fn sh_level(value: f32, k: usize) -> u8 {
     // Casting saturates, so that nothing overflows far outside.
     let level = (128.0 * value).round().clamp(-256.0, 256.0) as i32 + 128;
     (level + bucket / 2).div_euclid(bucket).saturating_mul(bucket).clamp(0, 255) as u8
-}
-
-fn normalised(quat: [f32; 4]) -> [f32; 4] {
-    // In f64, where no length of an f32 quaternion overflows or vanishes.
-    let length = quat.iter().map(|&q| f64::from(q).powi(2)).sum::<f64>().sqrt();
-    quat.map(|q| (f64::from(q) / length) as f32)
 }
 
 /// Version 2: x, y and z of the quaternion with w >= 0.

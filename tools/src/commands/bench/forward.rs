@@ -112,21 +112,16 @@ impl Forward {
             text += &describe(&measured, precision.name(), &device.limits().name, &peak);
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
-        let compared = self.pytorch.as_ref().map(|python| {
+        let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
             let totals: Vec<Row> = rows.iter().filter(|row| row.stage.is_empty()).cloned().collect();
-            session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))
+            let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
+            text += &compared.text;
+            rows.extend(compared.rows);
+            Ok(())
         });
-        let failed = match compared {
-            Some(Ok((compared, _))) => {
-                text += &compared.text;
-                rows.extend(compared.rows);
-                None
-            }
-            failed => failed.and_then(Result::err),
-        };
         // Ours, whatever became of the other.
         session.report(&rows, text)?;
-        failed.map_or(Ok(()), Err)
+        compared
     }
 
     /// PyTorch's times beside ours, `totals` in the order in which they were measured.
