@@ -12,7 +12,7 @@ fn every_kernel_of_this_device_passes() {
     let matrices = test.deviations.iter().filter(|(kernel, _)| kernel.contains("_matrix_")).count();
     assert_eq!(matrices > 0, limits.matrices != Matrices::default(), "{test:?}");
     // A kernel that did nothing would differ by as much as its result.
-    assert!(test.deviations.iter().all(|(_, deviation)| deviation.is_some_and(|times| times < 0.5)), "{test:?}");
+    assert!(test.deviations.values().all(|deviation| deviation.is_some_and(|times| times < 0.5)), "{test:?}");
 }
 
 #[test]

@@ -56,16 +56,12 @@ def see_colors(model, cells):
 
     The colour branch carries them beside the tokens; the head's MLP starts as the identity, as gelu(x) - gelu(-x) = x.
     """
-    a, (rows, columns) = model.architecture, cells
-    count, inputs = rows * columns, a.width + a.color_width
+    a = model.architecture
+    count, inputs = cells[0] * cells[1], a.width + a.color_width
     if count != a.gaussians_per_token or 3 * count > a.color_width or a.head_hidden < 2 * inputs:
         raise SystemExit(f"found cells {cells}, expected one a Gaussian, three colour channels each, and a head twice as wide")
-    pixel = torch.arange(a.patch)
-    cell = (pixel * rows // a.patch)[:, None] * columns + (pixel * columns // a.patch)
-    mean = F.one_hot(cell, count).movedim(-1, 0).float()
-    mean /= mean.sum((1, 2), keepdim=True)
     embed = model.color_embed.proj
-    embed.weight[: 3 * count] = torch.einsum("gyx,cd->gcdyx", mean, torch.eye(3)).flatten(0, 1)
+    embed.weight[: 3 * count] = torch.einsum("gyx,cd->gcdyx", cell_means(cells, a.patch), torch.eye(3)).flatten(0, 1)
     embed.bias[: 3 * count] = -0.5
     branch = model.color_cross_attention
     for layer in (branch.attn.proj, branch.mlp.fc2):
@@ -87,27 +83,12 @@ def see_colors(model, cells):
     constant[..., a.width : a.width + 3 * count] = torch.eye(3 * count).unflatten(0, (count, 3)) / SH0
 
 
-@torch.no_grad()
-def refine(tensors, architecture, count):
-    """`tensors` with `count` Gaussians a token on a finer grid; pictures stay nearly the same.
-
-    What the head says of a Gaussian, it says of those between by interpolation; sizes shrink with the spacing.
-    """
-    old, new = math.isqrt(architecture.gaussians_per_token), math.isqrt(count)
-    if old < 2 or old**2 != architecture.gaussians_per_token or new**2 != count or new < old:
-        raise SystemExit(f"found {architecture.gaussians_per_token} Gaussians a token in the weights and {count} in the configuration, "
-                         "expected squares, of 4 at least, and no fewer: set architecture.gaussians_per_token and anchor_cells")  # fmt: skip
-    place = (torch.arange(new) + 0.5) * old / new - 0.5
-    before = place.floor().clamp(0, old - 2).long()
-    line = torch.zeros(new, old)
-    line[torch.arange(new), before] = before + 1 - place
-    line[torch.arange(new), before + 1] = place - before
-    grid = torch.kron(line, line)
-    name = "gaussian_head.gaussian_head.1"
-    weight, bias = (tensors[f"{name}.{part}"].unflatten(0, (old**2, -1)) for part in ("weight", "bias"))
-    weight, bias = torch.einsum("no,owi->nwi", grid, weight), grid @ bias
-    bias[:, 3:6] -= math.log(new / old)  # of their softplus, which is an exponential for small Gaussians
-    return {**tensors, f"{name}.weight": weight.flatten(0, 1), f"{name}.bias": bias.flatten()}
+def cell_means(cells, patch):
+    """[rows * columns, patch, patch]: weights of the pixels of a patch in the mean of each of its cells."""
+    (rows, columns), pixel = cells, torch.arange(patch)
+    cell = (pixel * rows // patch)[:, None] * columns + (pixel * columns // patch)
+    weights = F.one_hot(cell, rows * columns).movedim(-1, 0).float()
+    return weights / weights.sum((1, 2), keepdim=True)
 
 
 def wave_grid(side, width):

@@ -32,7 +32,8 @@ from PIL import Image
 import losses
 import weights as files
 from data import Pool, Shards, batch, fixed_split, generator_command
-from initialise import initialise, refine
+from grow import refine, widen_colors
+from initialise import initialise
 from model import ZipSplat
 from optimiser import Optimiser
 from rasterise import rasterise
@@ -105,11 +106,13 @@ class Trainer:
         path = Path(self.args.resume)
         if path.is_file():
             architecture, tensors, metadata = files.load(path)
-            count = self.architecture.gaussians_per_token
-            if replace(architecture, gaussians_per_token=count) != self.architecture:
+            grows = ("gaussians_per_token", "color_width", "color_heads", "color_hidden", "head_hidden")
+            if replace(architecture, **{name: getattr(self.architecture, name) for name in grows}) != self.architecture:
                 raise SystemExit(f"{path}: found {architecture}, the configuration expects {self.architecture}")
-            if count != architecture.gaussians_per_token:
-                tensors = refine(tensors, architecture, count)
+            if architecture.gaussians_per_token != self.architecture.gaussians_per_token:
+                tensors = refine(tensors, architecture, self.architecture.gaussians_per_token)
+            if architecture.color_width != self.architecture.color_width:
+                tensors = widen_colors(tensors, model, self.config["anchor_cells"])
             model.load_state_dict(tensors)
             before = json.loads(metadata.get("zipsplat.training", "{}"))
             self.steps_before, self.seconds_before = before.get("steps", 0), before.get("seconds", 0.0)

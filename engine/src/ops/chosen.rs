@@ -42,8 +42,8 @@ impl Chosen {
         }
         let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
         let test = SelfTest::of(device)?;
-        let failed = test.deviations.iter().filter(|(_, deviation)| !passes(*deviation));
-        let note = |(kernel, deviation): &(String, Option<f64>)| match deviation {
+        let failed = test.deviations.iter().filter(|(_, deviation)| !passes(**deviation));
+        let note = |(kernel, deviation): (&String, &Option<f64>)| match deviation {
             Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
             None if kernel == UNFINISHED => unfinished(device),
             None => format!("{kernel} gave no result on {}: not used", limits.name),

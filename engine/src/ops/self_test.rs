@@ -15,7 +15,7 @@ use crate::{
     Error, Result,
     gpu::{Device, Element, Recorder, Run, Tensor},
 };
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 
 /// Largest deviation that passes, relative to the rms of the exact result. Both twins get the same factors, so a linear
 /// layer differs by the order of its sums, attention by the rounding of queries, weights and results, which is this many
@@ -28,7 +28,7 @@ const ATTENTION_LIMIT: f64 = 40.0;
 pub struct SelfTest {
     /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
     /// None where it gave no number.
-    pub deviations: Vec<(String, Option<f64>)>,
+    pub deviations: BTreeMap<String, Option<f64>>,
     /// Kernels that were tested before this run, which goes on with the others.
     #[serde(skip)]
     before: HashSet<String>,
@@ -47,7 +47,7 @@ impl SelfTest {
     /// All that have not been tested yet.
     fn run_all(&mut self, device: &Device) -> Result<()> {
         let (test, limits) = (self, device.limits());
-        test.before = test.deviations.iter().map(|(kernel, _)| kernel.clone()).collect();
+        test.before = test.deviations.keys().cloned().collect();
         if !limits.half_storage {
             return Ok(());
         }
@@ -92,7 +92,7 @@ impl SelfTest {
         }
         let outcome = test(self);
         if outcome.as_ref().is_err_and(|error| !matches!(error, Error::Memory { .. })) {
-            self.deviations.push((kernel.into(), None));
+            self.found(kernel, None);
         }
         match outcome {
             Err(error @ (Error::DeviceLost | Error::Memory { .. })) => Err(error),
@@ -120,7 +120,7 @@ impl SelfTest {
                 test.nearest_tile(device, units, NearestTile::candidates(device.limits(), units)[index], index)?;
             }
         }
-        Ok(test.deviations.iter().all(|(_, deviation)| passes(*deviation)))
+        Ok(test.deviations.values().all(|deviation| passes(*deviation)))
     }
 
     /// More than one workgroup each way, the last of them not whole.
@@ -149,14 +149,13 @@ impl SelfTest {
     }
 
     fn passed(&self, kernel: &str) -> bool {
-        let mut found = self.deviations.iter().filter(|(name, _)| name == kernel).peekable();
-        found.peek().is_some() && found.all(|(_, deviation)| passes(*deviation))
+        self.deviations.get(kernel).is_some_and(|deviation| passes(*deviation))
     }
 
     /// A kernel none of whose tiles is within the device's limits fails.
     fn none_fits(&mut self, kernel: &str, none: bool) {
         if none && !self.before.contains(kernel) {
-            self.deviations.push((kernel.into(), None));
+            self.found(kernel, None);
         }
     }
 
@@ -170,7 +169,13 @@ impl SelfTest {
         let larger = |a: f64, b: f64| if a.is_nan() || b <= a { a } else { b };
         let worst = exact.iter().zip(fast).map(apart).fold(0.0, larger);
         let deviation = worst / rms / limit;
-        self.deviations.push((kernel.into(), deviation.is_finite().then_some(deviation)));
+        self.found(kernel, deviation.is_finite().then_some(deviation));
+    }
+
+    /// Keeps the largest deviation of a kernel, over its tiles and problems.
+    fn found(&mut self, kernel: &str, deviation: Option<f64>) {
+        let worst = self.deviations.entry(kernel.into()).or_insert(deviation);
+        *worst = worst.zip(deviation).map(|(a, b)| a.max(b));
     }
 
     fn linear(&mut self, device: &Device, kernel: LinearKernel, [rows, columns]: [usize; 2]) -> Result<()> {
@@ -348,5 +353,10 @@ mod tests {
             !passed([1.0011, -1.0, 1.0]) && !passed([f32::NAN, -1.0, 1.0]) && !passed([1.0, f32::INFINITY, f32::NAN])
         );
         assert!(!SelfTest::default().passed("kernel"), "what was not tested");
+        let mut test = SelfTest::default();
+        for fast in [exact, [f32::NAN; 3], exact] {
+            test.compare("kernel", 1e-3, 0.0, &exact, &fast);
+        }
+        assert_eq!(test.deviations, [("kernel".to_owned(), None)].into(), "its worst result counts");
     }
 }

@@ -1,0 +1,63 @@
+#!/usr/bin/env bash
+# Compiles the kernels as the driver of AMD's GPUs does (RADV of Mesa 25), with no such GPU: nothing is executed. Prints
+# registers, shared memory and occupancy of each kernel, the worst of its variants. A kernel that is refused, or whose
+# registers spill to memory, is a failure.
+# usage: tools/test-radv.sh [FAMILY...]      such as navi31 (matrix units), navi21, vega10: the default is these
+set -euo pipefail
+export ZIPSPLAT_DRIVER=lavapipe25
+# shellcheck source-path=SCRIPTDIR
+source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+apt_install libvulkan-dev
+
+work=$(mktemp -d)
+trap 'rm -r "$work"' EXIT
+mesa=$cache/lavapipe25/root/usr
+cc -std=gnu99 -O1 -shared -fPIC -o "$work/libabsent.so" "$root/tests/faults/absent.c"
+cat > "$work/absent.json" << END
+{ "file_format_version": "1.2.0", "layer": { "name": "VK_LAYER_ZIPSPLAT_absent", "type": "GLOBAL", "api_version": "1.3.0",
+  "library_path": "$work/libabsent.so", "implementation_version": "1", "description": "No hardware" } }
+END
+cat > "$work/run" << END
+#!/usr/bin/env bash
+export VK_DRIVER_FILES=$mesa/share/vulkan/icd.d/radeon_icd.json VK_LAYER_PATH=$work VK_LOADER_LAYERS_DISABLE='~implicit~'
+export VK_INSTANCE_LAYERS=VK_LAYER_ZIPSPLAT_absent ZIPSPLAT_SPIRV=$root/kernels/spirv RADV_DEBUG=shaderstats,nocache
+exec $mesa/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2 --library-path $mesa/lib/x86_64-linux-gnu "\$@"
+END
+chmod +x "$work/run"
+export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$work/run
+
+failed=0
+[[ $# != 0 ]] || set -- navi31 navi21 vega10
+for RADV_FORCE_FAMILY in "$@"; do
+  export RADV_FORCE_FAMILY ZIPSPLAT_CACHE=$work/$RADV_FORCE_FAMILY
+  said=$work/$RADV_FORCE_FAMILY.log
+  trap 'tail -n 3 "$said" >&2' ERR
+  forward() { zipsplat bench forward --quiet --weights seeded:vits --views 2 --ratio 0.5 --precision "$1"; }
+  {
+    # What nothing has computed is wrong, say doctor and the self-test. For what comes then, the latter has passed.
+    zipsplat doctor --quiet || [[ $? == 5 ]]
+    forward fast || [[ $? == 3 ]]
+    sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json
+    zipsplat tune --quiet || [[ $? == 4 ]]
+    for precision in exact fast fast-bf16; do forward $precision; done
+    zipsplat bench render --quiet --gaussians 1000 --size 64x64 --sh 0,1,2,3 --effects
+  } > "$said" 2>&1
+  printf '\n%s\n%-36s %8s %9s %7s %6s %9s\n' "$RADV_FORCE_FAMILY" kernel variants registers spilled shared subgroups
+  awk '
+    /^PIPELINE / { kernel = $2; sub(/\.spv$/, "", kernel); variants[kernel]++ }
+    /^REFUSED / { print "refused: " $2; failed = 1 }
+    function most(table, value) { if (!(kernel in table) || value > table[kernel]) table[kernel] = value }
+    /^VGPRs: / { most(registers, $2) }
+    /^Spilled VGPRs: / { most(spilled, $3); failed = failed || $3 > 0 }
+    /^LDS size: / { most(shared, $3) }
+    /^Subgroups per SIMD: / { if (!(kernel in subgroups) || $4 < subgroups[kernel]) subgroups[kernel] = $4 }
+    END {
+      for (k in variants) {
+        row = sprintf("%-36s %8d %9d %7d %6d %9d", k, variants[k], registers[k], spilled[k], shared[k], subgroups[k])
+        print row | "sort"
+      }
+      close("sort")
+      exit failed
+    }' "$said" || failed=1
+done
+exit $failed
