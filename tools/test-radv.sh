@@ -26,12 +26,14 @@ END
 chmod +x "$work/run"
 export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$work/run
 
+said=
+exec 3>&2
+trap '[[ ! -e $said ]] || tail -n 2 "$said" >&3' ERR
 failed=0
 [[ $# != 0 ]] || set -- navi31 navi21 vega10
 for RADV_FORCE_FAMILY in "$@"; do
   export RADV_FORCE_FAMILY ZIPSPLAT_CACHE=$work/$RADV_FORCE_FAMILY
   said=$work/$RADV_FORCE_FAMILY.log
-  trap 'tail -n 3 "$said" >&2' ERR
   forward() { zipsplat bench forward --quiet --weights seeded:vits --views 2 --ratio 0.5 --precision "$1"; }
   {
     # What nothing has computed is wrong, say doctor and the self-test. For what comes then, the latter has passed.

@@ -4,18 +4,15 @@
  * ZIPSPLAT_SPIRV names the folder of the compiled kernels. On standard error it says "PIPELINE NAME" before one of them is
  * compiled, and "REFUSED NAME" after one that the driver could not compile. */
 #define _GNU_SOURCE
+#include "chain.h"
+
 #include <ftw.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
-#include <vulkan/vk_layer.h>
-#include <vulkan/vulkan.h>
 
-static VkInstance instance;
 static VkDevice device;
-static PFN_vkGetInstanceProcAddr next_instance;
 static PFN_vkGetDeviceProcAddr next_device;
-#define INSTANCE(NAME) ((PFN_##NAME)next_instance(instance, #NAME))
+#define INSTANCE(NAME) ((PFN_##NAME)next_instance(newest_instance, #NAME))
 #define DEVICE(NAME) ((PFN_##NAME)next_device(device, #NAME))
 
 /* One kind of memory, which the host sees. */
@@ -143,12 +140,6 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateComputePipelines(VkDevice d, V
   return result;
 }
 
-static void *next_link(const void *chain, VkStructureType type) {
-  const VkLayerDeviceCreateInfo *info = chain; /* That of an instance begins alike. */
-  while (info && !(info->sType == type && info->function == VK_LAYER_LINK_INFO)) info = info->pNext;
-  return (void *)info;
-}
-
 static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateDevice(VkPhysicalDevice physical, const VkDeviceCreateInfo *info,
                                                          const VkAllocationCallbacks *a, VkDevice *made) {
   VkLayerDeviceCreateInfo *link = next_link(info->pNext, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO);
@@ -156,17 +147,6 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateDevice(VkPhysicalDevice physic
   link->u.pLayerInfo = link->u.pLayerInfo->pNext;
   VkResult result = INSTANCE(vkCreateDevice)(physical, info, a, made);
   device = *made;
-  return result;
-}
-
-static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateInstance(const VkInstanceCreateInfo *info, const VkAllocationCallbacks *a,
-                                                           VkInstance *made) {
-  VkLayerInstanceCreateInfo *link = next_link(info->pNext, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO);
-  next_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
-  link->u.pLayerInfo = link->u.pLayerInfo->pNext;
-  instance = NULL;
-  VkResult result = INSTANCE(vkCreateInstance)(info, a, made);
-  instance = *made;
   return result;
 }
 
@@ -194,19 +174,4 @@ static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL device_function(VkDevice d, cons
   if (!strcmp(name, "vkGetDeviceProcAddr")) return (PFN_vkVoidFunction)device_function;
   PFN_vkVoidFunction function = own(name);
   return function ? function : next_device(d, name);
-}
-
-static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL instance_function(VkInstance i, const char *name) {
-  if (!strcmp(name, "vkGetInstanceProcAddr")) return (PFN_vkVoidFunction)instance_function;
-  if (!strcmp(name, "vkGetDeviceProcAddr")) return (PFN_vkVoidFunction)device_function;
-  PFN_vkVoidFunction function = own(name);
-  return function ? function : next_instance(i, name);
-}
-
-VKAPI_ATTR VkResult VKAPI_CALL vkNegotiateLoaderLayerInterfaceVersion(VkNegotiateLayerInterface *interface) {
-  interface->loaderLayerInterfaceVersion = 2;
-  interface->pfnGetInstanceProcAddr = instance_function;
-  interface->pfnGetDeviceProcAddr = device_function;
-  interface->pfnGetPhysicalDeviceProcAddr = NULL;
-  return VK_SUCCESS;
 }

@@ -4,12 +4,11 @@
  * fail from number FIRST (counted from 1) on. When a device is destroyed the file becomes "FUNCTION CALLS".
  * With VK_ERROR_DEVICE_LOST the device stays lost, as the specification has it: whatever may return that does, and waits
  * end. What was submitted before still runs, and such a wait is for that. */
+#include "chain.h"
+
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
-#include <vulkan/vk_layer.h>
-#include <vulkan/vulkan.h>
 
 /* Name, whether it may return VK_ERROR_DEVICE_LOST, dispatchable object, parameters, arguments. */
 #define FUNCTIONS(X)                                                                                                        \
@@ -57,8 +56,6 @@ struct device {
 
 static struct device devices[16];
 static pthread_mutex_t table = PTHREAD_MUTEX_INITIALIZER;
-static PFN_vkGetInstanceProcAddr next_instance;
-static VkInstance newest_instance;
 
 static struct device *find(const void *object) {
   struct device *found = NULL;
@@ -82,7 +79,7 @@ static VkResult fails(struct device *device, const char *function, int loses) {
 
 /* The lock is not held in a wait that goes on to the driver: others submit what it waits for. */
 #define WRAPPER(NAME, LOSES, O, PARAMETERS, ARGUMENTS)                                                                      \
-  static VKAPI_ATTR VkResult VKAPI_CALL wrapped_##NAME PARAMETERS {                                                         \
+  static VKAPI_ATTR VkResult VKAPI_CALL own_##NAME PARAMETERS {                                                         \
     struct device *device = find(O);                                                                                        \
     int submits = !strcmp(#NAME, "vkQueueSubmit2");                                                                         \
     pthread_mutex_lock(&device->mutex);                                                                                     \
@@ -93,7 +90,7 @@ static VkResult fails(struct device *device, const char *function, int loses) {
   }
 FUNCTIONS(WRAPPER)
 
-static VKAPI_ATTR void VKAPI_CALL wrapped_vkDestroyDevice(VkDevice handle, const VkAllocationCallbacks *allocator) {
+static VKAPI_ATTR void VKAPI_CALL own_vkDestroyDevice(VkDevice handle, const VkAllocationCallbacks *allocator) {
   if (!handle) return;
   struct device *device = find(handle);
   const char *path = getenv("ZIPSPLAT_FAULTS");
@@ -106,13 +103,7 @@ static VKAPI_ATTR void VKAPI_CALL wrapped_vkDestroyDevice(VkDevice handle, const
   device->destroy(handle, allocator);
 }
 
-static void *next_link(const void *chain, VkStructureType type) {
-  const VkLayerDeviceCreateInfo *info = chain; /* That of an instance begins alike. */
-  while (info && !(info->sType == type && info->function == VK_LAYER_LINK_INFO)) info = info->pNext;
-  return (void *)info;
-}
-
-static VKAPI_ATTR VkResult VKAPI_CALL wrapped_vkCreateDevice(VkPhysicalDevice physical, const VkDeviceCreateInfo *info,
+static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateDevice(VkPhysicalDevice physical, const VkDeviceCreateInfo *info,
                                                              const VkAllocationCallbacks *allocator, VkDevice *handle) {
   VkLayerDeviceCreateInfo *link = next_link(info->pNext, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO);
   PFN_vkGetInstanceProcAddr get_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
@@ -140,43 +131,18 @@ static VKAPI_ATTR VkResult VKAPI_CALL wrapped_vkCreateDevice(VkPhysicalDevice ph
   return VK_SUCCESS;
 }
 
-static VKAPI_ATTR VkResult VKAPI_CALL wrapped_vkCreateInstance(const VkInstanceCreateInfo *info,
-                                                               const VkAllocationCallbacks *allocator, VkInstance *handle) {
-  VkLayerInstanceCreateInfo *link = next_link(info->pNext, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO);
-  next_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
-  link->u.pLayerInfo = link->u.pLayerInfo->pNext;
-  VkResult result = ((PFN_vkCreateInstance)next_instance(NULL, "vkCreateInstance"))(info, allocator, handle);
-  newest_instance = *handle;
-  return result;
-}
-
-static PFN_vkVoidFunction wrapped(const char *name) {
+static PFN_vkVoidFunction own(const char *name) {
 #define FIND(NAME, LOSES, O, PARAMETERS, ARGUMENTS)                                                                         \
-  if (!strcmp(name, #NAME)) return (PFN_vkVoidFunction)wrapped_##NAME;
+  if (!strcmp(name, #NAME)) return (PFN_vkVoidFunction)own_##NAME;
   FUNCTIONS(FIND)
-  if (!strcmp(name, "vkDestroyDevice")) return (PFN_vkVoidFunction)wrapped_vkDestroyDevice;
-  if (!strcmp(name, "vkCreateDevice")) return (PFN_vkVoidFunction)wrapped_vkCreateDevice;
-  if (!strcmp(name, "vkCreateInstance")) return (PFN_vkVoidFunction)wrapped_vkCreateInstance;
+  if (!strcmp(name, "vkDestroyDevice")) return (PFN_vkVoidFunction)own_vkDestroyDevice;
+  if (!strcmp(name, "vkCreateDevice")) return (PFN_vkVoidFunction)own_vkCreateDevice;
+  if (!strcmp(name, "vkCreateInstance")) return (PFN_vkVoidFunction)own_vkCreateInstance;
   return NULL;
 }
 
 static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL device_function(VkDevice device, const char *name) {
   if (!strcmp(name, "vkGetDeviceProcAddr")) return (PFN_vkVoidFunction)device_function;
-  PFN_vkVoidFunction own = wrapped(name);
-  return own ? own : find(device)->get(device, name);
-}
-
-static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL instance_function(VkInstance instance, const char *name) {
-  if (!strcmp(name, "vkGetInstanceProcAddr")) return (PFN_vkVoidFunction)instance_function;
-  if (!strcmp(name, "vkGetDeviceProcAddr")) return (PFN_vkVoidFunction)device_function;
-  PFN_vkVoidFunction own = wrapped(name);
-  return own ? own : next_instance(instance, name);
-}
-
-VKAPI_ATTR VkResult VKAPI_CALL vkNegotiateLoaderLayerInterfaceVersion(VkNegotiateLayerInterface *interface) {
-  interface->loaderLayerInterfaceVersion = 2;
-  interface->pfnGetInstanceProcAddr = instance_function;
-  interface->pfnGetDeviceProcAddr = device_function;
-  interface->pfnGetPhysicalDeviceProcAddr = NULL;
-  return VK_SUCCESS;
+  PFN_vkVoidFunction function = own(name);
+  return function ? function : find(device)->get(device, name);
 }
