@@ -12,6 +12,7 @@ apt_install libvulkan-dev
 work=$(mktemp -d)
 trap 'rm -r "$work"' EXIT
 mesa=$cache/lavapipe25/root/usr
+[[ -e $mesa/share/vulkan/icd.d/radeon_icd.json ]] || die "needs Mesa 25 unpacked under $cache/lavapipe25, which is for x86-64 only"
 cc -std=gnu99 -O1 -shared -fPIC -o "$work/libabsent.so" "$root/tests/faults/absent.c"
 cat > "$work/absent.json" << END
 { "file_format_version": "1.2.0", "layer": { "name": "VK_LAYER_ZIPSPLAT_absent", "type": "GLOBAL", "api_version": "1.3.0",
