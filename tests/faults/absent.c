@@ -94,10 +94,11 @@ CREATE(Semaphore) CREATE(Fence) CREATE(QueryPool)
 static VKAPI_ATTR VkResult VKAPI_CALL nothing(void) { return VK_SUCCESS; }
 
 /* Kernels are known by their code. */
+enum { KERNELS = 1024 };
 static struct kernel {
   VkShaderModule module;
   char name[64];
-} kernels[1024];
+} kernels[KERNELS];
 static unsigned kernel_count;
 static const VkShaderModuleCreateInfo *sought;
 static char *found;
@@ -117,7 +118,7 @@ static int compare(const char *path, const struct stat *stat, int kind, struct F
 static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateShaderModule(VkDevice d, const VkShaderModuleCreateInfo *info,
                                                                const VkAllocationCallbacks *a, VkShaderModule *module) {
   VkResult result = DEVICE(vkCreateShaderModule)(d, info, a, module);
-  struct kernel *kernel = &kernels[kernel_count++ % 1024];
+  struct kernel *kernel = &kernels[kernel_count++ % KERNELS];
   *kernel = (struct kernel){*module, "unknown"};
   sought = info, found = kernel->name;
   nftw(getenv("ZIPSPLAT_SPIRV"), compare, 8, 0);
@@ -128,8 +129,8 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateComputePipelines(VkDevice d, V
                                                                    const VkComputePipelineCreateInfo *infos,
                                                                    const VkAllocationCallbacks *a, VkPipeline *pipelines) {
   const char *name = "unknown"; /* The newest of a module's handle, which may have been used before. */
-  for (unsigned i = 0; i < 1024 && i < kernel_count; i++) {
-    const struct kernel *kernel = &kernels[(kernel_count - 1 - i) % 1024];
+  for (unsigned i = 0; i < KERNELS && i < kernel_count; i++) {
+    const struct kernel *kernel = &kernels[(kernel_count - 1 - i) % KERNELS];
     if (kernel->module != infos->stage.module) continue;
     name = kernel->name;
     break;

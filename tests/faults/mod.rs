@@ -1,4 +1,4 @@
-//! Devices that are lost and drivers that refuse: `layer.c` makes them so.
+//! Devices that are lost and drivers that refuse: `failing.c` makes them so.
 
 use crate::processes::{assert_succeeds, child};
 use std::path::{Path, PathBuf};
@@ -47,7 +47,7 @@ fn tests() -> &'static Path {
 
 fn build_layer(folder: &TempDir) {
     let library = folder.path().join("libfaults.so");
-    let source = tests().join("faults/layer.c");
+    let source = tests().join("faults/failing.c");
     let mut compiler = std::process::Command::new("cc");
     compiler
         .args(["-std=gnu99", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC", "-o"])

@@ -19,6 +19,8 @@ losses = [float(row["l1"]) for row in csv.DictReader(open(sys.argv[1])) if row["
 assert len(losses) >= 2 and losses[-1] < 0.8 * losses[0], f"found losses {losses}, expected them to fall by a fifth"
 END
 
+"$python" "$root/tests/train/growing.py" "$out/model.safetensors"
+
 # With more Gaussians a token and wider colours, untrained, it shows nearly the same.
 "$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out/finer" --minutes 0.05 \
     --resume "$out/model.safetensors" --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set reuse=1000 \

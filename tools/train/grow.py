@@ -43,7 +43,7 @@ def widen_colors(tensors, model, cells):
     a, new = model.architecture, model.state_dict()
     count = cells[0] * cells[1]
     old_width, old_heads = a.color_width // 2, a.color_heads // 2
-    inputs, hidden = a.width + old_width, tensors["gaussian_head.gaussian_head.0.fc1.bias"].numel()
+    inputs, hidden = a.width + old_width, tensors[f"{HEAD[0]}.bias"].numel()
     if (2 * old_width, 2 * old_heads) != (a.color_width, a.color_heads) or len(tensors["color_embed.proj.bias"]) != old_width:
         raise SystemExit(f"found a colour branch of {len(tensors['color_embed.proj.bias'])} channels in the weights, "
                          f"and {a.color_width} with {a.color_heads} heads in the configuration, expected twice as many")  # fmt: skip
