@@ -67,6 +67,9 @@ void main() {
     squares = subgroupAdd(squares);
     if (gl_LocalInvocationID.x == 0) {
         scales[row] = unit;
-        norms[row] = 0.5 * squares * unit * unit;
+        // In this order: the square of the unit alone may be too small for a normal number.
+        precise float norm = 0.5 * squares * unit;
+        norm *= unit;
+        norms[row] = norm;
     }
 }

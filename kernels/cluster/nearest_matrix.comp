@@ -72,7 +72,10 @@ Sums chunk[REPEAT_M * REPEAT_N];
 float point_scale[OWN_ROWS];
 
 vec4 scores_of(vec4 values, uint own, uint column) {
-    return target_norms[column / 4] - values * point_scale[own] * target_scales[column / 4];
+    // In this order: the product of the scales alone may be too small for a normal number.
+    precise vec4 scaled = values * point_scale[own];
+    scaled *= target_scales[column / 4];
+    return target_norms[column / 4] - scaled;
 }
 
 // Rows past the last repeat it, since their results go nowhere; channels past the last are zeros.

@@ -77,9 +77,10 @@ fn binding_parts_of_tensors_changes_no_bit() {
 fn cutting_long_dispatches_changes_no_bit() {
     // As much arithmetic as is stated here is cut into hundreds of submissions.
     for stated in [0, 1 << 40] {
-        let device = Device::open(&DeviceOptions::default()).unwrap();
         // A folded dispatch, and one below the fold.
         for count in [64 * 100_000 + 1, 64 * 1000] {
+            // A device that has not learned how fast it is: that this is no arithmetic at all.
+            let device = Device::open(&DeviceOptions::default()).unwrap();
             let values = random(1, count);
             let mut rec = Recorder::new(device.limits());
             let (left, out) = (rec.input::<f32>("left", count), rec.tensor::<f32>("out", count));

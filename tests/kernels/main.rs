@@ -22,6 +22,7 @@ mod gaussians {
     mod activate;
 }
 mod measure {
+    mod copy;
     mod fma;
     mod matrix;
 }

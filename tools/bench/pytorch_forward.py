@@ -60,7 +60,8 @@ def main():
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     width, height = args.size
-    model = network.ZipSplat(Architecture.from_json(args.architecture)).to(device).eval()
+    with torch.device(device):  # a CPU takes a minute for the random numbers of the largest
+        model = network.ZipSplat(Architecture.from_json(args.architecture)).eval()
     rows = []
     for name, (autocast, tf32, compiled) in precisions(device, args.precision).items():
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = tf32

@@ -1,4 +1,4 @@
-//! Arithmetic in registers and nothing else: what a device can do at most, for benchmarks to compare with.
+//! Arithmetic in registers and nothing else, and copies: what a device can do at most, for benchmarks to compare with.
 //!
 //! The recorder is not told how much it is, because it must not cut these dispatches: whoever measures gives them a length.
 
@@ -7,6 +7,14 @@ use crate::{
     gpu::{Element, Limits, MatrixShape, Recorder, Tensor},
     kernels::measure as kernels,
 };
+
+/// A copy of `from`, whole multiples of 16 bytes, by a kernel: each byte is read once and written once.
+pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
+    let out = rec.tensor::<u8>("copy", from.bytes() as usize);
+    let quads = from.bytes() as usize / 16;
+    rec.dispatch(kernels::Copy { source: from, out, quads: quads as u32 }, quads);
+    out
+}
 
 /// Chains of steps x = x * factor + term on every lane of a device.
 #[derive(Clone, Copy, Debug)]

@@ -54,6 +54,8 @@ const TERMS: usize = 1024;
 /// A size at which one run takes more milliseconds is the largest that is measured; those above take what is best there.
 const LONGEST: f64 = 50.0;
 const REPEATS: usize = 5;
+/// Rows of random numbers.
+const DISTINCT: usize = 1024;
 
 impl Measured {
     /// Name of the fastest tile.
@@ -236,14 +238,15 @@ fn linear_run(device: &Device, units: Units, rows: usize) -> Result<Run> {
     let mut rec = Recorder::new(device.limits());
     let packed = pack_matrix(kernel, &noise(1, COLUMNS, TERMS, units.factor), TERMS, COLUMNS);
     let (weight, bias) = (rec.constant::<u8>("weight", packed.len()), rec.constant::<f32>("bias", COLUMNS));
-    let input = rec.constant::<u8>("input", rows * TERMS * element.bytes());
+    let values = repeated(element.encode(&noise(3, rows.min(DISTINCT), TERMS, units.factor)), rows);
+    let input = rec.constant::<u8>("input", values.len());
     let layer = Linear { weight, bias, inner: TERMS, columns: COLUMNS, kernel };
     let out = layer.apply(&mut rec, "out", input, rows, Epilogue { output: element, ..Epilogue::default() });
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     run.write(weight, &packed)?;
     run.write(bias, &noise(2, 1, COLUMNS, Element::F32))?;
-    run.write(input, &element.encode(&noise(3, rows, TERMS, units.factor)))?;
+    run.write(input, &values)?;
     Ok(run)
 }
 
@@ -252,7 +255,8 @@ fn attention_of_noise(device: &Device, units: Units, queries: usize) -> Result<R
     let kernel = AttentionKernel::Matrix(units);
     let attention = Attention { heads, sequences: 1, queries, keys: TERMS, kernel };
     let parts = [(1, queries), (2, TERMS), (3, TERMS)];
-    let parts = parts.map(|(seed, rows)| noise(seed, rows, COLUMNS, kernel.element()));
+    let parts =
+        parts.map(|(seed, rows)| repeated(noise(seed, rows.min(DISTINCT), COLUMNS, kernel.element()), rows));
     attention_run(device, attention, &parts, 1.0).map(|(run, _)| run)
 }
 
@@ -265,9 +269,15 @@ fn nearest_run(device: &Device, units: Units, points: usize) -> Result<Run> {
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     for (i, (input, count)) in rows.into_iter().enumerate() {
-        run.write(input, &noise(i as u64, count, TERMS, Element::F32))?;
+        run.write(input, &repeated(noise(i as u64, count.min(DISTINCT), TERMS, Element::F32), count))?;
     }
     Ok(run)
+}
+
+/// The values of up to [`DISTINCT`] rows over and over, as `rows` rows: random numbers take the host longer than tiles take a GPU.
+fn repeated<T: Copy>(values: Vec<T>, rows: usize) -> Vec<T> {
+    let len = values.len() / rows.min(DISTINCT) * rows;
+    values.iter().copied().cycle().take(len).collect()
 }
 
 /// Median milliseconds of matrix kernels on the device, warmed up.

@@ -7,19 +7,24 @@ use crate::{
 };
 use clap::Args;
 use serde::Serialize;
-use std::{fmt, time::Duration};
+use std::{
+    fmt,
+    time::{Duration, Instant},
+};
 use zipsplat::{
     Result,
-    gpu::{Device, Element, Recorder, Run, Tensor},
+    gpu::{Device, Element, ProfileRow, Recorder, Run, Tensor},
     ops::{
         Arithmetic, Units,
-        measure::{FmaChains, MatrixProducts},
+        measure::{self, FmaChains, MatrixProducts},
     },
 };
 use zipsplat_reference::measure::{fma::chains, matrix::products};
 
 /// Bytes that are copied to measure the memory's bandwidth: far more than caches hold. Less where a binding takes less.
 const COPIED: u64 = 512 << 20;
+/// A GPU that was idle takes some of a second of work to reach the clock that it then keeps.
+const WAKING: Duration = Duration::from_millis(500);
 /// Dispatches grow until they take so long, or up to twice as long.
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
 /// Most iterations, so that sums stay exact; no device is that fast.
@@ -150,25 +155,41 @@ pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'
 }
 
 /// Bytes read and written by a copy on the device.
-pub fn copies(device: &Device, Repeats { warmup, repeats }: Repeats, stage: &Stage<'_>) -> Result<Rate> {
-    let len = COPIED.min(device.limits().max_binding_bytes) as usize;
+pub fn copies(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
+    let len = (COPIED.min(device.limits().max_binding_bytes) / 16 * 16) as usize;
     let mut rec = Recorder::new(device.limits());
-    let (from, to) = (rec.tensor::<u8>("from", len), rec.tensor::<u8>("to", len));
+    let from = rec.tensor::<u8>("from", len);
     rec.fill(from, 0x0101_0101);
-    rec.copy(from, to);
+    let to = measure::copy(&mut rec, from);
     rec.output(to);
     let mut run = Run::new(device, rec.finish()?)?;
-    let mut times = Vec::new();
-    for i in 0..warmup + repeats {
-        stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
-        let profile = run.profile()?;
-        let copied: Duration = profile.rows.iter().filter(|row| row.kernel == "copy").map(|row| row.time).sum();
-        times.extend((i >= warmup).then_some(copied));
-    }
-    let ms = Spread::of(times);
+    let ms = timed(device, &mut run, repeats, stage, |row| row.kernel == "measure/copy")?;
     let wrong = run.read::<u8>(to)?.iter().filter(|byte| **byte != 1).count();
     let per_s = 2.0 * len as f64 / (1e6 * ms.median.max(1e-6));
     Ok(Rate { what: "copy".into(), per_s, unit: "GB/s", ms, difference: wrong as f64 })
+}
+
+/// Device times of a run's commands that are `counted`, after the warm-up and once the device is awake.
+fn timed(
+    device: &Device,
+    run: &mut Run,
+    Repeats { warmup, repeats }: Repeats,
+    stage: &Stage<'_>,
+    counted: impl Fn(&ProfileRow) -> bool,
+) -> Result<Spread> {
+    let started = Instant::now();
+    let mut warmed = 0;
+    let mut times = Vec::new();
+    while times.len() < repeats as usize {
+        stage.reach(times.len() as f64 / f64::from(repeats))?;
+        let profile = run.profile()?;
+        if warmed < warmup || (!device.limits().cpu && started.elapsed() < WAKING && times.is_empty()) {
+            warmed += 1;
+            continue;
+        }
+        times.push(profile.rows.iter().filter(|row| counted(row)).map(|row| row.time).sum());
+    }
+    Ok(Spread::of(times))
 }
 
 /// A plan's result, and its inputs with their contents.
@@ -177,7 +198,7 @@ type Recorded = (Tensor, Vec<(Tensor, Vec<u8>)>);
 /// Times of a plan of one dispatch with as many iterations as take long enough: those, the times, and the result's words.
 fn sustained(
     device: &Device,
-    Repeats { warmup, repeats }: Repeats,
+    repeats: Repeats,
     stage: &Stage<'_>,
     record: impl Fn(&mut Recorder, u32) -> Recorded,
 ) -> Result<(u32, Spread, Vec<u32>)> {
@@ -197,13 +218,7 @@ fn sustained(
             iterations *= 2;
             continue;
         }
-        let mut times = Vec::new();
-        for i in 0..warmup + repeats {
-            stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
-            let (time, _) = run.profile()?.total("");
-            times.extend((i >= warmup).then_some(time));
-        }
-        return Ok((iterations, Spread::of(times), run.read(out)?));
+        return Ok((iterations, timed(device, &mut run, repeats, stage, |_| true)?, run.read(out)?));
     }
 }
 

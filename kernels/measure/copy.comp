@@ -1,0 +1,24 @@
+// Copies a buffer, to measure a device's memory bandwidth.
+//
+// Source, Out  [quads] of 16 bytes
+//
+// One invocation owns 16 bytes, so that a subgroup reads and writes whole cache lines. Transfer commands say less: on some GPUs
+// they run on a unit of their own, which is several times slower than the memory.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "shared/index.glsl"
+
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0) readonly buffer Source { uvec4 source[]; };
+layout(set = 0, binding = 1) writeonly buffer Out { uvec4 result[]; };
+
+layout(push_constant) uniform Push {
+    uint quads;
+};
+
+void main() {
+    if (global_index() < quads) {
+        result[global_index()] = source[global_index()];
+    }
+}

@@ -1,0 +1,18 @@
+//! Every byte of a copy, and none behind it.
+
+use crate::case::Case;
+use zipsplat::{gpu::Tensor, ops::measure};
+use zipsplat_tests::{compare::assert_same, reference::measure::copy::copy};
+
+#[test]
+fn every_byte_is_copied() {
+    // Beyond a row of workgroups, too.
+    for quads in [0, 1, 63, 65, 64 * 70_000 + 3] {
+        let source: Vec<u32> = (0..4 * quads as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+        let mut case = Case::new();
+        let from = case.input(&source);
+        let out: Tensor = measure::copy(&mut case.rec, from);
+        case.rec.output(out);
+        assert_same(&format!("{quads} quads"), &case.result::<u32>(out), &copy(&source));
+    }
+}
