@@ -2,7 +2,7 @@
 
 use crate::{
     elements::Element,
-    reflect::{COOPERATIVE_MATRIX, COOPERATIVE_MATRIX_TENSOR_ADDRESSING, Interface, STORAGE_BUFFER_16_BIT, Scalar},
+    reflect::{COOPERATIVE_MATRIX, Interface, STORAGE_BUFFER_16_BIT, Scalar},
     sources::Source,
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
@@ -161,7 +161,6 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     let spirv = root.join(format!("spirv/{name}.spv"));
     let spirv = spirv.display();
     let half = interface.has(STORAGE_BUFFER_16_BIT);
-    let workgroup = interface.has(COOPERATIVE_MATRIX_TENSOR_ADDRESSING);
     let factor = source.factor().filter(|_| interface.has(COOPERATIVE_MATRIX));
     let matrices = factor.map_or("None".into(), |factor| format!("Some(Element::{factor:?})"));
     format!(
@@ -172,7 +171,7 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
             push_bytes: {push_bytes},
             constant_ids: &{ids:?},
             local_size: {local_size},
-            needs: Needs {{ half_storage: {half}, matrices: {matrices}, workgroup_matrices: {workgroup} }},
+            needs: Needs {{ half_storage: {half}, matrices: {matrices} }},
         }}, "
     )
 }

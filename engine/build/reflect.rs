@@ -50,7 +50,6 @@ enum Type {
 /// Capabilities of kernels that not every device can run.
 pub const STORAGE_BUFFER_16_BIT: u32 = 4433;
 pub const COOPERATIVE_MATRIX: u32 = 6022;
-pub const COOPERATIVE_MATRIX_TENSOR_ADDRESSING: u32 = 5433;
 
 impl Interface {
     /// Whether the kernel declares a capability.

@@ -115,8 +115,7 @@ fn pytorch_stands_beside_ours() {
         std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).expect("written");
         std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("a program");
     }
-    let line =
-        "bench forward --weights @/micro.safetensors --views 1,2 --size 28x28 --warmup 0 --repeats 1 --pytorch @/";
+    let line = "bench forward --weights @/micro.safetensors --views 1,2 --size 28x28 --precision exact --warmup 0 --repeats 1 --pytorch @/";
     let text = folder.run(&format!("{line}python")).success();
     for word in [
         "peak: FMA, f32",

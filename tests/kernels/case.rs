@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, AttentionTile, LinearKernel, NearestKernel, Tiles, Units};
+use zipsplat::ops::{AttentionKernel, LinearKernel, NearestKernel, Units};
 use zipsplat_tests::device::device;
 
 /// Bytes behind an output that nothing may write.
@@ -91,18 +91,12 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(Element::FACTORS.into_iter().filter_map(matrices)).collect()
 }
 
-/// Kernels of attention that the device has, with tiles by rule and with each that is used only where it was measured.
+/// Kernels of attention that the device has, with tiles by rule.
 pub fn attention_kernels() -> Vec<AttentionKernel> {
     let lanes = elements().into_iter().map(AttentionKernel::Lanes);
     let limits = device().limits();
-    let matrices = |units: Units| {
-        let tiles = AttentionTile::candidates(limits, units, 64).into_iter().enumerate();
-        let measured = tiles.filter(|(_, tile)| matches!(tile, AttentionTile::Workgroup(_)));
-        let tiles = [Tiles::default()].into_iter().chain(measured.map(|(index, _)| Tiles::always(index)));
-        tiles.map(|tiles| AttentionKernel::Matrix(Units { tiles, ..units })).collect::<Vec<_>>()
-    };
     let units = Element::HALVES.into_iter().filter_map(|factor| Units::of(factor, limits));
-    lanes.chain(units.flat_map(matrices)).collect()
+    lanes.chain(units.map(AttentionKernel::Matrix)).collect()
 }
 
 /// Kernels that find nearest rows that the device has.

@@ -1,9 +1,9 @@
 //! Tiles by measurement: every one is timed, the fastest is taken, and none changes a linear layer's bits.
 
-use std::{collections::HashSet, ops::ControlFlow};
+use std::ops::ControlFlow;
 use zipsplat::{
     Error,
-    gpu::{Element, Limits, Matrices, MatrixShape, Recorder, Run, WorkgroupMatrices},
+    gpu::{Element, Matrices, Recorder, Run},
     ops::{
         Arithmetic, AttentionTile, Epilogue, Linear, LinearKernel, LinearTile, Measured, NearestTile, Precision, Tiles,
         Tuned, Tuning, Units, pack_matrix,
@@ -82,28 +82,6 @@ fn the_fastest_tile_is_taken() {
 /// What another process reads.
 fn kept(tuning: &Tuning) -> Tuning {
     serde_json::from_slice(&serde_json::to_vec(tuning).unwrap()).unwrap()
-}
-
-#[test]
-fn matrices_of_workgroups_are_taken_where_they_were_fastest() {
-    let of = |invocations, m, n| WorkgroupMatrices { invocations, granularity: MatrixShape { m, n, k: 16 } };
-    let limits = Limits { workgroup_matrices: vec![of(128, 32, 16), of(256, 32, 32)], ..Limits::default() };
-    let fast = Arithmetic::of(Precision::Fast, &limits).unwrap();
-    let units = fast.attention.unwrap();
-    let tiles = AttentionTile::candidates(&limits, units, 64);
-    let names: HashSet<String> = tiles.iter().map(ToString::to_string).collect();
-    assert_eq!(names.len(), tiles.len(), "a name for each");
-    for (index, tile) in tiles.iter().enumerate() {
-        let times = tiles.iter().map(|other| (other.to_string(), if other == tile { 1.0 } else { 2.0 }));
-        let measured =
-            Measured { kernel: Tuned::Attention, factor: Element::F16, values: 1 << 14, tiles: times.collect() };
-        let tuned = kept(&Tuning { measured: vec![measured], ..Tuning::default() });
-        assert_eq!(tuned.applied(fast, &limits).attention.unwrap().tiles, Tiles::always(index));
-        // Another device, or a driver that does not offer them any more.
-        let without = Limits { workgroup_matrices: Vec::new(), ..limits.clone() };
-        let ruled = tuned.applied(fast, &without).attention.unwrap().tiles == Tiles::default();
-        assert_eq!(ruled, matches!(tile, AttentionTile::Workgroup(_)), "{tile}");
-    }
 }
 
 #[test]

@@ -6,13 +6,11 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 12] = [
+const STEPS: [(&str, &str); 10] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("ops/attention_matrix", "ops/attention"),
-    ("ops/attention_workgroup", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
-    ("ops/linear_workgroup", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),
     ("ops/key_starts", "ops/sort"),

@@ -86,7 +86,7 @@ impl Device {
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, found) = probe(&instance, physical);
         // What the app did not have to enable.
-        (limits.matrices.bf16, limits.workgroup_matrices) = (None, Vec::new());
+        limits.matrices.bf16 = None;
         if !adopted.fast {
             (limits.half_storage, limits.matrices) = (false, Matrices::default());
         }

@@ -1,7 +1,7 @@
 //! A Vulkan device: choosing it, and what it can do.
 
 use super::{
-    bfloat16, cooperative_matrix2,
+    bfloat16,
     instance::Instance,
     limits::{Limits, Matrices, probe},
     pipelines::Pipelines,
@@ -178,9 +178,6 @@ impl Shared {
         if bf16 {
             extensions.push(bfloat16::NAME.as_ptr());
         }
-        if !limits.workgroup_matrices.is_empty() {
-            extensions.push(cooperative_matrix2::NAME.as_ptr());
-        }
         let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
             .enabled_extension_names(&extensions)
@@ -189,10 +186,6 @@ impl Shared {
             .push_next(&mut v13);
         if matrices {
             info = info.push_next(&mut cooperative);
-        }
-        let mut workgroup_features = cooperative_matrix2::Features::used();
-        if !limits.workgroup_matrices.is_empty() {
-            info = info.push_next(&mut workgroup_features);
         }
         if bf16 {
             info = info.push_next(&mut bf16_features);

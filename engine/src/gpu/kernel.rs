@@ -37,8 +37,6 @@ pub struct Needs {
     pub half_storage: bool,
     /// Matrices that a subgroup multiplies (VK_KHR_cooperative_matrix), with factors of this type.
     pub matrices: Option<Element>,
-    /// Matrices that a workgroup multiplies (VK_NV_cooperative_matrix2).
-    pub workgroup_matrices: bool,
 }
 
 /// One storage buffer of a kernel.

@@ -1,6 +1,6 @@
 //! What a device is and can do, and what it would need to have.
 
-use super::{Element, bfloat16, cooperative_matrix2, instance::Instance};
+use super::{Element, bfloat16, instance::Instance};
 use crate::{Error, Result};
 use ash::{khr, vk};
 use std::ffi::CStr;
@@ -40,8 +40,6 @@ pub struct Limits {
     pub half_storage: bool,
     /// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,
-    /// Matrices that a workgroup multiplies as one, f16 factors and f32 sums (VK_NV_cooperative_matrix2).
-    pub workgroup_matrices: Vec<WorkgroupMatrices>,
     /// Device, driver and whether validation is on, exactly: what was measured on one is not true of another, and a message
     /// of the layer fails a kernel that computes rightly.
     pub identity: String,
@@ -67,15 +65,6 @@ pub struct Matrices {
     pub bf16: Option<MatrixShape>,
     /// Signed 8-bit factors, 32-bit sums.
     pub i8: Option<MatrixShape>,
-}
-
-/// Matrices of whole workgroups of some size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct WorkgroupMatrices {
-    /// Invocations of the workgroup.
-    pub invocations: u32,
-    /// What the sides of a matrix are multiples of.
-    pub granularity: MatrixShape,
 }
 
 impl Matrices {
@@ -127,7 +116,6 @@ impl Default for Limits {
                 bf16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
                 i8: Some(MatrixShape { m: 16, n: 16, k: 32 }),
             },
-            workgroup_matrices: Vec::new(),
             identity: "none".into(),
         }
     }
@@ -186,7 +174,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
     let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
     let mut bf16 = bfloat16::Features::default();
-    let mut workgroup = cooperative_matrix2::Features::default();
     // SAFETY: a plain query on a live instance.
     let extensions = unsafe { instance.enumerate_device_extension_properties(device) }.unwrap_or_default();
     let has = |name| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
@@ -197,9 +184,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         .push_next(&mut cooperative);
     if has(bfloat16::NAME) && knows(4, 313) {
         features = features.push_next(&mut bf16);
-    }
-    if has(cooperative_matrix2::NAME) && knows(4, 304) {
-        features = features.push_next(&mut workgroup);
     }
     // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
     let (memory, families) = unsafe {
@@ -255,11 +239,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
         half_storage,
         matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },
-        workgroup_matrices: if matrices && workgroup.has_used() {
-            cooperative_matrix2::workgroup_matrices(entry, instance, device)
-        } else {
-            Vec::new()
-        },
         identity: format!(
             "{}-{}-{:x}{}",
             hex(&v11.device_uuid),

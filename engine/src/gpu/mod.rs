@@ -8,7 +8,6 @@ mod adopt;
 mod arena;
 mod bfloat16;
 mod commands;
-mod cooperative_matrix2;
 mod descriptors;
 mod device;
 mod flight;
@@ -30,7 +29,7 @@ pub use adopt::{Adopted, QueueLock, Requirement, fast_requirements, requirements
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};
 pub use kernel::{Binding, Element, Kernel, LocalSize, Module, Needs};
-pub use limits::{Limits, Matrices, MatrixShape, WorkgroupMatrices};
+pub use limits::{Limits, Matrices, MatrixShape};
 pub use memory::{Resident, ResidentLayout};
 pub use plan::{ArenaRow, Plan, Tensor};
 pub use profile::{Profile, ProfileRow};

@@ -197,10 +197,9 @@ impl Recorder {
 
     fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
         let module = if self.plain { kernel.plain() } else { kernel.module() };
-        let Needs { half_storage, matrices, workgroup_matrices } = module.needs;
+        let Needs { half_storage, matrices } = module.needs;
         let can = (!half_storage || self.limits.half_storage)
-            && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some())
-            && !(workgroup_matrices && self.limits.workgroup_matrices.is_empty());
+            && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some());
         assert!(can, "{} needs what {} has not: {:?}", module.name, self.limits.name, module.needs);
         let buffers = kernel.buffers();
         for (tensor, binding) in buffers.iter().zip(module.bindings) {

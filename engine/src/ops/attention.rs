@@ -1,9 +1,6 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{
-    Norm, Units,
-    attention_tile::{AttentionTile, SubgroupQueries, WorkgroupQueries},
-};
+use super::{Norm, Units, attention_tile::AttentionTile};
 use crate::{
     gpu::{Element, Kernel, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
@@ -65,8 +62,8 @@ pub struct Attention {
 pub enum AttentionKernel {
     /// ops/attention: everything of this type, keys with tokens running fastest.
     Lanes(Element),
-    /// ops/attention_matrix or ops/attention_workgroup: everything of this type, of 16 bits, on matrix units; heads padded
-    /// to whole matrices of a subgroup.
+    /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices of a
+    /// subgroup.
     Matrix(Units),
 }
 
@@ -88,7 +85,7 @@ impl Attention {
             AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
             // The last workgroup reads queries beyond the end.
             AttentionKernel::Matrix(units) => {
-                (queries + SubgroupQueries::most_rows(rec.limits(), units.shape) * self.channels(), keys, keys)
+                (queries + AttentionTile::most_rows(rec.limits(), units) * self.channels(), keys, keys)
             }
         };
         let element = self.kernel.element();
@@ -181,22 +178,10 @@ impl Attention {
         self.dispatch(rec, kernel, ATTENTION_ROWS as usize);
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, tensors: [Tensor; 3], out: Tensor) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v]: [Tensor; 3], out: Tensor) {
         let heads = self.heads.count * self.sequences;
-        match AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, heads) {
-            AttentionTile::Subgroups(tile) => self.by_subgroups(rec, units, tile, tensors, out),
-            AttentionTile::Workgroup(tile) => self.by_workgroups(rec, tile, tensors, out),
-        }
-    }
-
-    fn by_subgroups(
-        &self,
-        rec: &mut Recorder,
-        Units { factor, shape, .. }: Units,
-        tile: SubgroupQueries,
-        [q, k, v]: [Tensor; 3],
-        out: Tensor,
-    ) {
+        let tile = AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, heads);
+        let Units { factor, shape, .. } = units;
         let kernel = ops::AttentionMatrix {
             q,
             k,
@@ -217,27 +202,6 @@ impl Attention {
             factor,
         };
         self.dispatch(rec, kernel, tile.rows(shape));
-    }
-
-    fn by_workgroups(&self, rec: &mut Recorder, tile: WorkgroupQueries, [q, k, v]: [Tensor; 3], out: Tensor) {
-        let kernel = ops::AttentionWorkgroup {
-            q,
-            k,
-            v,
-            out,
-            queries: self.queries as u32,
-            keys: self.keys as u32,
-            sequences: self.sequences as u32,
-            heads: self.heads.count as u32,
-            dim: self.heads.dim as u32,
-            subgroups: tile.subgroups,
-            rows: tile.rows,
-            tile: tile.keys,
-            channels: self.channels() as u32,
-            width: (self.channels() as u32).next_multiple_of(tile.granularity),
-            factor: Element::F16,
-        };
-        self.dispatch(rec, kernel, tile.rows as usize);
     }
 
     /// Workgroups of `rows` queries.

@@ -3,7 +3,7 @@
 use super::{
     Units,
     rows::{SCRATCH_BYTES, quantise_rows, row_chunks},
-    tile::{LinearTile, SubgroupTile, WorkgroupTile},
+    tile::LinearTile,
 };
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -152,23 +152,8 @@ impl Linear {
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, input: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
-        let tile = LinearTile::choose(rec.limits(), units, rows, self.columns);
-        match tile {
-            LinearTile::Subgroups(tile) => self.by_subgroups(rec, (units, tile), input, rows, out, epilogue),
-            LinearTile::Workgroup(tile) => self.by_workgroups(rec, tile, input, rows, out, epilogue),
-        }
-    }
-
-    fn by_subgroups(
-        &self,
-        rec: &mut Recorder,
-        (units, tile): (Units, SubgroupTile),
-        input: Tensor,
-        rows: usize,
-        out: Tensor,
-        epilogue: Epilogue,
-    ) {
-        let Units { factor, shape, .. } = units;
+        let chosen = LinearTile::choose(rec.limits(), units, rows, self.columns);
+        let (tile, Units { factor, shape, .. }) = (chosen.0, units);
         let (columns, inner) = (self.columns, self.inner);
         let (a, row_scales, column_scales) = match factor {
             Element::I8 => {
@@ -203,46 +188,10 @@ impl Linear {
             factor,
             output: epilogue.output,
         };
-        let [tile_rows, tile_columns] = LinearTile::Subgroups(tile).sides(shape);
+        let [tile_rows, tile_columns] = chosen.sides(shape);
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
-    }
-
-    fn by_workgroups(
-        &self,
-        rec: &mut Recorder,
-        tile: WorkgroupTile,
-        input: Tensor,
-        rows: usize,
-        out: Tensor,
-        epilogue: Epilogue,
-    ) {
-        let merged = if epilogue.activation == Activation::SwiGlu { 2 } else { 1 };
-        let [tile_rows, tile_columns] = [tile.sides[0], tile.sides[1] / merged];
-        let kernel = ops::LinearWorkgroup {
-            a: input,
-            weight: self.weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.unwrap_or(self.bias),
-            out,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            subgroups: tile.subgroups,
-            tile_m: tile_rows,
-            tile_n: tile_columns,
-            tile_k: tile.k,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
-            factor: Element::F16,
-            output: epilogue.output,
-        };
-        let columns = self.out_columns(epilogue.activation) as u32;
-        let groups = [columns.div_ceil(tile_columns), (rows as u32).div_ceil(tile_rows), 1];
-        rec.dispatch_groups(kernel, groups).flops(self.flops(rows));
     }
 
     fn flops(&self, rows: usize) -> u64 {

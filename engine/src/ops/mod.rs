@@ -21,7 +21,7 @@ mod tuning;
 
 pub use arithmetic::{Arithmetic, Precision, Units};
 pub use attention::{Attention, AttentionKernel, Heads, Part};
-pub use attention_tile::{AttentionTile, SubgroupQueries, WorkgroupQueries};
+pub use attention_tile::AttentionTile;
 pub use block::{Block, Sequences};
 pub use chosen::Chosen;
 pub use cross_block::CrossBlock;
@@ -32,5 +32,5 @@ pub use parameters::{ParameterLayout, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns, quantise_rows};
 pub use self_test::SelfTest;
-pub use tile::{LinearTile, NearestTile, SubgroupTile, Tiles, WorkgroupTile};
+pub use tile::{LinearTile, NearestTile, Tiles};
 pub use tuning::{Measured, Tuned, Tuning};

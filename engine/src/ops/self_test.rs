@@ -6,10 +6,10 @@ mod record;
 pub(super) use record::{UNFINISHED, unfinished};
 
 use super::{
-    Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Tuned, Units,
+    Activation, Arithmetic, Attention, AttentionKernel, Epilogue, Heads, Linear, LinearKernel, Part, Units,
     attention_tile::AttentionTile,
     pack_matrix,
-    tile::{LinearTile, NearestTile, Tiles},
+    tile::{LinearTile, Tiles},
 };
 use crate::{
     Error, Result,
@@ -63,22 +63,17 @@ impl SelfTest {
             let tiles = LinearTile::candidates(limits, units);
             test.none_fits(&linear_name(LinearKernel::Matrix(units), Element::F32), tiles.is_empty());
             for (index, tile) in tiles.iter().enumerate() {
-                if !tile.is_experimental() {
-                    test.tile(device, units, *tile, index)?;
-                }
+                test.tile(device, units, *tile, index)?;
             }
             if factor == Element::I8 {
                 continue;
             }
             let widest = AttentionTile::candidates(limits, units, WIDEST_HEAD);
-            let none = widest.iter().all(AttentionTile::is_experimental);
-            test.none_fits(&attention_name(AttentionKernel::Matrix(units)), none);
+            test.none_fits(&attention_name(AttentionKernel::Matrix(units)), widest.is_empty());
             let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
             for (index, tile) in tiles.iter().enumerate() {
-                if !tile.is_experimental() {
-                    let kernel = AttentionKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
-                    test.attention(device, one_sequence(kernel, tile.rows(units.shape) + 3), 1.0)?;
-                }
+                let kernel = AttentionKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+                test.attention(device, one_sequence(kernel, tile.rows(units.shape) + 3), 1.0)?;
             }
         }
         Ok(())
@@ -98,29 +93,6 @@ impl SelfTest {
             Err(error @ (Error::DeviceLost | Error::Memory { .. })) => Err(error),
             _ => Ok(()),
         }
-    }
-
-    /// Whether a kernel computes rightly with the candidate at an index.
-    ///
-    /// # Errors
-    /// A failure of the device.
-    pub(super) fn passes_with(device: &Device, kernel: Tuned, units: Units, index: usize) -> Result<bool> {
-        let mut test = Self::default();
-        match kernel {
-            Tuned::Linear => {
-                test.tile(device, units, LinearTile::candidates(device.limits(), units)[index], index)?;
-            }
-            Tuned::Attention => {
-                let kernel = AttentionKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
-                for attention in every_kind(kernel) {
-                    test.attention(device, attention, PEAKED)?;
-                }
-            }
-            Tuned::Nearest => {
-                test.nearest_tile(device, units, NearestTile::candidates(device.limits(), units)[index], index)?;
-            }
-        }
-        Ok(test.deviations.values().all(|deviation| passes(*deviation)))
     }
 
     /// More than one workgroup each way, the last of them not whole.
@@ -290,28 +262,6 @@ const WIDEST_HEAD: usize = 128;
 
 fn one_sequence(kernel: AttentionKernel, queries: usize) -> Attention {
     Attention { heads: Heads { count: 16, dim: 64 }, sequences: 1, queries, keys: 100, kernel }
-}
-
-/// With this, weights lie between 1 and 1e-6 or so, and most rows' maximum rises from tile to tile.
-const PEAKED: f32 = 8.0;
-
-/// Local, global and cross attention with heads of several sizes: more and fewer queries than a workgroup has, the last of
-/// them not whole; keys that are less than a tile, whole tiles and one more.
-fn every_kind(kernel: AttentionKernel) -> [Attention; 5] {
-    let of = |sequences, [queries, keys]: [usize; 2], count, dim| Attention {
-        heads: Heads { count, dim },
-        sequences,
-        queries,
-        keys,
-        kernel,
-    };
-    [
-        of(3, [67, 67], 4, 64),
-        of(1, [257, 257], 2, 64),
-        of(2, [5, 192], 3, 128),
-        of(1, [131, 7], 5, 48),
-        of(2, [64, 129], 3, 16),
-    ]
 }
 
 /// Whether a deviation is one that may be.

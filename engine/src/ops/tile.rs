@@ -1,7 +1,7 @@
 //! How matrix kernels cut their work into workgroups.
 
 use super::{Units, nearest::SHARES};
-use crate::gpu::{Element, Limits, MatrixShape, WorkgroupMatrices};
+use crate::gpu::{Limits, MatrixShape};
 use std::fmt;
 
 /// Which of its candidates a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on,
@@ -35,34 +35,18 @@ impl Tiles {
     }
 }
 
-/// How a linear layer on matrix units is cut into workgroups, and which kernel computes it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinearTile {
-    /// ops/linear_matrix
-    Subgroups(SubgroupTile),
-    /// ops/linear_workgroup: only where [`Tuning`](super::Tuning) has found it to compute rightly, and to be faster.
-    Workgroup(WorkgroupTile),
-}
-
 /// What a workgroup of ops/linear_matrix owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SubgroupTile {
+pub struct LinearTile(pub(super) SubgroupTile);
+
+/// What a workgroup owns, matrices of subgroups.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct SubgroupTile {
     /// Subgroups along rows and columns.
     pub subgroups: [u32; 2],
     /// Matrices of a subgroup along rows and columns.
     pub repeats: [u32; 2],
     /// Terms of the sums that pass through shared memory at a time.
-    pub k: u32,
-}
-
-/// What a workgroup of ops/linear_workgroup owns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WorkgroupTile {
-    /// Subgroups.
-    pub subgroups: u32,
-    /// Rows and columns of the sums.
-    pub sides: [u32; 2],
-    /// Terms of the sums that are loaded at a time.
     pub k: u32,
 }
 
@@ -73,8 +57,7 @@ impl LinearTile {
     /// Shapes to choose from, the first two by rule, the larger first: what a subgroup owns is 64 x 64, where every matrix
     /// that is loaded is multiplied four times, or 32 x 32.
     pub fn candidates(limits: &Limits, units: Units) -> Vec<Self> {
-        let subgroups = SubgroupTile::candidates(limits, units).map(Self::Subgroups);
-        subgroups.chain(WorkgroupTile::candidates(limits, units).map(Self::Workgroup)).collect()
+        SubgroupTile::candidates(limits, units).map(Self).collect()
     }
 
     /// The tile that was measured to be fastest; by rule the larger of the first two if it leaves enough of them to keep the
@@ -94,17 +77,9 @@ impl LinearTile {
         *tile.expect("matrix units are used where a tile fits")
     }
 
-    /// Whether it is used only after it was measured.
-    pub(super) fn is_experimental(&self) -> bool {
-        matches!(self, Self::Workgroup(_))
-    }
-
     /// Rows and columns of a workgroup.
     pub fn sides(&self, shape: MatrixShape) -> [usize; 2] {
-        match self {
-            Self::Subgroups(tile) => tile.sides(shape),
-            Self::Workgroup(tile) => tile.sides.map(|side| side as usize),
-        }
+        self.0.sides(shape)
     }
 }
 
@@ -200,24 +175,6 @@ impl NearestTile {
     }
 }
 
-impl WorkgroupTile {
-    fn candidates(limits: &Limits, units: Units) -> impl Iterator<Item = Self> {
-        const SHAPES: [(u32, [u32; 2], u32); 4] =
-            [(256, [128, 256], 64), (256, [128, 128], 64), (128, [128, 64], 64), (128, [64, 64], 64)];
-        let found = move |(invocations, [rows, columns], k): (u32, [u32; 2], u32)| {
-            let fits = |m: &WorkgroupMatrices| {
-                // SwiGLU's gates and values have half of the columns each.
-                let sides = [(rows, m.granularity.m), (columns / 2, m.granularity.n), (k, m.granularity.k)];
-                m.invocations == invocations && sides.iter().all(|(side, of)| side.is_multiple_of(*of))
-            };
-            let subgroups = invocations / limits.subgroup_size;
-            let is_one = units.factor == Element::F16 && limits.workgroup_matrices.iter().any(fits);
-            is_one.then_some(Self { subgroups, sides: [rows, columns], k })
-        };
-        SHAPES.into_iter().filter_map(found)
-    }
-}
-
 impl fmt::Display for SubgroupTile {
     /// Subgroups, matrices of each, depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -233,14 +190,8 @@ impl fmt::Display for NearestTile {
 }
 
 impl fmt::Display for LinearTile {
-    /// As [`SubgroupTile`], or sides and depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Subgroups(tile) => tile.fmt(f),
-            Self::Workgroup(WorkgroupTile { sides: [rows, columns], k, .. }) => {
-                write!(f, "workgroup {rows}x{columns}, k {k}")
-            }
-        }
+        self.0.fmt(f)
     }
 }
 

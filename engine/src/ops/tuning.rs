@@ -2,7 +2,7 @@
 
 use super::{
     Arithmetic, Attention, AttentionKernel, AttentionTile, Epilogue, Heads, Linear, LinearKernel, LinearTile, Nearest,
-    NearestKernel, NearestTile, SelfTest, Tiles, Units,
+    NearestKernel, NearestTile, Tiles, Units,
     cache::cache_file,
     pack_matrix,
     self_test::{attention_run, noise},
@@ -12,7 +12,11 @@ use crate::{
     gpu::{Device, Element, Limits, Recorder, Run},
     types::write_atomic,
 };
-use std::{fs, ops::ControlFlow};
+use std::{
+    fs,
+    ops::ControlFlow,
+    time::{Duration, Instant},
+};
 
 /// What was measured on a device.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -40,9 +44,9 @@ pub struct Measured {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Tuned {
-    /// ops/linear_matrix and ops/linear_workgroup
+    /// ops/linear_matrix
     Linear,
-    /// ops/attention_matrix and ops/attention_workgroup
+    /// ops/attention_matrix
     Attention,
     /// cluster/nearest_matrix
     Nearest,
@@ -54,6 +58,8 @@ const TERMS: usize = 1024;
 /// A size at which one run takes more milliseconds is the largest that is measured; those above take what is best there.
 const LONGEST: f64 = 50.0;
 const REPEATS: usize = 5;
+/// How long a GPU is kept busy before a measurement.
+const WAKING: Duration = Duration::from_millis(100);
 /// Rows of random numbers.
 const DISTINCT: usize = 1024;
 
@@ -92,16 +98,14 @@ impl Tuning {
         let linear = units(&Element::FACTORS).map(|units| (Tuned::Linear, units));
         let attention = units(&Element::HALVES).map(|units| (Tuned::Attention, units));
         let nearest = units(&[Element::F16]).map(|units| (Tuned::Nearest, units));
-        let mut tiles: Vec<_> = linear
+        let tiles: Vec<_> = linear
             .chain(attention)
             .chain(nearest)
             .flat_map(|(kernel, units)| {
                 let candidates = kernel.candidates(units, device.limits()).into_iter().enumerate();
-                candidates.map(move |(index, (name, experimental))| Tile { kernel, units, index, name, experimental })
+                candidates.map(move |(index, name)| Tile { kernel, units, index, name })
             })
             .collect();
-        // Those that may lose the device come last.
-        tiles.sort_by_key(|tile| tile.experimental);
         self.measured.clear();
         for (i, tile) in tiles.iter().enumerate() {
             let name = tile.full_name();
@@ -112,12 +116,12 @@ impl Tuning {
                 return Err(Error::Cancelled);
             }
             let outcome = tile.times(device);
-            if !matches!(outcome, Ok(Some(_)) | Err(Error::Memory { .. })) {
+            if !matches!(outcome, Ok(_) | Err(Error::Memory { .. })) {
                 self.unusable.push(name);
             }
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
-                Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
+                Ok(times) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
                 // A driver may refuse what it offers.
                 _ => {}
             }
@@ -145,7 +149,7 @@ impl Tuning {
                     let is_it =
                         |m: &&Measured| (m.kernel, m.factor, m.values) == (kernel, units.factor, Tiles::values(class));
                     let best = self.measured.iter().find(is_it).and_then(Measured::best);
-                    if let Some(index) = best.and_then(|best| candidates.iter().position(|(name, _)| name == best)) {
+                    if let Some(index) = best.and_then(|best| candidates.iter().position(|name| name == best)) {
                         tiles.set_from(class, index);
                     }
                 }
@@ -163,20 +167,13 @@ impl Tuning {
 }
 
 impl Tuned {
-    /// Its candidates: their names, and whether they are used only after they were measured.
-    fn candidates(self, units: Units, limits: &Limits) -> Vec<(String, bool)> {
+    /// The names of its candidates.
+    fn candidates(self, units: Units, limits: &Limits) -> Vec<String> {
+        let channels = AttentionTile::TUNED_CHANNELS;
         match self {
-            Tuned::Linear => {
-                let tiles = LinearTile::candidates(limits, units);
-                tiles.iter().map(|tile| (tile.to_string(), tile.is_experimental())).collect()
-            }
-            Tuned::Attention => {
-                let tiles = AttentionTile::candidates(limits, units, AttentionTile::TUNED_CHANNELS);
-                tiles.iter().map(|tile| (tile.to_string(), tile.is_experimental())).collect()
-            }
-            Tuned::Nearest => {
-                NearestTile::candidates(limits, units).iter().map(|tile| (tile.to_string(), false)).collect()
-            }
+            Tuned::Linear => names(&LinearTile::candidates(limits, units)),
+            Tuned::Attention => names(&AttentionTile::candidates(limits, units, channels)),
+            Tuned::Nearest => names(&NearestTile::candidates(limits, units)),
         }
     }
 
@@ -196,8 +193,10 @@ struct Tile {
     units: Units,
     index: usize,
     name: String,
-    /// Whether it is used only after it was measured.
-    experimental: bool,
+}
+
+fn names(tiles: &[impl ToString]) -> Vec<String> {
+    tiles.iter().map(ToString::to_string).collect()
 }
 
 impl Tile {
@@ -205,12 +204,8 @@ impl Tile {
         format!("{} {} {}", self.kernel.name(), self.units.factor.name(), self.name)
     }
 
-    /// Values of the result and milliseconds, for growing results until one takes long or does not fit. Nothing where the tile
-    /// computes wrongly; the self-test tells of those that are not experimental.
-    fn times(&self, device: &Device) -> Result<Option<Vec<(usize, f64)>>> {
-        if self.experimental && !SelfTest::passes_with(device, self.kernel, self.units, self.index)? {
-            return Ok(None);
-        }
+    /// Values of the result and milliseconds, for growing results until one takes long or does not fit.
+    fn times(&self, device: &Device) -> Result<Vec<(usize, f64)>> {
         let units = Units { tiles: Tiles::always(self.index), ..self.units };
         let mut times = Vec::new();
         for values in (0..Tiles::CLASSES).map(Tiles::values) {
@@ -219,7 +214,7 @@ impl Tile {
                 Tuned::Attention => attention_of_noise(device, units, values / COLUMNS),
                 Tuned::Nearest => nearest_run(device, units, values / COLUMNS),
             };
-            let ms = match run.and_then(median) {
+            let ms = match run.and_then(|run| median(device, run)) {
                 Err(Error::Memory { .. }) if !times.is_empty() => break,
                 ms => ms?,
             };
@@ -228,7 +223,7 @@ impl Tile {
                 break;
             }
         }
-        Ok(Some(times))
+        Ok(times)
     }
 }
 
@@ -255,8 +250,7 @@ fn attention_of_noise(device: &Device, units: Units, queries: usize) -> Result<R
     let kernel = AttentionKernel::Matrix(units);
     let attention = Attention { heads, sequences: 1, queries, keys: TERMS, kernel };
     let parts = [(1, queries), (2, TERMS), (3, TERMS)];
-    let parts =
-        parts.map(|(seed, rows)| repeated(noise(seed, rows.min(DISTINCT), COLUMNS, kernel.element()), rows));
+    let parts = parts.map(|(seed, rows)| repeated(noise(seed, rows.min(DISTINCT), COLUMNS, kernel.element()), rows));
     attention_run(device, attention, &parts, 1.0).map(|(run, _)| run)
 }
 
@@ -280,15 +274,19 @@ fn repeated<T: Copy>(values: Vec<T>, rows: usize) -> Vec<T> {
     values.iter().copied().cycle().take(len).collect()
 }
 
-/// Median milliseconds of matrix kernels on the device, warmed up.
-fn median(mut run: Run) -> Result<f64> {
+/// Median milliseconds of matrix kernels on the device, once it is warm: a GPU whose clock fell while the host prepared the next
+/// tile would be measured at a fifth of its speed.
+fn median(device: &Device, mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;
-        let kernels =
-            profile.rows.iter().filter(|row| row.kernel.contains("_matrix") || row.kernel.contains("_workgroup"));
+        let kernels = profile.rows.iter().filter(|row| row.kernel.contains("_matrix"));
         Ok(kernels.map(|row| 1e3 * row.time.as_secs_f64()).sum())
     };
+    let started = Instant::now();
     once()?;
+    while !device.limits().cpu && started.elapsed() < WAKING {
+        once()?;
+    }
     let mut times = (0..REPEATS).map(|_| once()).collect::<Result<Vec<_>>>()?;
     times.sort_by(f64::total_cmp);
     Ok(times[REPEATS / 2])

@@ -104,17 +104,18 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Takes a device frame `[height, width, channels]` apart.
-    pub(super) fn from_channels(width: u32, height: u32, values: &[f32], request: &RenderRequest) -> Self {
+    /// Takes a device frame `[height, width, channels]` apart. A single output is the frame itself, which is not copied: the pages
+    /// of a second large picture cost more than drawing it.
+    pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, request: &RenderRequest) -> Self {
         let channels = request.channels();
         let mut first = 0;
         let mut take = |wanted: bool, count: usize| {
             wanted.then(|| {
+                if count == channels {
+                    return std::mem::take(&mut values);
+                }
                 let from = first;
                 first += count;
-                if count == channels {
-                    return values.to_vec();
-                }
                 values.chunks_exact(channels).flat_map(|pixel| &pixel[from..from + count]).copied().collect()
             })
         };

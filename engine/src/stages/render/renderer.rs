@@ -322,7 +322,10 @@ impl Planned {
         let values: Vec<f32> = self.run.read(self.outputs.frames)?;
         let FrameShape { cameras, width, height } = self.key.shape;
         let frame = |values| Frame::from_channels(width, height, values, &self.key.request);
-        Ok(Some(values.chunks_exact(values.len() / cameras).map(frame).collect()))
+        if cameras == 1 {
+            return Ok(Some(vec![frame(values)]));
+        }
+        Ok(Some(values.chunks_exact(values.len() / cameras).map(|values| frame(values.to_vec())).collect()))
     }
 }
 

@@ -135,9 +135,7 @@ fn matrices(limits: &Limits) -> String {
     let of_subgroups = [("f16", f16), ("bf16", bf16), ("i8", i8)]
         .into_iter()
         .filter_map(|(factor, shape)| Some(format!("{factor} {}", sides(shape?))));
-    let of_workgroups = (limits.workgroup_matrices.iter())
-        .map(|m| format!("f16 multiples of {} in workgroups of {}", sides(m.granularity), m.invocations));
-    let all: Vec<_> = of_subgroups.chain(of_workgroups).collect();
+    let all: Vec<_> = of_subgroups.collect();
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
