@@ -353,7 +353,8 @@ typedef struct zs_model_options {
     uint32_t struct_size;
     // Number formats. Default ZS_PRECISION_BEST.
     zs_precision precision;
-    // The network of a checkpoint that does not say: "vits", "vitb", "vitl" or "vitg". NULL takes what the file says.
+    // The network of a checkpoint that does not say: "vitg", "vits", "vitb", "vitl", "da3s", "da3b" or "da3l", and what else it
+    // leaves open, as in "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL takes what the file says.
     // Default NULL.
     const char *variant;
     // Told how far it is; may stop it. Default NULL.
@@ -380,7 +381,7 @@ typedef struct zs_model_info {
     uint64_t weight_bytes;
     // Why it may be slow, a reason a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
     // first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
-    // The model's own memory, there until it is destroyed.
+    // Also what was rounded or assumed to read the weights. The model's own memory, there until it is destroyed.
     const char *notes;
 } zs_model_info;
 

@@ -62,6 +62,27 @@ fn scenes_go_from_format_to_format() {
 }
 
 #[test]
+fn a_far_gaussian_that_coarsens_an_spz_is_noted() {
+    let folder = Folder::new();
+    let mut scene = scenes::random_scene(30, 0, 0.1);
+    write_ply(&scene, folder.path("near.ply")).expect("a scene can be written");
+    scene.means[7] = [0.0, -5000.0, 3.0];
+    write_ply(&scene, folder.path("far.ply")).expect("a scene can be written");
+    let outcome = folder.run("convert @/near.ply @/near.spz");
+    assert!(!outcome.err.contains("note"), "{}", outcome.err);
+    let outcome = folder.run("convert @/far.ply @/far.spz");
+    let said = "multiples of 9.77e-4, not of 1.53e-5: 1 of 30 Gaussians lie beyond 128 units, the farthest 5000 away";
+    assert!(outcome.err.contains(said), "{}", outcome.err);
+    // What the note says is what the file has.
+    let means = read_scene(folder.path("far.spz")).expect("a scene").means;
+    let steps = |value: f32| f64::from(value) * 1024.0;
+    assert!(means.iter().flatten().all(|value| steps(*value).fract() == 0.0));
+    assert!(means.iter().flatten().any(|value| (steps(*value) / 2.0).fract() != 0.0));
+    let outcome = folder.run("convert @/far.ply @/far.glb");
+    assert!(!outcome.err.contains("note"), "{}", outcome.err);
+}
+
+#[test]
 fn what_does_not_fit_is_refused() {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(3, 0, 0.1), folder.path("a.ply")).expect("a scene can be written");

@@ -154,6 +154,17 @@ fn weights() {
     refused(&folder, "convert @/micro.safetensors @/out.safetensors --dtype f64", 3, &["dtype", "f64"]);
     refused(&folder, "info @/cut.safetensors", 3, &["cut.safetensors"]);
     refused(&folder, "info @/photos", 3, &["photos"]);
+    let photo = format!("reconstruct /dev/zero {MICRO}");
+    let weights = reconstruct("--weights /dev/zero");
+    for line in [
+        "info /dev/zero",
+        "convert /dev/zero @/out.safetensors",
+        "render /dev/zero --wiggle -o @/out",
+        &photo,
+        &weights,
+    ] {
+        refused(&folder, line, 3, &["/dev/zero: found a device", "a regular file"]);
+    }
     refused(&folder, "info @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
     refused(&folder, "convert @/photos/1.png @/out.safetensors", 3, &["a picture of 40x30", "a checkpoint"]);
     refused(&folder, &reconstruct("--weights @/photos/1.png"), 3, &["a picture of 40x30", "a checkpoint"]);

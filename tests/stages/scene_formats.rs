@@ -218,6 +218,31 @@ fn damaged_spz_are_refused() {
     assert!(failure("scene.spz", &plain).contains("gzip"));
 }
 
+/// Fifty million Gaussians in a megabyte: what deflate could hold, and no scene does.
+#[test]
+fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
+    let (_, plain) = spz();
+    let mut bomb = [&plain[..16], &[0; 1 << 20]].concat();
+    bomb[8..12].copy_from_slice(&50_000_000u32.to_le_bytes());
+    let mut out = GzEncoder::new(Vec::new(), Compression::none());
+    out.write_all(&bomb).unwrap();
+    let error = failure("scene.spz", &out.finish().unwrap());
+    assert!(error.contains("50000000 Gaussians, which are more than"), "{error}");
+    // A small file may hold many that are alike.
+    let mut alike = scenes::random_scene(1, 0, 0.1);
+    for _ in 0..18 {
+        alike = Scene {
+            means: alike.means.repeat(2),
+            scales: alike.scales.repeat(2),
+            quats: alike.quats.repeat(2),
+            opacities: alike.opacities.repeat(2),
+            sh_coeffs: alike.sh_coeffs.repeat(2),
+            sh_degree: 0,
+        };
+    }
+    assert_eq!(round_trip(&alike, "scene.spz", &WriteOptions::default()).len(), 1 << 18);
+}
+
 #[test]
 fn records_after_an_spz_are_read_over_up_to_a_limit() {
     let (_, mut plain) = spz();

@@ -2,13 +2,13 @@
 
 use crate::{commands::Command, session::Session};
 use clap::{Args, Parser, ValueEnum};
-use std::{fmt, fs::File, io::Read, path::Path, str::FromStr};
+use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
-    types::{Image, Scene, SceneFormat, read_scene_unchecked},
+    types::{Image, Scene, SceneFormat, open_file, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
 };
 
@@ -60,7 +60,9 @@ pub struct Weights {
     /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers [default: the model that is built in]
     #[arg(long, value_name = "PATH|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
+    /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
+    /// the reference's recipes da3s, da3b, da3l; what else the file leaves open follows, as in
+    /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
@@ -104,9 +106,9 @@ pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)"
 /// `expected`.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
     let mut start = [0; 9];
-    let read = File::open(text).and_then(|mut file| file.read_exact(&mut start));
+    let read = open_file(text).is_ok_and(|mut file| file.read_exact(&mut start).is_ok());
     // A zip archive, or a length and the JSON object behind it. What cannot be read is left to the reader's complaint.
-    let known = read.is_err() || start.starts_with(b"PK") || start[8] == b'{';
+    let known = !read || start.starts_with(b"PK") || start[8] == b'{';
     if !known {
         let kind = match Image::size(text) {
             Ok((width, height)) => format!("a picture of {width}x{height}"),

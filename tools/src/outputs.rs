@@ -2,10 +2,13 @@
 
 use png::{BitDepth, ColorType, Compression};
 use serde::Serialize;
-use std::{fs::File, io::BufReader, path::Path};
+use std::{io::BufReader, path::Path};
 use zipsplat::{
     Error, Result,
-    types::{Image, Scene, SceneFormat, Unfinished, WriteOptions, write_atomic, write_ply_with_origin, write_scene},
+    types::{
+        Image, Scene, SceneFormat, Unfinished, WriteOptions, open_file, write_atomic, write_ply_with_origin,
+        write_scene,
+    },
 };
 
 /// Levels of a depth picture for one world unit.
@@ -102,7 +105,7 @@ fn save_png(path: &Path, [width, height]: [u32; 2], (color, depth): (ColorType, 
 
 /// Whether this program wrote a picture, so that nobody misses it where it is replaced.
 pub fn is_own_picture(path: &Path) -> bool {
-    let reader = File::open(path).ok().and_then(|file| png::Decoder::new(BufReader::new(file)).read_info().ok());
+    let reader = open_file(path).ok().and_then(|file| png::Decoder::new(BufReader::new(file)).read_info().ok());
     reader.is_some_and(|reader| {
         let texts = &reader.info().uncompressed_latin1_text;
         texts.iter().any(|chunk| [chunk.keyword.as_str(), chunk.text.as_str()] == MADE_BY)

@@ -43,7 +43,8 @@ pub struct zs_model_options {
     pub struct_size: u32,
     /// Number formats. Default ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
-    /// The network of a checkpoint that does not say: "vits", "vitb", "vitl" or "vitg". NULL takes what the file says.
+    /// The network of a checkpoint that does not say: "vitg", "vits", "vitb", "vitl", "da3s", "da3b" or "da3l", and what else it
+    /// leaves open, as in "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL takes what the file says.
     /// Default NULL.
     pub variant: *const c_char,
     /// Told how far it is; may stop it. Default NULL.
@@ -72,7 +73,7 @@ pub struct zs_model_info {
     pub weight_bytes: u64,
     /// Why it may be slow, a reason a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
     /// first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
-    /// The model's own memory, there until it is destroyed.
+    /// Also what was rounded or assumed to read the weights. The model's own memory, there until it is destroyed.
     pub notes: *const c_char,
 }
 
@@ -250,7 +251,7 @@ unsafe fn load(
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
         // No NUL is in what kernels and devices are called.
-        let notes = [context.device.passed_over(), &chosen.notes].concat();
+        let notes = [context.device.passed_over(), &chosen.notes, checkpoint.notes()].concat();
         let notes = CString::new(notes.join("\n")).unwrap_or_default();
         Ok(zs_model { model, picture_side: checkpoint.picture_side(), precision: chosen.precision, notes })
     };

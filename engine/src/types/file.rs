@@ -1,12 +1,48 @@
-//! Files that are written whole or not at all.
+//! Files that are read only where they are files, and written whole or not at all.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::fs::{File, FileType};
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
 use crate::{Error, Result};
+
+/// Opens a file for reading, and nothing else: opening a pipe waits for who may never write, and a device may have no end.
+/// A link to a regular file is one.
+///
+/// # Errors
+/// [`Error::Io`] naming `path`; [`Error::Argument`] when it is no regular file.
+pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
+    let path = path.as_ref();
+    let failed = |source| Error::io(path, source);
+    let kind = path.metadata().map_err(failed)?.file_type();
+    if !kind.is_file() {
+        return Err(Error::argument(path.display().to_string(), kind_of(kind), "a regular file"));
+    }
+    File::open(path).map_err(failed)
+}
+
+/// The bytes of a file, as [`open_file`] opens it.
+pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>> {
+    let (mut file, mut bytes) = (open_file(path)?, Vec::new());
+    file.read_to_end(&mut bytes).map_err(|source| Error::io(path, source))?;
+    Ok(bytes)
+}
+
+fn kind_of(kind: FileType) -> &'static str {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        match () {
+            () if kind.is_fifo() => return "a pipe",
+            () if kind.is_socket() => return "a socket",
+            () if kind.is_char_device() || kind.is_block_device() => return "a device",
+            () => {}
+        }
+    }
+    if kind.is_dir() { "a folder" } else { "something else" }
+}
 
 /// Writes to a temporary file beside `path` and renames it: a reader sees the old file or the new one, and a failure
 /// leaves the old one. What is not a regular file (a pipe, `/dev/stdout`) cannot be replaced and is written straight.

@@ -1,14 +1,13 @@
 //! RGB pictures: reading photos, writing PNG.
 
 use std::fmt;
-use std::fs::File;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader, Limits, codecs::png::PngEncoder};
 
-use super::file::write_atomic;
+use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
 /// Longest side that is read; above it a file is broken or hostile.
@@ -172,7 +171,7 @@ pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
 /// A file's bytes; of what is known to be no photo, which may be large, only the first are looked at.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let failed = |source| Error::io(path, source);
-    let (mut file, mut bytes) = (File::open(path).map_err(failed)?, Vec::new());
+    let (mut file, mut bytes) = (open_file(path)?, Vec::new());
     file.by_ref().take(MARK).read_to_end(&mut bytes).map_err(failed)?;
     if let Some((kind, command)) = other_kind(&bytes) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();

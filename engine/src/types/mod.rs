@@ -18,7 +18,7 @@ mod spz;
 mod trajectory;
 
 pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
-pub use file::{Unfinished, write_atomic};
+pub use file::{Unfinished, open_file, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
 pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
@@ -27,5 +27,5 @@ pub use ply::{read_ply, read_ply_origin, read_points, write_ply, write_ply_with_
 pub use scene::Scene;
 pub use scene_file::{SceneFormat, WriteOptions, read_scene, read_scene_unchecked, write_scene};
 pub use splat::{read_splat, write_splat};
-pub use spz::{read_spz, write_spz};
+pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};

@@ -6,7 +6,7 @@ use crate::{Error, Result};
 
 /// Side of a patch in pixels: the network's input is a whole number of these.
 pub const PATCH: u32 = 14;
-/// Side of the network's input that the released models were trained with, in pixels.
+/// Side of the network's input that the released model was trained with, in pixels.
 pub const DEFAULT_SIZE: u32 = 252;
 
 /// A photo brought to the network's size.

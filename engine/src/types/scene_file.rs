@@ -1,10 +1,9 @@
 //! Scene files of every format that is known.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Scene, gltf, ply, splat, spz};
+use super::{Scene, file::open_file, gltf, ply, splat, spz};
 use crate::{Error, Result};
 
 /// What a scene file is.
@@ -60,7 +59,7 @@ impl SceneFormat {
         let path = path.as_ref();
         let by_extension = Self::of_extension(path);
         let mut start = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+        let read = open_file(path)?.take(4).read_to_end(&mut start);
         read.map_err(|source| Error::io(path, source))?;
         Ok(match (by_extension, &start[..]) {
             (Some(Self::Splat | Self::Gltf), _) => by_extension,

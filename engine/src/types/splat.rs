@@ -5,7 +5,11 @@
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
-use super::{Scene, camera::unit_quaternion, file::write_atomic};
+use super::{
+    Scene,
+    camera::unit_quaternion,
+    file::{read_file, write_atomic},
+};
 use crate::{Error, Result};
 
 /// Bytes a Gaussian.
@@ -53,7 +57,7 @@ pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
 
 /// As [`read_splat`], with the values as they are.
 pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let bytes = read_file(path)?;
     let (rows, rest) = bytes.as_chunks::<ROW>();
     if !rest.is_empty() {
         let reason = format!("{} bytes remain of a Gaussian, expected {ROW} for each", rest.len());

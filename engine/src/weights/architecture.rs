@@ -4,12 +4,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// The released variants, by their backbone.
+/// The networks by their backbone, with the out layers that Depth Anything 3 gives it. Weights have been released of `vitg`
+/// alone (DA3-Giant); the others are what the reference can be trained as.
 pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
 
+/// The reference's recipes for the smaller backbones, with three out layers; its recipe for the largest is `vitg`.
+pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
+
 /// Largest size of any one dimension: keeps every product of a few of them within 64 bits.
-const MAX_SIZE: usize = 1 << 16;
-const MAX_DEPTH: usize = 256;
+pub(super) const MAX_SIZE: usize = 1 << 16;
+pub(super) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
 
 /// Channels of the camera prior: translation 3, quaternion 4, vertical and horizontal field of view.
@@ -31,7 +35,7 @@ pub enum Ffn {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
-    /// What messages call it; one of [`VARIANTS`] for the released networks.
+    /// What messages call it; one of [`VARIANTS`] or [`RECIPES`] where it is that network.
     pub name: String,
     /// D, channels of a token.
     pub width: usize,
@@ -114,7 +118,7 @@ impl Architecture {
         }
     }
 
-    /// One of [`VARIANTS`]; any other name is an [`Error::Argument`].
+    /// One of [`VARIANTS`] or [`RECIPES`]; any other name is an [`Error::Argument`].
     pub fn named(variant: &str) -> Result<Self> {
         Ok(match variant {
             "vits" => Self::new("vits", 384, 12, 4, &[5, 7, 9, 11]),
@@ -124,7 +128,13 @@ impl Architecture {
                 let gelu = Self::new("vitg", 1536, 40, 13, &[19, 29, 39]);
                 Self { ffn: Ffn::SwiGlu, ffn_hidden: 4096, ..gelu }
             }
-            _ => return Err(Error::argument("variant", variant, format!("one of {}", VARIANTS.join(", ")))),
+            "da3s" => Self::new("da3s", 384, 12, 5, &[5, 7, 11]),
+            "da3b" => Self::new("da3b", 768, 12, 4, &[5, 8, 11]),
+            "da3l" => Self::new("da3l", 1024, 24, 8, &[11, 17, 23]),
+            _ => {
+                let expected = format!("one of {}", [&VARIANTS[..], &RECIPES[..]].concat().join(", "));
+                return Err(Error::argument("variant", variant, expected));
+            }
         })
     }
 

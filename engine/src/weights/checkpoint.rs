@@ -1,7 +1,6 @@
 //! A network's weights, wherever they come from.
 
 use std::borrow::Cow;
-use std::fs::File;
 use std::io::BufWriter;
 use std::ops::{ControlFlow, Deref};
 use std::path::{Path, PathBuf};
@@ -10,8 +9,8 @@ use memmap2::Mmap;
 
 use super::contents::Contents;
 use super::tensor::Stored;
-use super::{Architecture, Dtype, safetensors, seeded, torch};
-use crate::types::preprocess::DEFAULT_SIZE;
+use super::{Architecture, Dtype, inference, safetensors, seeded, torch};
+use crate::types::{open_file, preprocess::DEFAULT_SIZE};
 use crate::{Error, Result};
 
 /// Exactly the tensors of an [`Architecture`], read one at a time: neither a file nor a seed is ever expanded whole.
@@ -25,10 +24,15 @@ pub struct Checkpoint {
     source: Source,
     /// The file, or what [`Checkpoint::parse`] accepts for a seed.
     provenance: String,
+    /// What was rounded or assumed, in words for the user.
+    notes: Vec<String>,
 }
 
 #[cfg(feature = "embedded-model")]
 const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
+
+/// An architecture, and what was assumed to know it.
+type Known = (Architecture, Option<String>);
 
 #[derive(Debug)]
 enum Source {
@@ -91,16 +95,20 @@ impl Checkpoint {
         }
     }
 
-    /// Opens a safetensors file or a PyTorch checkpoint (`torch.save`, entry `model`), F32, F16 or BF16.
+    /// Opens a safetensors file or a PyTorch checkpoint (`torch.save`: entry `model` or a state dictionary by itself) of
+    /// F32, F16, BF16, or F64 that is rounded to F32.
     ///
-    /// A prefix `module.` is dropped from names. Files without architecture in their metadata need one of
-    /// [`VARIANTS`](super::VARIANTS) as `variant`, unless their size or configuration gives it away.
+    /// The parts `module` and `_orig_mod`, which training adds, are dropped from names. Where the file does not state
+    /// its architecture, the shapes of its tensors and its training configuration say it. `variant` says the rest:
+    /// one of [`VARIANTS`](super::VARIANTS) or [`RECIPES`](super::RECIPES), and behind it, or instead, what the file is
+    /// to be taken for: `:out_layers=A,B,..`, `:alt_start=N`, `:rope_start=N`, `:camera_heads=N`,
+    /// `:gaussians_per_token=N`, `:sh_degree=N`. [`Checkpoint::notes`] tells what was assumed.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a variant that is unknown, missing or
-    /// not what the file states; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
+    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for what is no regular file, and for a
+    /// variant that is unknown, missing or not what the file has; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
     pub fn open(path: impl AsRef<Path>, variant: Option<&str>) -> Result<Self> {
-        Self::load(path.as_ref(), |contents, path| contents.architecture(path, variant))
+        Self::load(path.as_ref(), |contents, path| inference::architecture(contents, path, variant))
     }
 
     /// As [`Checkpoint::open`], from a file's contents; `name` stands for them in messages.
@@ -109,14 +117,14 @@ impl Checkpoint {
     /// As [`Checkpoint::open`].
     pub fn from_bytes(name: &str, bytes: impl Into<Cow<'static, [u8]>>, variant: Option<&str>) -> Result<Self> {
         Self::from_file(Path::new(name), Bytes::Held(bytes.into()), |contents, path| {
-            contents.architecture(path, variant)
+            inference::architecture(contents, path, variant)
         })
     }
 
     /// Opens a file whose architecture the caller knows, whatever the file says; otherwise as [`Checkpoint::open`].
     pub fn open_architecture(path: impl AsRef<Path>, architecture: Architecture) -> Result<Self> {
         architecture.validate()?;
-        Self::load(path.as_ref(), |_, _| Ok(architecture))
+        Self::load(path.as_ref(), |_, _| Ok((architecture, None)))
     }
 
     /// Reproducible weights for a variant; `key` names the stream of values, the variant itself if none is given.
@@ -131,14 +139,11 @@ impl Checkpoint {
         let provenance = format!("seeded:{}{stream}", architecture.name);
         let parameters = architecture.parameters();
         let source = Source::Seeded { key: key.into() };
-        Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance })
+        Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance, notes: Vec::new() })
     }
 
-    fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>) -> Result<Self> {
-        if path.is_dir() {
-            return Err(Error::argument("weights", format!("the folder {}", path.display()), "a file"));
-        }
-        let file = File::open(path).map_err(|error| Error::io(path, error))?;
+    fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Known>) -> Result<Self> {
+        let file = open_file(path)?;
         // SAFETY: the map is only read, as bytes, for which every value is valid. As with every mapped file, whoever
         // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
         #[allow(unsafe_code)]
@@ -150,16 +155,20 @@ impl Checkpoint {
     fn from_file(
         path: &Path,
         file: Bytes,
-        architecture: impl FnOnce(&Contents, &Path) -> Result<Architecture>,
+        architecture: impl FnOnce(&Contents, &Path) -> Result<Known>,
     ) -> Result<Self> {
         let contents =
             if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };
-        let architecture = architecture(&contents, path)?;
+        let (architecture, assumed) = architecture(&contents, path)?;
+        let rounded = contents.doubles();
+        let rounded = (rounded > 0).then(|| format!("{}: {rounded} tensors of f64 are rounded to f32", path.display()));
         let parameters = architecture.parameters();
         let picture_side = contents.picture_side.unwrap_or(DEFAULT_SIZE);
         let tensors = matching(path, &architecture, &parameters, contents)?;
         let provenance = path.display().to_string();
-        Ok(Self { architecture, parameters, picture_side, source: Source::Stored { file, tensors }, provenance })
+        let source = Source::Stored { file, tensors };
+        let notes = assumed.into_iter().chain(rounded).collect();
+        Ok(Self { architecture, parameters, picture_side, source, provenance, notes })
     }
 
     /// The network that these are the weights of.
@@ -168,7 +177,7 @@ impl Checkpoint {
     }
 
     /// Side in pixels of the pictures that the network was trained with and is best with: what the file says, or 252 as
-    /// for the released models.
+    /// for the released model.
     pub fn picture_side(&self) -> u32 {
         self.picture_side
     }
@@ -225,6 +234,11 @@ impl Checkpoint {
     /// Where the weights come from: a path or `seeded:VARIANT:KEY`.
     pub fn provenance(&self) -> &str {
         &self.provenance
+    }
+
+    /// What was rounded or assumed to read the file, in words for the user.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// Writes safetensors with the architecture as metadata. `path` appears whole or not at all.

@@ -6,15 +6,17 @@
 mod architecture;
 mod checkpoint;
 mod contents;
+mod inference;
 mod pickle;
 mod safetensors;
 mod seeded;
 mod tensor;
 mod torch;
+mod variant;
 
 use std::path::Path;
 
-pub use architecture::{Architecture, Ffn, VARIANTS};
+pub use architecture::{Architecture, Ffn, RECIPES, VARIANTS};
 pub use checkpoint::Checkpoint;
 pub use tensor::Dtype;
 

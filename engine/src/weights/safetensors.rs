@@ -8,7 +8,8 @@ use half::{bf16, f16};
 use safetensors::Dtype as FileDtype;
 use safetensors::tensor::{Metadata, TensorInfo};
 
-use super::contents::{Contents, add};
+use super::contents::{Contents, MAX_PICTURE_SIDE, add, is_picture_side};
+use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, Checkpoint, Dtype};
 use crate::types::preprocess::PATCH;
 use crate::{Error, Result};
@@ -19,8 +20,6 @@ const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
 /// Bytes of the header's length.
 const PREFIX: usize = 8;
-/// A larger side in a file is a mistake.
-const MAX_PICTURE_SIDE: u32 = 8192;
 /// The format's own limit.
 const MAX_HEADER: u64 = 100_000_000;
 
@@ -45,18 +44,19 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let mut found = Contents::default();
     for (name, info) in header.tensors() {
         let dtype = match info.dtype {
-            FileDtype::F32 => Dtype::F32,
-            FileDtype::F16 => Dtype::F16,
-            FileDtype::BF16 => Dtype::Bf16,
-            other => return Err(malformed(format!("{name}: found type {other}, expected F32, F16 or BF16"))),
+            FileDtype::F64 => StoredDtype::F64,
+            FileDtype::F32 => StoredDtype::F32,
+            FileDtype::F16 => StoredDtype::F16,
+            FileDtype::BF16 => StoredDtype::Bf16,
+            other => return Err(malformed(format!("{name}: found type {other}, expected F64, F32, F16 or BF16"))),
         };
         let (from, to) = info.data_offsets;
-        let tensor = super::tensor::Stored::dense(dtype, info.shape.clone(), start + from, start + to);
+        let tensor = Stored::dense(dtype, info.shape.clone(), start + from, start + to);
         add(&mut found.tensors, &name, tensor).map_err(malformed)?;
     }
     let stated = |key: &str| header.metadata().as_ref().and_then(|metadata| metadata.get(key));
     if let Some(side) = stated(PICTURE_SIDE_KEY) {
-        let parsed = side.parse().ok().filter(|side| (PATCH..=MAX_PICTURE_SIDE).contains(side) && side % PATCH == 0);
+        let parsed = side.parse().ok().filter(|side| is_picture_side(*side));
         let expected = format!("a multiple of {PATCH} up to {MAX_PICTURE_SIDE}");
         let side = parsed.ok_or_else(|| malformed(format!("{PICTURE_SIDE_KEY}: found {side}, expected {expected}")))?;
         found.picture_side = Some(side);
@@ -113,9 +113,10 @@ fn header(checkpoint: &Checkpoint, dtype: Dtype) -> Result<String, String> {
     let header = Metadata::new(Some(metadata), tensors.collect()).map_err(|error| error.to_string())?;
     // By way of a value, whose keys are sorted: the same file every time.
     let json = serde_json::to_value(&header).map_err(|error| error.to_string())?.to_string();
-    // The format pads with spaces, so that values start at a multiple of 8 bytes.
-    let padded = json.len().next_multiple_of(PREFIX);
-    Ok(format!("{json:padded$}"))
+    // The format pads with spaces, so that values start at a multiple of 8 bytes. A width of `format!` ends at 65,535,
+    // which the headers of the larger networks exceed.
+    let padding = json.len().next_multiple_of(PREFIX) - json.len();
+    Ok(json + &" ".repeat(padding))
 }
 
 /// The bytes of finite values; [`Error::Argument`] where `dtype` cannot hold one of them.
@@ -134,4 +135,25 @@ fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
         Dtype::F16 => values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()).collect(),
         Dtype::Bf16 => values.iter().flat_map(|&value| bf16::from_f32(value).to_le_bytes()).collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The header at its real length; the values of these networks take gigabytes, the header takes none of them.
+    #[test]
+    fn headers_of_every_network_and_type_are_whole() {
+        for (variant, least) in [("vits", 0), ("vitb", 0), ("vitl", 1 << 16), ("vitg", 1 << 16)] {
+            let checkpoint = Checkpoint::seeded(variant, None).expect("a named network");
+            for dtype in [Dtype::F32, Dtype::F16, Dtype::Bf16] {
+                let header = header(&checkpoint, dtype).expect("a header");
+                assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
+                let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
+                let values = checkpoint.architecture().parameter_count();
+                assert_eq!(parsed.data_len(), values * dtype.size(), "{variant}");
+                assert_eq!(parsed.tensors().len(), checkpoint.parameters().len(), "{variant}");
+            }
+        }
+    }
 }

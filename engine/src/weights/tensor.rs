@@ -48,10 +48,43 @@ impl FromStr for Dtype {
     }
 }
 
+/// Axes of a tensor at most: files may have more, weights have four.
+pub(super) const MAX_RANK: usize = 8;
+
+/// The types of numbers that are read: those of [`Dtype`], and f64, which is rounded to f32.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum StoredDtype {
+    F64,
+    F32,
+    F16,
+    Bf16,
+}
+
+impl StoredDtype {
+    /// Bytes of one value.
+    pub fn size(self) -> usize {
+        match self {
+            Self::F64 => 8,
+            Self::F32 => 4,
+            Self::F16 | Self::Bf16 => 2,
+        }
+    }
+
+    /// `f64`, `f32`, `f16` or `bf16`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F64 => "f64",
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+            Self::Bf16 => "bf16",
+        }
+    }
+}
+
 /// Where a tensor lies: element `[i, j, ..]` starts at byte `offset + size * (i * strides[0] + j * strides[1] + ..)`.
 #[derive(Debug)]
 pub(super) struct Stored {
-    pub dtype: Dtype,
+    pub dtype: StoredDtype,
     pub shape: Vec<usize>,
     strides: Vec<usize>,
     offset: usize,
@@ -62,12 +95,15 @@ impl Stored {
     ///
     /// `strides` count elements and may overlap or leave gaps.
     pub fn new(
-        dtype: Dtype,
+        dtype: StoredDtype,
         shape: Vec<usize>,
         strides: Vec<usize>,
         offset: usize,
         end: usize,
     ) -> Result<Self, String> {
+        if shape.len().max(strides.len()) > MAX_RANK {
+            return Err(format!("found {} axes, expected at most {MAX_RANK}", shape.len()));
+        }
         let past_last = || {
             shape.iter().try_fold(1usize, |count, &size| count.checked_mul(size))?;
             let steps = shape
@@ -84,7 +120,7 @@ impl Stored {
     }
 
     /// A tensor in C order without gaps.
-    pub fn dense(dtype: Dtype, shape: Vec<usize>, offset: usize, end: usize) -> Result<Self, String> {
+    pub fn dense(dtype: StoredDtype, shape: Vec<usize>, offset: usize, end: usize) -> Result<Self, String> {
         let strides = c_order(&shape);
         Self::new(dtype, shape, strides, offset, end)
     }
@@ -93,9 +129,11 @@ impl Stored {
     pub fn read(&self, file: &[u8], out: &mut [f32]) {
         let bytes = &file[self.offset..];
         match self.dtype {
-            Dtype::F32 => self.gather(bytes, out, f32::from_le_bytes),
-            Dtype::F16 => self.gather(bytes, out, |bytes| f16::from_le_bytes(bytes).to_f32()),
-            Dtype::Bf16 => self.gather(bytes, out, |bytes| bf16::from_le_bytes(bytes).to_f32()),
+            // A value beyond f32 becomes infinite, which the caller refuses.
+            StoredDtype::F64 => self.gather(bytes, out, |bytes| f64::from_le_bytes(bytes) as f32),
+            StoredDtype::F32 => self.gather(bytes, out, f32::from_le_bytes),
+            StoredDtype::F16 => self.gather(bytes, out, |bytes| f16::from_le_bytes(bytes).to_f32()),
+            StoredDtype::Bf16 => self.gather(bytes, out, |bytes| bf16::from_le_bytes(bytes).to_f32()),
         }
     }
 
@@ -122,6 +160,9 @@ impl Stored {
 
 /// Strides, in elements, of a tensor without gaps.
 fn c_order(shape: &[usize]) -> Vec<usize> {
-    let inner = |axis: usize| shape[axis + 1..].iter().fold(1usize, |count, &size| count.saturating_mul(size));
-    (0..shape.len()).map(inner).collect()
+    let mut strides = vec![1usize; shape.len()];
+    for axis in (1..shape.len()).rev() {
+        strides[axis - 1] = strides[axis].saturating_mul(shape[axis]);
+    }
+    strides
 }

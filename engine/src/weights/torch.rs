@@ -7,22 +7,23 @@ use std::path::Path;
 
 use zip::{CompressionMethod, ZipArchive};
 
-use super::Dtype;
-use super::contents::{Conf, Contents, add};
-use super::pickle::{Object, Pickle, Tensor};
-use super::tensor::Stored;
+use super::contents::{Conf, Contents, add, is_picture_side};
+use super::pickle::{Id, Object, Pickle, Tensor};
+use super::tensor::{Stored, StoredDtype};
 use crate::{Error, Result};
 
 /// Bytes of the largest pickle that is read; that of the largest variant has 0.2 million.
 const MAX_PICKLE: usize = 1 << 24;
 const MAX_LAYERS: usize = 256;
+/// Where a checkpoint keeps the state dictionary, unless it is one.
+const MODEL: [&str; 2] = ["model", "state_dict"];
 
 /// Whether a file begins as zip archives do.
 pub(super) fn is_archive(file: &[u8]) -> bool {
     file.starts_with(b"PK\x03\x04")
 }
 
-/// Finds the tensors of the entry `model`; [`Error::Format`] where archive or pickle are not as `torch.save` writes.
+/// Finds the tensors of the entry `model`, or of a state dictionary by itself; [`Error::Format`] where archive or pickle are not as `torch.save` writes.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let mut archive = Archive::open(file).map_err(malformed)?;
@@ -36,10 +37,15 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         Error::format(path, Some(offset as u64), format!("data.pkl: {}", error.reason))
     })?;
 
-    let model = pickle.get(pickle.root, "model").and_then(|model| pickle.entries(model));
-    let model = model.ok_or_else(|| malformed("data.pkl: found no dictionary `model`".into()))?;
-    let mut found = Contents { conf: conf(&pickle), ..Contents::default() };
-    for &(key, value) in model {
+    let (conf, picture_side) = conf(&pickle).map_err(|reason| malformed(format!("data.pkl: conf: {reason}")))?;
+    let mut found = Contents { conf, picture_side, ..Contents::default() };
+    let holder = MODEL.iter().find_map(|key| pickle.entries(pickle.get(pickle.root, key)?));
+    let is_tensor = |&&(_, value): &&(Id, Id)| matches!(pickle.object(value), Object::Tensor(_));
+    // A state dictionary by itself may have counters beside its tensors.
+    let bare = || pickle.entries(pickle.root).map(|all| all.iter().filter(is_tensor).collect::<Vec<_>>());
+    let model = holder.map(|all| all.iter().collect()).or_else(bare).filter(|model: &Vec<_>| !model.is_empty());
+    let absent = || malformed("data.pkl: found no dictionary `model`, nor tensors in its place".into());
+    for &(key, value) in model.ok_or_else(absent)? {
         let (Some(name), Object::Tensor(tensor)) = (pickle.text(key), pickle.object(value)) else {
             return Err(malformed(format!("data.pkl: an entry of `model` is no named tensor: {:?}", pickle.text(key))));
         };
@@ -48,17 +54,36 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// What the training configuration says about the network; absent entries are not an error.
-fn conf(pickle: &Pickle) -> Conf {
-    let Some(conf) = pickle.get(pickle.root, "conf") else { return Conf::default() };
+/// What the training configuration says about the network and shapes do not, and the side of its pictures; absent entries
+/// are not an error. The reference's trainer keeps the backbone's and the head's in parts of their own.
+fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
+    let Some(conf) = pickle.get(pickle.root, "conf") else { return Ok(Default::default()) };
     let model = pickle.get(conf, "model").unwrap_or(conf);
-    let entry = |key| pickle.get(model, key);
-    Conf {
-        vit_name: entry("vit_name").and_then(|id| pickle.text(id)).map(String::from),
-        out_layers: entry("out_layers").and_then(|id| pickle.sizes(id, MAX_LAYERS)),
-        gaussians_per_token: entry("gaussians_per_token").and_then(|id| pickle.size(id)),
-        sh_degree: entry("sh_degree").and_then(|id| pickle.size(id)),
+    let places = ["backbone", "gaussian_head"].map(|part| pickle.get(model, part));
+    let places: Vec<Id> = places.into_iter().flatten().chain([model]).collect();
+    let entry = |key: &str| places.iter().find_map(|&place| pickle.get(place, key));
+    let size = |key: &str| match entry(key) {
+        Some(id) => pickle.size(id).map(Some).ok_or_else(|| format!("{key} is no whole number from 0 on")),
+        None => Ok(None),
+    };
+    for role in ["clustering_layer", "scene_init_layer"] {
+        if let Some(layer @ 1..) = size(role)? {
+            return Err(format!("{role}: found {layer}, expected 0, the deepest layer"));
+        }
     }
+    let out_layers =
+        entry("out_layers").map(|id| pickle.sizes(id, MAX_LAYERS).ok_or("out_layers is no list of blocks"));
+    let without_rope = entry("rope_start").and_then(|id| pickle.int(id)) == Some(-1);
+    let found = Conf {
+        vit_name: entry("vit_name").and_then(|id| pickle.text(id)).map(String::from),
+        out_layers: out_layers.transpose()?,
+        alt_start: size("alt_start")?,
+        rope_start: if without_rope { Some(usize::MAX) } else { size("rope_start")? },
+        gaussians_per_token: size("gaussians_per_prototype")?.or(size("gaussians_per_token")?),
+        sh_degree: size("sh_degree")?,
+    };
+    let side = entry("img_size").and_then(|id| pickle.size(id)?.try_into().ok()).filter(|side| is_picture_side(*side));
+    Ok((found, side))
 }
 
 struct Archive<'a> {
@@ -109,10 +134,11 @@ impl<'a> Archive<'a> {
     fn locate(&mut self, tensor: &Tensor) -> Result<Stored, String> {
         let storage = tensor.storage;
         let dtype = match storage.kind {
-            "FloatStorage" => Dtype::F32,
-            "HalfStorage" => Dtype::F16,
-            "BFloat16Storage" => Dtype::Bf16,
-            other => return Err(format!("found torch.{other}, expected Float-, Half- or BFloat16Storage")),
+            "DoubleStorage" => StoredDtype::F64,
+            "FloatStorage" => StoredDtype::F32,
+            "HalfStorage" => StoredDtype::F16,
+            "BFloat16Storage" => StoredDtype::Bf16,
+            other => return Err(format!("found torch.{other}, expected Double-, Float-, Half- or BFloat16Storage")),
         };
         let range = match self.storages.get(storage.key) {
             Some(range) => range.clone(),

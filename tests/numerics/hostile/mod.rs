@@ -3,6 +3,7 @@
 
 mod mutate;
 mod seeds;
+mod special;
 
 use crate::Random;
 use mutate::mutated;

@@ -64,8 +64,16 @@ fn lying_headers() {
     assert_reason(&file(&one("F32", "[2]", "[0,8]"), 4), "found 4 bytes of values, the header expects 8");
     assert_reason(&file(&one("F32", "[4294967296,4294967296]", "[0,0]"), 0), "safetensors header");
     assert_reason(&file(&one("U8", "[18446744073709551535]", "[0,18446744073709551535]"), 0), "safetensors header");
-    assert_reason(&file(&one("I64", "[1]", "[0,8]"), 8), "a: found type I64, expected F32, F16 or BF16");
+    assert_reason(&file(&one("I64", "[1]", "[0,8]"), 8), "a: found type I64, expected F64, F32, F16 or BF16");
     assert_reason(&file(&two("[0,8]", "[8,16]").replace("\"b\"", "\"module.a\""), 16), "found twice");
+}
+
+/// Whose strides once took the square of their number to compute: minutes.
+#[test]
+fn tensors_of_very_many_axes() {
+    let shape = vec!["1"; 1_000_000].join(",");
+    let json = format!("{{\"a\":{{\"dtype\":\"F32\",\"shape\":[{shape}],\"data_offsets\":[0,4]}}}}");
+    assert_reason(&file(&json, 4), "a: found 1000000 axes, expected at most 8");
 }
 
 #[test]

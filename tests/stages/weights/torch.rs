@@ -10,7 +10,7 @@ use super::malformed::reason;
 use super::{assert_same_bits, pico, pico_weights, read};
 
 /// A zip archive in the layout of `torch.save`.
-fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec<u8> {
+pub fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(compression).with_alignment(64);
     for (name, bytes) in entries {
@@ -21,31 +21,31 @@ fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec<u8>
 }
 
 /// An archive with only a pickle.
-fn pickled(pickle: &[u8]) -> Vec<u8> {
+pub fn pickled(pickle: &[u8]) -> Vec<u8> {
     archive(&[("data.pkl", pickle)], CompressionMethod::Stored)
 }
 
-fn text(text: &str) -> Vec<u8> {
+pub fn text(text: &str) -> Vec<u8> {
     [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
 }
 
-fn int(value: usize) -> Vec<u8> {
+pub fn int(value: usize) -> Vec<u8> {
     [b"J".as_slice(), &(value as i32).to_le_bytes()].concat()
 }
 
-fn tuple(items: &[Vec<u8>]) -> Vec<u8> {
+pub fn tuple(items: &[Vec<u8>]) -> Vec<u8> {
     [b"(", items.concat().as_slice(), b"t"].concat()
 }
 
-fn global(module: &str, name: &str) -> Vec<u8> {
+pub fn global(module: &str, name: &str) -> Vec<u8> {
     format!("c{module}\n{name}\n").into_bytes()
 }
 
-fn call(module: &str, name: &str, arguments: &[Vec<u8>]) -> Vec<u8> {
+pub fn call(module: &str, name: &str, arguments: &[Vec<u8>]) -> Vec<u8> {
     [global(module, name), tuple(arguments), b"R".to_vec()].concat()
 }
 
-fn dict(pairs: &[(&str, Vec<u8>)]) -> Vec<u8> {
+pub fn dict(pairs: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let items: Vec<u8> = pairs.iter().flat_map(|(key, value)| [text(key), value.clone()].concat()).collect();
     [b"}(", items.as_slice(), b"u"].concat()
 }
@@ -55,17 +55,17 @@ fn sizes(sizes: &[usize]) -> Vec<u8> {
 }
 
 #[derive(Clone, Copy)]
-struct View<'a> {
-    kind: &'a str,
-    key: &'a str,
-    elements: usize,
-    offset: usize,
-    shape: &'a [usize],
-    strides: &'a [usize],
+pub struct View<'a> {
+    pub kind: &'a str,
+    pub key: &'a str,
+    pub elements: usize,
+    pub offset: usize,
+    pub shape: &'a [usize],
+    pub strides: &'a [usize],
 }
 
 impl View<'_> {
-    fn pickle(&self) -> Vec<u8> {
+    pub fn pickle(&self) -> Vec<u8> {
         let storage =
             tuple(&[text("storage"), global("torch", self.kind), text(self.key), text("cpu"), int(self.elements)]);
         let storage = [storage, b"Q".to_vec()].concat();
@@ -188,6 +188,11 @@ fn pickles_that_are_not_sound() {
     // The later of two values of one key counts, as in Python.
     let twice = dict(&[("model", dict(&[("a", b"N".to_vec())])), ("model", b"]".to_vec())]);
     assert!(reason(&pickled(&[twice.as_slice(), b"."].concat())).contains("no dictionary `model`"));
+    // A byte or two may make an object, a reference, a mark, an entry of the stack or one of the memo: all are counted.
+    for many in [b")".as_slice(), b"]", b"}", b"N", b"(", b"N\x94", b"N\x85", b"]\x94h\x00a", b"](NNNNNNNNe"] {
+        let found = reason(&pickled(&many.repeat(1 << 20)));
+        assert!(found.contains("more than 1048576 objects"), "{:?}: {found}", many.escape_ascii());
+    }
     // A list that holds itself, and doubling by reference, cost no more than their bytes.
     let doubling = [b"]q\x00h\x00a".as_slice(), &b"q\x01h\x01h\x01\x86".repeat(1000), b"."].concat();
     assert!(reason(&pickled(&doubling)).contains("no dictionary `model`"));

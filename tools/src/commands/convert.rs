@@ -12,7 +12,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    types::{SceneFormat, WriteOptions, write_scene},
+    types::{SceneFormat, WriteOptions, spz_coarsening, write_scene},
     weights::Dtype,
 };
 
@@ -37,7 +37,9 @@ pub struct Convert {
     /// Numbers of a checkpoint: f32, f16 or bf16 [default: f32]
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
-    /// Network of a checkpoint that does not say: vits, vitb, vitl or vitg
+    /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
+    /// the reference's recipes da3s, da3b, da3l; what else the file leaves open follows, as in
+    /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,
     /// Version of an SPZ: 2 for older readers, or 3 [default: 3]
@@ -68,6 +70,9 @@ impl Convert {
         if scene.sh_degree > 0 && !output.keeps_view_dependence() {
             session.note("a .splat keeps one colour a Gaussian: how it changes with the direction is left out");
         }
+        if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
+            session.note(note);
+        }
         let options = WriteOptions { spz_version: self.spz_version.unwrap_or(WriteOptions::default().spz_version) };
         session.stage("write scene", |_| write_scene(&self.output, &scene, &options))?;
         let written = self.written()?;
@@ -81,6 +86,7 @@ impl Convert {
         refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
+        checkpoint.notes().iter().for_each(|note| session.note(note));
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
         let written = self.written()?;
         let architecture = checkpoint.architecture();

@@ -70,6 +70,7 @@ impl Eval {
         self.csv.as_deref().map_or(Ok(()), outputs::check_file)?;
         self.output.as_deref().map_or(Ok(()), outputs::check_folder)?;
         let checkpoint = self.weights.open()?;
+        checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
         let size = self.quality.size_for(&checkpoint);
         let choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;

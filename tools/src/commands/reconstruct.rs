@@ -15,7 +15,7 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
-    types::{Camera, SceneFormat, poses::read_poses, preprocess::view_cameras},
+    types::{Camera, SceneFormat, poses::read_poses, preprocess::view_cameras, spz_coarsening},
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -65,6 +65,7 @@ impl Reconstruct {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         let checkpoint = self.weights.open()?;
+        checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
         let mut photos = photos::list(session, &self.photos)?;
         if let Some(views) = self.views {
@@ -110,6 +111,9 @@ impl Reconstruct {
         self.quality.prune(&mut result.scene, checkpoint.architecture());
         result.scene.scale(unit as f32);
         let origin = frames.first().map(|frame| frame.name.as_str());
+        if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
+            spz_coarsening(&result.scene).into_iter().for_each(|note| session.note(note));
+        }
         let (_, write) = session.stage("write", |_| outputs::save_scene(&self.output, &result.scene, origin))?;
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];

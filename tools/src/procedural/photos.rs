@@ -1,11 +1,14 @@
 //! Photo crops as textures.
 
-use std::path::Path;
+use std::{io::BufReader, path::Path};
 
 use glam::{Vec2, Vec3A};
 use rayon::prelude::*;
 use serde::Deserialize;
-use zipsplat::{Error, Result, types::Image};
+use zipsplat::{
+    Error, Result,
+    types::{Image, open_file},
+};
 
 use super::tone::srgb_to_linear;
 
@@ -51,9 +54,9 @@ impl Photos {
     /// one is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
-        let bytes = std::fs::read(&manifest).map_err(|source| Error::io(&manifest, source))?;
+        let file = BufReader::new(open_file(&manifest)?);
         let mut crops: Vec<Crop> =
-            serde_json::from_slice(&bytes).map_err(|error| Error::format(&manifest, None, error.to_string()))?;
+            serde_json::from_reader(file).map_err(|error| Error::format(&manifest, None, error.to_string()))?;
         crops.retain(|crop| crop.licence_class == PERMISSIVE);
         if crops.is_empty() {
             return Err(Error::format(&manifest, None, format!("found no crop of licence_class {PERMISSIVE}")));

@@ -7,6 +7,7 @@ use std::path::{Component, Path, PathBuf};
 use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{Document, Parsed, document::Buffer};
+use crate::types::file::read_file;
 use crate::{Error, Result};
 
 /// The bytes that buffers are made of, and which of them each buffer is: several may name one file.
@@ -44,7 +45,7 @@ impl<'a> Buffers<'a> {
                     match files.get(&file) {
                         Some(content) => *content,
                         None => {
-                            let bytes = std::fs::read(&file).map_err(|source| Error::io(&file, source))?;
+                            let bytes = read_file(&file)?;
                             *files.entry(file).or_insert(add(Cow::Owned(bytes)))
                         }
                     }

@@ -11,7 +11,7 @@ use std::path::Path;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use rayon::prelude::*;
 
-use super::{Scene, axes::HalfTurn::AboutZ, sh_rotation::sh_rotation};
+use super::{Scene, axes::HalfTurn::AboutZ, file::read_file, sh_rotation::sh_rotation};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::{Document, Primitive, unpack};
@@ -49,7 +49,7 @@ pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
 
 /// As [`read_gltf`], with the values as they are.
 pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let bytes = read_file(path)?;
     let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
     let (json, binary) = unpack(&bytes).map_err(fail)?;
     let document = Document::parse(json).map_err(fail)?;

@@ -4,13 +4,15 @@
 mod points;
 mod table;
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::{Scene, file::write_atomic};
+use super::{
+    Scene,
+    file::{open_file, read_file, write_atomic},
+};
 use crate::{Error, Result};
 use table::{Column, Fault, MAX_HEADER, Table};
 
@@ -49,7 +51,7 @@ pub fn write_ply_with_origin(scene: &Scene, path: impl AsRef<Path>, photo: &str)
 /// [`Error::Io`] when the file cannot be read.
 pub fn read_ply_origin(path: impl AsRef<Path>) -> Result<Option<String>> {
     let (path, mut start) = (path.as_ref(), Vec::new());
-    let read = File::open(path).and_then(|file| file.take(MAX_HEADER as u64).read_to_end(&mut start));
+    let read = open_file(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
     read.map_err(|source| Error::io(path, source))?;
     let header = String::from_utf8_lossy(&start);
     let mut lines = header.lines().take_while(|line| start.starts_with(b"ply") && *line != "end_header");
@@ -122,7 +124,7 @@ pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
 
 /// As [`read_ply`], with the values as they are.
 pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let bytes = read_file(path)?;
     Table::parse(&bytes)
         .and_then(|table| decode(&table))
         .map_err(|Fault { offset, reason }| Error::format(path, Some(offset as u64), reason))

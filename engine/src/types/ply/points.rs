@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::super::file::write_atomic;
+use super::super::file::{read_file, write_atomic};
 use super::table::{Fault, Table};
 use crate::{Error, Result};
 
@@ -15,7 +15,7 @@ use crate::{Error, Result};
 /// that are not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<Vec<[f32; 3]>> {
     let path = path.as_ref();
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let bytes = read_file(path)?;
     let positions = |table: &Table| {
         let columns = [table.column("x")?, table.column("y")?, table.column("z")?];
         let points: Vec<_> = table.rows().map(|row| super::read(&columns, row)).collect();

@@ -7,6 +7,7 @@ use std::str::SplitAsciiWhitespace;
 use glam::DVec3;
 
 use super::super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion};
+use super::super::file::read_file;
 use super::{Frame, Poses, checked};
 use crate::{Error, Result};
 
@@ -46,7 +47,7 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
             false => "txt",
         })
     });
-    let (cameras_bytes, images_bytes) = (load(&cameras)?, load(&images)?);
+    let (cameras_bytes, images_bytes) = (read_file(&cameras)?, read_file(&images)?);
     let lenses = if binary { binary_cameras(&cameras_bytes) } else { text_cameras(&cameras_bytes) };
     let lenses = lenses.map_err(|fault| fault.in_file(&cameras))?;
     let views = if binary { binary_images(&images_bytes) } else { text_images(&images_bytes) };
@@ -75,7 +76,7 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
 
 /// Positions of a `points3D.bin` or `points3D.txt`, in the model's world.
 pub(super) fn read_points(path: &Path) -> Result<Vec<[f32; 3]>> {
-    let bytes = load(path)?;
+    let bytes = read_file(path)?;
     let binary = path.extension().is_some_and(|extension| extension == "bin");
     let points = if binary { binary_points(&bytes) } else { text_points(&bytes) };
     let points = points.map_err(|fault| fault.in_file(path))?;
@@ -83,10 +84,6 @@ pub(super) fn read_points(path: &Path) -> Result<Vec<[f32; 3]>> {
         Some(i) => Err(Error::format(path, None, format!("point {i}: found {:?}, expected finite numbers", points[i]))),
         None => Ok(points),
     }
-}
-
-fn load(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|source| Error::io(path, source))
 }
 
 /// Photos stand in `images` beside the model or up to two folders above it.

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::camera::{Camera, Intrinsics, matrix_from_quaternion, quaternion_from_matrix};
+use super::file::read_file;
 use crate::{Error, Result};
 
 pub use transforms::write_transforms;
@@ -134,7 +135,7 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
 pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> {
     let path = path.as_ref();
     if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
-        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        let bytes = read_file(path)?;
         let value: Value =
             serde_json::from_slice(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
         let parsed = match &value {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::super::file::write_atomic;
+use super::super::file::{read_file, write_atomic};
 use super::super::{Camera, Image, Intrinsics, Pose};
 use super::matrix::{from_opengl, rigid_matrix};
 use super::{Frame, Poses, checked};
@@ -18,7 +18,7 @@ const DISTORTION: [&str; 8] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
 type Parsed<T> = std::result::Result<T, String>;
 
 pub(super) fn read(path: &Path) -> Result<Poses> {
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let bytes = read_file(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let parse = || {
         let shared: Value = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;

@@ -8,7 +8,7 @@ use crate::{Error, Result};
 /// Bits of a position's magnitude: 24 with the sign.
 pub(super) const POSITION_BITS: u32 = 23;
 /// Most of these behind the binary point of what is written.
-const MAX_FRACTIONAL_BITS: u32 = 16;
+pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
 /// Natural logarithm of the smallest scale, and levels for each factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
 const LOG_SCALE_LEVELS: f32 = 16.0;

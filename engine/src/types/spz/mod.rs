@@ -2,15 +2,21 @@
 //! each value. Axes: x right, y up, z backward; reading and writing turn positions, rotations and spherical harmonics.
 
 mod codec;
+mod range;
 
 use std::io::{Read, Write};
 use std::path::Path;
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 
-use super::{Scene, file::write_atomic};
+use super::{
+    Scene,
+    file::{read_file, write_atomic},
+};
 use crate::{Error, Result};
 use codec::Layout;
+
+pub use range::spz_coarsening;
 
 /// "NGSP" in the file, then the version, the count, and the bytes degree, fractional bits, flags and reserved.
 const MAGIC: u32 = 0x5053_474e;
@@ -19,8 +25,11 @@ const HEADER: usize = 16;
 const HAS_EXTENSIONS: u8 = 2;
 /// Most records that are read over.
 const MAX_EXTENSIONS: u64 = 1 << 20;
-/// Deflate turns a byte into no more than this many.
-const MAX_INFLATION: u64 = 1032;
+/// A byte of the file stands for no more than this many: Gaussians that differ do not pack better, and a file of another
+/// kind could ask for a thousand times its size.
+const MAX_INFLATION: u64 = 64;
+/// So many bytes are inflated whatever the size of the file.
+const ALWAYS_INFLATED: u64 = 64 << 20;
 
 /// Writes an SPZ of `version` 2 or 3; the file appears whole or not at all. Kept are positions to 2⁻¹⁷ of a unit, coarser
 /// only where the scene reaches beyond 128 units; scales from e⁻¹⁰ to e⁵·⁹ to 3.2 %; opacities to 1/510; coefficients of
@@ -60,7 +69,7 @@ pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
 
 /// As [`read_spz`], with the values as they are.
 pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let bytes = read_file(path)?;
     decode(&bytes).map_err(|Fault { offset, reason }| Error::format(path, offset.map(|at| at as u64), reason))
 }
 
@@ -99,8 +108,8 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     let layout = Layout { version: word(1), sh_degree: sh_degree.into(), fractional_bits: fractional_bits.into() };
     let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
     // Before anything is allocated by the count.
-    if expected > MAX_INFLATION * bytes.len() as u64 {
-        let reason = format!("found {} Gaussians, which take more than {} bytes can inflate to", word(2), bytes.len());
+    if expected > ALWAYS_INFLATED.max(MAX_INFLATION * bytes.len() as u64) {
+        let reason = format!("found {} Gaussians, which are more than {} bytes can hold", word(2), bytes.len());
         return Err(fault(8, reason));
     }
     let mut body = Vec::new(); // grows with what there is, whatever the header says

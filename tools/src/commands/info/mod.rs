@@ -140,6 +140,7 @@ fn matrices(limits: &Limits) -> String {
 }
 
 fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> {
+    checkpoint.notes().iter().for_each(|note| session.note(note));
     let architecture = checkpoint.architecture();
     let json = json!({
         "source": checkpoint.provenance(), "architecture": architecture, "tensors": checkpoint.parameters().len(),

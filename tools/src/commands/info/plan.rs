@@ -20,6 +20,7 @@ const LARGEST: usize = 20;
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
     let Quality { ratio, select, arithmetic, .. } = &info.quality;
     let checkpoint = info.weights.open()?;
+    checkpoint.notes().iter().for_each(|note| session.note(note));
     info.quality.check(checkpoint.architecture())?;
     let size = info.quality.size_for(&checkpoint);
     let Size(width, height) = size;

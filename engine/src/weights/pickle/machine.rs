@@ -1,163 +1,55 @@
-//! Reads the pickles that `torch.save` writes, without executing anything.
-//!
-//! A pickle is a program for a stack machine (Python's `pickletools` documents it). Here its objects go into one list
-//! and refer to each other by index, so that sharing, cycles and depth cost nothing; each opcode makes at most one
-//! object. Calls can only rebuild tensors and ordered dictionaries: any other name is refused.
+//! The stack machine that a pickle is a program for.
 
 use std::collections::HashMap;
 
-/// Axes of a tensor at most: PyTorch allows more, weights have four.
-const MAX_RANK: usize = 8;
+use super::{Callable, Id, Object, Storage, Tensor, size, sizes, text};
+use crate::weights::tensor::MAX_RANK;
 
-/// Index of an object.
-pub(super) type Id = usize;
+/// Objects, references from one to another, entries of stack and memo, and marks at most, all together. A training
+/// checkpoint of the largest network needs about a sixth of them; each may come from a single byte and takes up to 32.
+const MAX_HELD: usize = 1 << 20;
 
-/// What a pickle's objects can be.
-#[derive(Debug)]
-pub(super) enum Object<'a> {
-    /// None, a boolean, a float or an integer beyond 64 bits: nothing that is read needs them.
-    Other,
-    Int(i64),
-    Text(&'a str),
-    /// A list or a tuple.
-    Sequence(Vec<Id>),
-    Dict(Vec<(Id, Id)>),
-    Callable(Callable),
-    StorageType(&'a str),
-    Storage(Storage<'a>),
-    Tensor(Tensor<'a>),
-}
-
-/// The only callables of `REDUCE`.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Callable {
-    OrderedDict,
-    RebuildTensor,
-    RebuildParameter,
-}
-
-/// Values in an archive that tensors share: `kind` is the class in `torch`, `key` the name of the entry.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Storage<'a> {
-    pub kind: &'a str,
-    pub key: &'a str,
-    pub elements: usize,
-}
-
-/// A view into a storage; offset and strides count elements.
-#[derive(Debug)]
-pub(super) struct Tensor<'a> {
-    pub storage: Storage<'a>,
-    pub offset: usize,
-    pub shape: Vec<usize>,
-    pub strides: Vec<usize>,
-}
-
-/// Why a pickle cannot be read, and the byte of the opcode.
-#[derive(Debug)]
-pub(super) struct Malformed {
-    pub offset: usize,
-    pub reason: String,
-}
-
-/// The objects of a pickle.
-pub(super) struct Pickle<'a> {
-    objects: Vec<Object<'a>>,
-    pub root: Id,
-}
-
-impl<'a> Pickle<'a> {
-    pub fn load(bytes: &'a [u8]) -> Result<Self, Malformed> {
-        let mut machine =
-            Machine { bytes, at: 0, objects: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
-        loop {
-            let offset = machine.at;
-            match machine.step() {
-                Ok(None) => {}
-                Ok(Some(root)) => return Ok(Self { objects: machine.objects, root }),
-                Err(reason) => return Err(Malformed { offset, reason }),
-            }
-        }
-    }
-
-    pub fn object(&self, id: Id) -> &Object<'a> {
-        &self.objects[id]
-    }
-
-    /// Keys and values of a dictionary, if that is what `id` is.
-    pub fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
-        match self.object(id) {
-            Object::Dict(entries) => Some(entries),
-            _ => None,
-        }
-    }
-
-    /// The value of `key` in a dictionary.
-    pub fn get(&self, dict: Id, key: &str) -> Option<Id> {
-        let is_key = |id: Id| matches!(self.object(id), Object::Text(text) if *text == key);
-        // Where a key was set twice, Python keeps the later value.
-        self.entries(dict)?.iter().rev().find(|&&(id, _)| is_key(id)).map(|&(_, value)| value)
-    }
-
-    pub fn text(&self, id: Id) -> Option<&'a str> {
-        text(&self.objects, id)
-    }
-
-    pub fn size(&self, id: Id) -> Option<usize> {
-        size(&self.objects, id)
-    }
-
-    /// A list or tuple of at most `max` sizes.
-    pub fn sizes(&self, id: Id, max: usize) -> Option<Vec<usize>> {
-        sizes(&self.objects, id, max)
-    }
-}
-
-fn text<'a>(objects: &[Object<'a>], id: Id) -> Option<&'a str> {
-    match objects[id] {
-        Object::Text(text) => Some(text),
-        _ => None,
-    }
-}
-
-fn size(objects: &[Object], id: Id) -> Option<usize> {
-    match objects[id] {
-        Object::Int(value) => value.try_into().ok(),
-        _ => None,
-    }
-}
-
-fn sizes(objects: &[Object], id: Id, max: usize) -> Option<Vec<usize>> {
-    match &objects[id] {
-        Object::Sequence(items) if items.len() <= max => items.iter().map(|&item| size(objects, item)).collect(),
-        _ => None,
-    }
-}
-
-struct Machine<'a> {
+pub(super) struct Machine<'a> {
     bytes: &'a [u8],
-    at: usize,
-    objects: Vec<Object<'a>>,
+    pub at: usize,
+    /// The first is the one [`Object::Other`].
+    pub objects: Vec<Object<'a>>,
     stack: Vec<Id>,
     /// Heights of the stack where marks stand.
     marks: Vec<usize>,
     memo: HashMap<u64, Id>,
+    /// Elements of all sequences and dictionaries.
+    references: usize,
 }
 
 impl<'a> Machine<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        let (stack, marks, memo) = Default::default();
+        Self { bytes, at: 0, objects: vec![Object::Other], stack, marks, memo, references: 0 }
+    }
+
     /// Runs one opcode; the root object once the pickle ends.
-    fn step(&mut self) -> Result<Option<Id>, String> {
+    pub fn step(&mut self) -> Result<Option<Id>, String> {
+        let root = self.run()?;
+        let held = self.objects.len() + self.references + self.stack.len() + self.marks.len() + self.memo.len();
+        if held > MAX_HELD { Err(format!("the pickle makes more than {MAX_HELD} objects")) } else { Ok(root) }
+    }
+
+    fn run(&mut self) -> Result<Option<Id>, String> {
         let opcode = self.number(1)? as u8;
         match opcode {
             b'.' => return self.pop().map(Some),                           // STOP
             0x80 => drop(self.number(1)?),                                 // PROTO
             0x95 => drop(self.number(8)?),                                 // FRAME
-            b'N' | 0x88 | 0x89 => self.push(Object::Other),                // NONE, NEWTRUE, NEWFALSE
+            b'N' | 0x88 | 0x89 => self.push_other(),                       // NONE, NEWTRUE, NEWFALSE
             b'G' => self.skip(8)?,                                         // BINFLOAT
             b'K' => self.integer(1)?,                                      // BININT1
             b'M' => self.integer(2)?,                                      // BININT2
             b'J' => self.integer(4)?,                                      // BININT
             0x8a => self.long()?,                                          // LONG1
+            b'C' => self.bytes(1)?,                                        // SHORT_BINBYTES
+            b'B' => self.bytes(4)?,                                        // BINBYTES
+            0x8e => self.bytes(8)?,                                        // BINBYTES8
             b'X' => self.unicode(4)?,                                      // BINUNICODE
             0x8c => self.unicode(1)?,                                      // SHORT_BINUNICODE
             0x8d => self.unicode(8)?,                                      // BINUNICODE8
@@ -211,6 +103,10 @@ impl<'a> Machine<'a> {
         self.objects.push(object);
     }
 
+    fn push_other(&mut self) {
+        self.stack.push(0);
+    }
+
     fn pop(&mut self) -> Result<Id, String> {
         let floor = self.marks.last().copied().unwrap_or(0);
         let above = self.stack.len() > floor;
@@ -229,8 +125,13 @@ impl<'a> Machine<'a> {
 
     fn skip(&mut self, bytes: u64) -> Result<(), String> {
         self.take(bytes)?;
-        self.push(Object::Other);
+        self.push_other();
         Ok(())
+    }
+
+    fn bytes(&mut self, length_bytes: u64) -> Result<(), String> {
+        let length = self.number(length_bytes)?;
+        self.skip(length)
     }
 
     /// BININT is signed, the shorter ones are not.
@@ -259,6 +160,7 @@ impl<'a> Machine<'a> {
     }
 
     fn sequence(&mut self, items: Vec<Id>) {
+        self.references += items.len();
         self.push(Object::Sequence(items));
     }
 
@@ -271,6 +173,7 @@ impl<'a> Machine<'a> {
 
     fn append(&mut self, items: Vec<Id>) -> Result<(), String> {
         let top = self.top()?;
+        self.references += items.len();
         match &mut self.objects[top] {
             Object::Sequence(list) => list.extend(items),
             _ => return Err("the pickle appends to what is no list".into()),
@@ -286,6 +189,7 @@ impl<'a> Machine<'a> {
     fn set(&mut self, items: Vec<Id>) -> Result<(), String> {
         let top = self.top()?;
         let (pairs, odd) = items.as_chunks::<2>();
+        self.references += items.len();
         match &mut self.objects[top] {
             Object::Dict(dict) if odd.is_empty() => dict.extend(pairs.iter().map(|&[key, value]| (key, value))),
             _ => return Err("the pickle sets items of what is no dictionary".into()),
@@ -320,7 +224,9 @@ impl<'a> Machine<'a> {
 
     fn name(&mut self, module: &'a str, name: &'a str) -> Result<(), String> {
         self.push(match (module, name) {
+            _ if is_plain_data(module, name) => Object::Callable(Callable::PlainData),
             ("collections", "OrderedDict") => Object::Callable(Callable::OrderedDict),
+            ("collections", "defaultdict") => Object::Callable(Callable::DefaultDict),
             ("torch._utils", "_rebuild_tensor_v2") => Object::Callable(Callable::RebuildTensor),
             ("torch._utils", "_rebuild_parameter") => Object::Callable(Callable::RebuildParameter),
             ("torch", name) if name.ends_with("Storage") => Object::StorageType(name),
@@ -340,7 +246,7 @@ impl<'a> Machine<'a> {
             (text(&self.objects, tag)? == "storage").then_some(Storage { kind, key, elements })
         };
         let storage = storage().ok_or("a persistent object of the pickle is no storage")?;
-        self.push(Object::Storage(storage));
+        self.push(Object::Storage(Box::new(storage)));
         Ok(())
     }
 
@@ -353,19 +259,21 @@ impl<'a> Machine<'a> {
             return Err("the pickle calls without a tuple of arguments".into());
         };
         match (callable, arguments.as_slice()) {
-            (Callable::OrderedDict, []) => self.push(Object::Dict(Vec::new())),
+            (Callable::OrderedDict, []) | (Callable::DefaultDict, [] | [_]) => self.push(Object::Dict(Vec::new())),
+            (Callable::PlainData, _) => self.push_other(),
             (Callable::RebuildParameter, &[tensor, ..]) => self.stack.push(tensor),
             // After these come requires_grad and hooks, which inference does not need.
             (Callable::RebuildTensor, &[storage, offset, shape, strides, ..]) => {
                 let objects = &self.objects;
-                let Object::Storage(storage) = objects[storage] else {
+                let Object::Storage(storage) = &objects[storage] else {
                     return Err("the pickle rebuilds a tensor from what is no storage".into());
                 };
                 let numbers =
                     size(objects, offset).zip(sizes(objects, shape, MAX_RANK)).zip(sizes(objects, strides, MAX_RANK));
                 let ((offset, shape), strides) =
                     numbers.ok_or("the pickle rebuilds a tensor with an offset, shape or stride that is no size")?;
-                self.push(Object::Tensor(Tensor { storage, offset, shape, strides }));
+                let storage = **storage;
+                self.push(Object::Tensor(Box::new(Tensor { storage, offset, shape, strides })));
             }
             (callable, arguments) => {
                 return Err(format!("the pickle calls {callable:?} with {} arguments", arguments.len()));
@@ -374,13 +282,33 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Attributes: a `state_dict` carries `_metadata`, which holds no weights.
+    /// Attributes: a `state_dict` carries `_metadata`, which holds no weights; numpy's types their byte order.
     fn build(&mut self) -> Result<(), String> {
         self.pop()?;
         match self.objects[self.top()?] {
-            Object::Dict(_) => Ok(()),
+            Object::Dict(_) | Object::Other => Ok(()),
             _ => Err("the pickle sets attributes of what is no dictionary".into()),
         }
+    }
+}
+
+/// Whether a name is a type of plain data, or what makes one, that training leaves beside weights.
+fn is_plain_data(module: &str, name: &str) -> bool {
+    const BUILTINS: [&str; 10] =
+        ["bool", "bytearray", "bytes", "complex", "dict", "float", "frozenset", "int", "list", "set"];
+    const TORCH: [&str; 12] = [
+        "Size", "bfloat16", "bool", "device", "float16", "float32", "float64", "int16", "int32", "int64", "int8",
+        "uint8",
+    ];
+    match module {
+        "builtins" | "__builtin__" => BUILTINS.contains(&name),
+        "torch" => TORCH.contains(&name),
+        "collections" => name == "Counter",
+        "_codecs" => name == "encode",
+        "numpy" => matches!(name, "dtype" | "ndarray"),
+        "numpy.core.multiarray" | "numpy._core.multiarray" => matches!(name, "scalar" | "_reconstruct"),
+        "pathlib" => matches!(name, "PosixPath" | "WindowsPath" | "PurePosixPath" | "PureWindowsPath"),
+        _ => false,
     }
 }
 

@@ -1,0 +1,22 @@
+//! What the range of a scene does to the precision of its SPZ.
+
+use super::codec::{MAX_FRACTIONAL_BITS, POSITION_BITS, fractional_bits};
+use crate::types::Scene;
+
+/// A note where a few far Gaussians make all positions of an SPZ coarser than the format allows, with the figures: one
+/// step is chosen for a whole file. None where the step is the finest, or the scene does not fit at all.
+pub fn spz_coarsening(scene: &Scene) -> Option<String> {
+    let bits = fractional_bits(scene).ok().filter(|bits| *bits < MAX_FRACTIONAL_BITS)?;
+    let reach = |mean: &[f32; 3]| mean.iter().fold(0f32, |reach, value| reach.max(value.abs()));
+    let near = (1u32 << (POSITION_BITS - MAX_FRACTIONAL_BITS)) as f32;
+    let far = scene.means.iter().filter(|mean| reach(mean) >= near).count();
+    let farthest = scene.means.iter().map(reach).fold(0.0, f32::max);
+    let step = |bits: u32| 0.5f64.powi(bits as i32);
+    Some(format!(
+        "positions in the SPZ are multiples of {:.2e}, not of {:.2e}: {far} of {} Gaussians lie beyond {near} units, the \
+         farthest {farthest:.0} away",
+        step(bits),
+        step(MAX_FRACTIONAL_BITS),
+        scene.len()
+    ))
+}

@@ -1,0 +1,208 @@
+//! The network that a file's tensors belong to: what their shapes say, and where that ends.
+
+use std::path::Path;
+
+use super::architecture::{MAX_DEPTH, MAX_SIZE};
+use super::contents::{Conf, Contents};
+use super::variant::Variant;
+use super::{Architecture, Ffn, RECIPES, VARIANTS};
+use crate::{Error, Result};
+
+const BACKBONE: &str = "backbone.backbone";
+/// Longest name of a network that is taken from a file.
+const MAX_NAME: usize = 64;
+
+/// The architecture that a file states or, where it states none, that its tensors have, and what was assumed about it.
+///
+/// Widths, depths and counts come from shapes. What shapes cannot say (which blocks are out layers, where attention
+/// turns global and rotary embedding begins) comes from `variant`, else from the training configuration, else from the
+/// named network of the same size; the two starts also from the first block with q/k norm, with which all known
+/// recipes let them begin.
+pub(super) fn architecture(
+    contents: &Contents,
+    path: &Path,
+    variant: Option<&str>,
+) -> Result<(Architecture, Option<String>)> {
+    let wanted = Variant::parse(variant)?;
+    let file = path.display().to_string();
+    if let Some(stated) = &contents.architecture {
+        wanted.check(stated, &file)?;
+        return Ok((stated.clone(), None));
+    }
+    let shapes = Shapes(contents);
+    let size = shapes.size_of_network(&file)?;
+    let like = like(&wanted, &size, &file)?;
+    let conf = &contents.conf;
+
+    let given = wanted.out_layers.as_ref().or(conf.out_layers.as_ref());
+    let out_layers = given.or(like.as_ref().map(|like| &like.out_layers)).ok_or_else(|| size.unknown(&file))?.clone();
+    let normed = Some(size.qk_norm_start).filter(|start| *start < size.depth);
+    let alt_start = wanted.alt_start.or(conf.alt_start).or(normed).or(like.as_ref().map(|like| like.alt_start));
+    let alt_start = alt_start.ok_or_else(|| size.unknown(&file))?;
+    let rope_start = wanted.rope_start.or(conf.rope_start).unwrap_or(alt_start).min(size.depth);
+
+    let mut found = Architecture {
+        qk_norm_start: size.qk_norm_start,
+        rope_start,
+        ..Architecture::new("custom", size.width, size.depth, alt_start, &out_layers)
+    };
+    shapes.fill(&mut found, &wanted, conf)?;
+    found.name = name(&found, &wanted, conf);
+    found.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
+    let assumed = [
+        (given.is_none()).then(|| format!("out_layers {out_layers:?}")),
+        (wanted.alt_start.or(conf.alt_start).is_none()).then(|| format!("alt_start {alt_start}")),
+        (wanted.rope_start.or(conf.rope_start).is_none()).then(|| format!("rope_start {rope_start}")),
+    ];
+    let assumed: Vec<String> = assumed.into_iter().flatten().collect();
+    let note = || format!("{file} does not say all of its architecture; assumed are {}", assumed.join(", "));
+    Ok((found, (!assumed.is_empty()).then(note)))
+}
+
+/// What tells the known networks apart.
+struct Size {
+    width: usize,
+    depth: usize,
+    /// Number of out layers.
+    layers: usize,
+    qk_norm_start: usize,
+}
+
+impl Size {
+    fn describes(&self, architecture: &Architecture) -> bool {
+        (architecture.width, architecture.depth) == (self.width, self.depth)
+    }
+
+    fn unknown(&self, file: &str) -> Error {
+        let Self { width, depth, layers, .. } = self;
+        let found = format!("none, and {file} has width {width} and {depth} blocks with {layers} out layers");
+        let named = [&VARIANTS[..], &RECIPES[..]].concat().join(", ");
+        let expected = format!(
+            "out_layers=A,B,.. and, where no block has q/k norm, alt_start=N, since this is none of {named}; \
+             or a file that states its architecture"
+        );
+        Error::argument("variant", found, expected)
+    }
+}
+
+/// The named network that speaks for what shapes cannot say: the one asked for, else one of the same size.
+fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture>> {
+    let all = VARIANTS.iter().chain(&RECIPES).map(|name| Architecture::named(name)).collect::<Result<Vec<_>>>()?;
+    if let Some(name) = wanted.name {
+        let named = Architecture::named(name)?;
+        if !size.describes(&named) {
+            let expected = format!("a network of width {} and {} blocks, as {file} has", size.width, size.depth);
+            return Err(Error::argument("variant", name, expected));
+        }
+        // A recipe is exact; the name of a backbone also stands for its recipes.
+        if RECIPES.contains(&name) {
+            return Ok(Some(named));
+        }
+    }
+    Ok(all.into_iter().find(|like| size.describes(like) && like.out_layers.len() == size.layers))
+}
+
+fn name(found: &Architecture, wanted: &Variant, conf: &Conf) -> String {
+    let same = |like: &Architecture| {
+        let blocks = |a: &Architecture| (a.width, a.depth, a.alt_start, a.qk_norm_start, a.rope_start);
+        blocks(like) == blocks(found) && like.out_layers == found.out_layers
+    };
+    let known = VARIANTS.iter().chain(&RECIPES).find(|name| Architecture::named(name).is_ok_and(|like| same(&like)));
+    let in_words =
+        |name: &&str| !name.is_empty() && name.len() <= MAX_NAME && name.chars().all(|c| c.is_ascii_graphic());
+    let conf = conf.vit_name.as_deref().filter(in_words);
+    wanted.name.or(known.copied()).or(conf).unwrap_or("custom").to_string()
+}
+
+/// The shapes of a file's tensors.
+struct Shapes<'a>(&'a Contents);
+
+impl Shapes<'_> {
+    fn axis(&self, name: &str, axis: usize) -> Option<usize> {
+        self.0.tensors.get(name)?.shape.get(axis).copied()
+    }
+
+    /// One more than the highest number that follows `root` in a name: a module that is missing is reported as such.
+    fn count(&self, root: &str) -> usize {
+        let number =
+            |name: &String| name.strip_prefix(root)?.strip_prefix('.')?.split('.').next()?.parse::<usize>().ok();
+        self.0.tensors.keys().filter_map(number).max().map_or(0, |last| last.saturating_add(1))
+    }
+
+    fn size_of_network(&self, file: &str) -> Result<Size> {
+        let width = self.axis(&format!("{BACKBONE}.norm.weight"), 0).or(self.axis(&format!("{BACKBONE}.cls_token"), 2));
+        let depth = self.count(&format!("{BACKBONE}.blocks"));
+        let (Some(width), 1..) = (width, depth) else {
+            let expected = "a network of ZipSplat, whose tensors begin with backbone.backbone";
+            return Err(Error::argument("weights", format!("{file}, without a backbone"), expected));
+        };
+        // Before widths are multiplied with each other.
+        if width > MAX_SIZE {
+            return Err(Error::format(
+                file,
+                None,
+                format!("found tensors of width {width}, expected at most {MAX_SIZE}"),
+            ));
+        }
+        let normed = |i: &usize| self.axis(&format!("{BACKBONE}.blocks.{i}.attn.q_norm.weight"), 0).is_some();
+        // A network has at most a few hundred; a name may claim any number.
+        let qk_norm_start = (0..depth.min(MAX_DEPTH)).find(normed).unwrap_or(depth);
+        Ok(Size { width, depth, layers: self.count("downscale"), qk_norm_start })
+    }
+
+    /// Sets every field of `found` that a tensor shows; what is not there stays.
+    fn fill(&self, found: &mut Architecture, wanted: &Variant, conf: &Conf) -> Result<()> {
+        let set = |field: &mut usize, name: &str, axis| *field = self.axis(name, axis).unwrap_or(*field);
+        let heads = |field: &mut usize, width: usize, at: &str| {
+            let dim = self.axis(&format!("{at}.attn.q_norm.weight"), 0).filter(|dim| (1..=width).contains(dim));
+            *field = dim.map_or(*field, |dim| width / dim);
+        };
+        let (block, width) = (format!("{BACKBONE}.blocks.0"), found.width);
+        heads(&mut found.heads, width, &format!("{BACKBONE}.blocks.{}", found.qk_norm_start));
+        match self.axis(&format!("{block}.mlp.w3.weight"), 1) {
+            Some(hidden) => (found.ffn, found.ffn_hidden) = (Ffn::SwiGlu, hidden),
+            None => set(&mut found.ffn_hidden, &format!("{block}.mlp.fc1.bias"), 0),
+        }
+        set(&mut found.patch, &format!("{BACKBONE}.patch_embed.proj.weight"), 2);
+        if let Some(positions) = self.axis(&format!("{BACKBONE}.pos_embed"), 1) {
+            found.position_grid = positions.saturating_sub(1).isqrt();
+        }
+        found.camera_depth = self.count("backbone.cam_enc.trunk").max(1);
+        found.camera_heads = wanted.camera_heads.unwrap_or(found.camera_heads);
+        set(&mut found.camera_hidden, "backbone.cam_enc.trunk.0.mlp.fc1.bias", 0);
+        set(&mut found.camera_pose_hidden, "backbone.cam_enc.pose_branch.fc1.bias", 0);
+        heads(&mut found.fusion_heads, width, "cross_attention.0");
+        set(&mut found.fusion_hidden, "cross_attention.0.mlp.fc1.bias", 0);
+        set(&mut found.color_width, "color_embed.proj.bias", 0);
+        found.color_heads = (found.color_width / 64).max(1);
+        heads(&mut found.color_heads, found.color_width, "color_cross_attention");
+        set(&mut found.color_hidden, "color_cross_attention.mlp.fc1.bias", 0);
+        found.head_hidden = width.saturating_add(found.color_width).saturating_mul(2);
+        set(&mut found.head_hidden, "gaussian_head.gaussian_head.0.fc1.bias", 0);
+        let gaussians = wanted.gaussians_per_token.or(conf.gaussians_per_token);
+        (found.gaussians_per_token, found.sh_degree) = self.decoded(gaussians, wanted.sh_degree.or(conf.sh_degree))?;
+        Ok(())
+    }
+
+    /// Gaussians of a token and their degree, from the product of their number and width and what is known of them.
+    fn decoded(&self, gaussians: Option<usize>, degree: Option<usize>) -> Result<(usize, usize)> {
+        let width = |degree: usize| 11 + 3 * (degree + 1).pow(2);
+        let Some(values) = self.axis("gaussian_head.gaussian_head.1.bias", 0) else {
+            return Ok((gaussians.unwrap_or(32), degree.unwrap_or(1)));
+        };
+        let fits = |d: &usize| {
+            values.is_multiple_of(width(*d))
+                && gaussians.is_none_or(|count| count.checked_mul(width(*d)) == Some(values))
+        };
+        let degrees: Vec<usize> = (0..=3).filter(|d| degree.is_none_or(|known| known == *d)).filter(fits).collect();
+        match degrees[..] {
+            [degree] => Ok((values / width(degree), degree)),
+            // Where nothing fits, the misfit is listed with those of other tensors.
+            [] => Ok((gaussians.unwrap_or(32), degree.unwrap_or(1))),
+            _ => {
+                let found = format!("none, and {values} values a token are Gaussians of degrees {degrees:?}");
+                Err(Error::argument("sh_degree of the variant", found, "sh_degree=N as part of the variant"))
+            }
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! What a caller says about a network whose file does not say it.
+
+use std::ops::RangeInclusive;
+
+use super::Architecture;
+use crate::{Error, Result};
+
+/// `NAME[:FIELD=VALUE]...`, of which either part may be absent.
+#[derive(Debug, Default)]
+pub(super) struct Variant<'a> {
+    pub name: Option<&'a str>,
+    pub out_layers: Option<Vec<usize>>,
+    pub alt_start: Option<usize>,
+    pub rope_start: Option<usize>,
+    pub camera_heads: Option<usize>,
+    pub gaussians_per_token: Option<usize>,
+    pub sh_degree: Option<usize>,
+}
+
+/// The fields, for messages.
+const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, gaussians_per_token or sh_degree";
+/// What a number may be; [`Architecture::validate`] says more.
+const NUMBERS: RangeInclusive<usize> = 0..=1 << 16;
+
+impl<'a> Variant<'a> {
+    /// [`Error::Argument`] for a field that is not known or no number.
+    pub fn parse(text: Option<&'a str>) -> Result<Self> {
+        let mut found = Self::default();
+        for (i, part) in text.into_iter().flat_map(|text| text.split(':')).enumerate() {
+            let Some((field, value)) = part.split_once('=') else {
+                if i > 0 {
+                    return Err(Error::argument("variant", part, format!("FIELD=VALUE, of {FIELDS}")));
+                }
+                found.name = Some(part);
+                continue;
+            };
+            let number = |text: &str| {
+                let number = text.trim().parse().ok().filter(|number| NUMBERS.contains(number));
+                number.ok_or_else(|| Error::argument(format!("{field} of the variant"), text, "a whole number"))
+            };
+            let place = match field {
+                "out_layers" => {
+                    found.out_layers = Some(value.split(',').map(number).collect::<Result<_>>()?);
+                    continue;
+                }
+                "alt_start" => &mut found.alt_start,
+                "rope_start" => &mut found.rope_start,
+                "camera_heads" => &mut found.camera_heads,
+                "gaussians_per_token" => &mut found.gaussians_per_token,
+                "sh_degree" => &mut found.sh_degree,
+                _ => return Err(Error::argument("field of the variant", field, FIELDS)),
+            };
+            *place = Some(number(value)?);
+        }
+        Ok(found)
+    }
+
+    /// Checks that nothing contradicts what a file states whole.
+    pub fn check(&self, stated: &Architecture, file: &str) -> Result<()> {
+        let Self { name, out_layers, alt_start, rope_start, camera_heads, gaussians_per_token, sh_degree } = self;
+        if let Some(name) = name.filter(|name| *name != stated.name) {
+            return Err(Error::argument("variant", name, format!("{}, as {file} says", stated.name)));
+        }
+        let numbers = [
+            ("alt_start", alt_start, stated.alt_start),
+            ("rope_start", rope_start, stated.rope_start),
+            ("camera_heads", camera_heads, stated.camera_heads),
+            ("gaussians_per_token", gaussians_per_token, stated.gaussians_per_token),
+            ("sh_degree", sh_degree, stated.sh_degree),
+        ];
+        let differs = |field: &str, found: String, stated: String| {
+            Err(Error::argument(format!("{field} of the variant"), found, format!("{stated}, as {file} says")))
+        };
+        for (field, given, stated) in numbers {
+            if let Some(given) = given.filter(|given| *given != stated) {
+                return differs(field, given.to_string(), stated.to_string());
+            }
+        }
+        match out_layers {
+            Some(given) if *given != stated.out_layers => {
+                differs("out_layers", format!("{given:?}"), format!("{:?}", stated.out_layers))
+            }
+            _ => Ok(()),
+        }
+    }
+}
