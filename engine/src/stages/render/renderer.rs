@@ -1,7 +1,9 @@
 //! Draws a scene again and again: keeps it on the device, and keeps plans.
 
 use super::{
-    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record,
+    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows,
+    range::{check, drawable},
+    record,
 };
 use crate::{
     Error, Result,
@@ -14,9 +16,6 @@ use std::sync::Arc;
 const PLANS: usize = 4;
 /// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
 const GPU_TOGETHER: usize = 8;
-/// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
-pub const MAX_SIDE: u32 = 1 << 15;
-
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
     device: Device,
@@ -119,7 +118,7 @@ impl Renderer {
         let Loaded { memory, tensors, .. } = self.scene.insert(Loaded { stored_degree: scene.sh_degree, ..loaded });
         memory.write(tensors.means, &scene.means)?;
         memory.write(tensors.scales, &scene.scales)?;
-        memory.write(tensors.quats, &scene.quats)?;
+        memory.write(tensors.quats, &drawable(&scene.quats))?;
         memory.write(tensors.opacities, &scene.opacities)?;
         if degree == scene.sh_degree {
             return memory.write(tensors.sh_coeffs, &scene.sh_coeffs);
@@ -347,23 +346,6 @@ impl Loaded {
         let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
         Ok(Planned { key, capacity, run, cameras, outputs })
     }
-}
-
-/// Holds that these pictures can be drawn.
-pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
-    if request.channels() == 0 {
-        let expected = "one of rgb, alpha, depth, normals and token colours";
-        return Err(Error::argument("render request", "no output", expected));
-    }
-    for (i, camera) in cameras.iter().enumerate() {
-        camera.validate(&format!("camera {i}"))?;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        if size.0.max(size.1) > MAX_SIDE {
-            let found = format!("{} x {}", size.0, size.1);
-            return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
-        }
-    }
-    Ok(())
 }
 
 /// Coefficients up to a degree.
