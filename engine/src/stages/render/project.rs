@@ -32,7 +32,7 @@ pub struct SceneTensors {
 /// a camera far from the world's origin loses nothing.
 pub type CameraRows = [[f32; 4]; 8];
 
-/// Converts a camera, which loses no more than 48 bits cannot hold.
+/// Converts a camera. Each number keeps 48 bits.
 pub fn camera_rows(camera: &Camera) -> CameraRows {
     let (i, Pose { rotation, translation }) = (&camera.intrinsics, &camera.pose);
     let row = |r: usize| rotation.col(r).extend(translation[r]);
