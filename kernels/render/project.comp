@@ -23,8 +23,8 @@ layout(local_size_x = 64) in;
 #include "shared/ridge.glsl"
 
 layout(constant_id = 1) const bool COLOUR = true;
-layout(constant_id = 2) const uint SH_DEGREE = 0; // effect
-layout(constant_id = 3) const bool ANTIALIASED = false; // effect
+layout(constant_id = 2) const uint SH_DEGREE = 0;
+layout(constant_id = 3) const bool ANTIALIASED = false;
 
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
 layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };

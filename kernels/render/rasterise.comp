@@ -18,12 +18,12 @@ layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint RUNS = 8;
 layout(constant_id = 2) const bool COLOUR = true;
-layout(constant_id = 3) const bool HAS_BACKGROUND = false; // effect
-layout(constant_id = 4) const bool ALPHA = false; // effect
-layout(constant_id = 5) const bool DEPTH = false; // effect
-layout(constant_id = 6) const bool EXPECTED_DEPTH = false; // effect
-layout(constant_id = 7) const bool NORMAL = false; // effect
-layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // effect: pairs of one token; 0: no token colours
+layout(constant_id = 3) const bool HAS_BACKGROUND = false;
+layout(constant_id = 4) const bool ALPHA = false;
+layout(constant_id = 5) const bool DEPTH = false;
+layout(constant_id = 6) const bool EXPECTED_DEPTH = false;
+layout(constant_id = 7) const bool NORMAL = false;
+layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // pairs of one token; 0: no token colours
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };

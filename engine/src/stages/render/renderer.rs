@@ -28,8 +28,6 @@ pub struct Renderer {
     cameras_at_once: usize,
     /// Most pictures of one submission of [`Renderer::render_each`].
     pub(super) together: usize,
-    /// Whether kernels have no code of effects.
-    plain: bool,
 }
 
 struct Loaded {
@@ -72,7 +70,6 @@ impl Renderer {
             capacity,
             cameras_at_once: usize::MAX,
             together: if device.limits().cpu { 1 } else { GPU_TOGETHER },
-            plain: false,
         }
     }
 
@@ -80,12 +77,6 @@ impl Renderer {
     pub fn together(mut self, most: usize) -> Self {
         self.together = most.max(1);
         self
-    }
-
-    /// A renderer whose kernels were compiled without the code of any effect, to measure what effects cost that are not
-    /// asked for. It draws colour without view dependence on black, and nothing else may be asked of it.
-    pub fn without_effects(device: &Device) -> Self {
-        Self { plain: true, ..Self::new(device) }
     }
 
     /// Draws `scene` with each camera, in their order.
@@ -104,7 +95,7 @@ impl Renderer {
     /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
-        let degree = if self.plain { 0 } else { used_degree(scene) };
+        let degree = used_degree(scene);
         let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
         let loaded = match self.scene.take().filter(|loaded| same(&loaded.tensors)) {
             Some(loaded) => loaded,
@@ -283,8 +274,7 @@ impl Renderer {
                 }
                 let most = self.device.limits().max_binding_bytes as usize / 4;
                 let capacity = self.capacity.saturating_mul(shape.cameras).min(most);
-                let rec = Recorder::new(self.device.limits());
-                scene.plan(&self.device, if self.plain { rec.plain() } else { rec }, key, capacity)?
+                scene.plan(&self.device, key, capacity)?
             }
         };
         self.plans.push(planned);
@@ -340,7 +330,8 @@ impl Loaded {
         Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
     }
 
-    fn plan(&self, device: &Device, mut rec: Recorder, key: Key, capacity: usize) -> Result<Planned> {
+    fn plan(&self, device: &Device, key: Key, capacity: usize) -> Result<Planned> {
+        let mut rec = Recorder::new(device.limits());
         let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
         let outputs = record(&mut rec, &self.tensors, cameras, key.shape, &key.request, capacity);
         let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
