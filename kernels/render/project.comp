@@ -135,7 +135,7 @@ TileSet project(uint n, uint camera, uint pair) {
     if (!(all(greaterThan(centre + radii, vec2(0))) && all(lessThan(centre - radii, vec2(width, height))))) return none;
     vec2 place = centre, beyond = max(-centre, centre - vec2(width, height));
     if (max(beyond.x, beyond.y) > FAR_OFF)
-        find_ridge(rows_of_camera, uvec2(width, height), means[n], scale, quats[n], place, conic.y);
+        find_ridge(rows_of_camera, uvec2(width, height), means[n], scale, quats[n], place, conic);
     TileSet tiles = touched(centre, place, radii, conic, reach);
     if (tile_count(tiles) == 0) return none;
 

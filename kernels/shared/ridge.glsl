@@ -24,8 +24,8 @@ void turn(vec4 q, out vec2 turned[3][3]) {
     turned[2] = vec2[3](add(xz, wy), add(yz, -wx), add(add(ww, zz), -add(xx, yy)));
 }
 
-// Replaces a splat's place (see ridge_row) and the k of its conic.
-void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec4 quat, inout vec2 place, inout float k) {
+// Replaces a splat's place (see ridge_row) and its conic.
+void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec4 quat, inout vec2 place, inout vec3 conic) {
     vec2 rows[3][3], offset[3], p[3];
     for (uint c = 0; c < 3; ++c) offset[c] = add(add(mean[c], -camera[c].w), vec2(-camera[4 + c].w, 0));
     for (uint r = 0; r < 3; ++r) {
@@ -53,5 +53,7 @@ void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec
     float row = ridge_row(centre[1].x, size.y);
     vec2 rise = add(add(row, -centre[1].x), vec2(-centre[1].y, 0));
     place = vec2(add(centre[0], multiply(shear, rise)).x, centre[1].x);
-    k = shear.x;
+    // A = yy / det and P = 1 / yy with a better yy = v v + BLUR: what is left of v cancels where a needle lies along the rows.
+    float better = squares.x * conic.z / pixel / pixel;
+    conic = vec3(conic.x * better, shear.x, conic.z / better);
 }

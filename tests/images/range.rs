@@ -135,7 +135,8 @@ fn gaussians_of_any_size_are_drawn() {
 fn cameras_beyond_f32_are_refused() {
     let mut renderer = Renderer::new(device());
     renderer.load(&random_scene(10, 0, 0.1)).unwrap();
-    let changes: [(&str, f64, fn(&mut Camera, f64)); 6] = [
+    type Change = fn(&mut Camera, f64);
+    let changes: [(&str, f64, Change); 6] = [
         ("fx", 1e-40, |camera, value| camera.intrinsics.fx = value),
         ("fy", 1e39, |camera, value| camera.intrinsics.fy = value),
         ("cx", -1e39, |camera, value| camera.intrinsics.cx = value),

@@ -97,16 +97,20 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, colour: [f
     let trace = Bounded::dot(u, u) + Bounded::dot(v, v);
     let det = sharp + blur * trace + blur * blur;
     let (xy, yy) = (Bounded::dot(u, v), Bounded::dot(v, v) + blur);
+    let place = [0, 1].map(|a| focal[a] * p[a] / p[2] + principal[a]);
+    let beyond = far_off(place, [i.width, i.height].map(f64::from));
+    // Of a better v v + BLUR, where the place is its ridge's: a few roundings.
+    let yy = if beyond == [false; 2] { yy } else { Bounded { value: yy.value, error: 24.0 * U * yy.value } };
     let opacity = Bounded::exact(scene.opacities[n]);
     let splat = Splat {
-        place: [0, 1].map(|a| focal[a] * p[a] / p[2] + principal[a]),
+        place,
         row: None,
         conic: [scaled(yy / det), xy / yy, scaled(Bounded::exact(1.0) / yy)],
         opacity: if antialiased { opacity * (sharp / det).sqrt() } else { opacity },
         colour: colours(scene, n, colour),
         depth: p[2],
     };
-    far_off(splat, [i.width, i.height].map(f64::from))
+    if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
 }
 
 /// Where the Gaussian lies from the camera's centre, which is two numbers there.
@@ -118,18 +122,20 @@ fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     })
 }
 
-/// kernels/shared/ridge.glsl, which computes with twice the bits and rounds what it gives. Near the threshold a splat may or
-/// may not go through it, and keeps the larger bound.
-fn far_off(splat: Splat, size: [f64; 2]) -> Splat {
-    let beyond = [0, 1].map(|a| {
-        let Bounded { value, error } = splat.place[a];
+/// Whether a place is sure to lie so far beyond the picture's sides that a splat's place is its ridge's. Near the threshold it
+/// may or may not, and the splat keeps the larger bound.
+fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
+    [0, 1].map(|a| {
+        let Bounded { value, error } = place[a];
         (-value).max(value - size[a]) - error > FAR_OFF
-    });
-    if beyond == [false; 2] {
-        return splat;
-    }
+    })
+}
+
+/// kernels/shared/ridge.glsl, which computes with twice the bits and rounds what it gives; `height` where the centre's row is
+/// beyond the picture's.
+fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     let ([x, y], [a, k, p]) = (splat.place.map(|at| at.value), splat.conic);
-    let row = beyond[1].then(|| y.clamp(0.0, size[1]));
+    let row = height.map(|height| y.clamp(0.0, height));
     let rise = row.map_or(0.0, |row| row - y);
     let again = |value: f64, from: f64| Bounded { error: U * value.abs() + from * (-40f64).exp2(), value };
     Splat {

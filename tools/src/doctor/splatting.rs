@@ -105,7 +105,12 @@ pub fn area() -> Area {
     add("a turned camera", turned(scene(60, 1, keep), pose), false);
     for distance in [1e4, 1e6] {
         let far = Pose { translation: distance * DVec3::new(1.0 / 3.0, 0.1, 1.0 / 7.0), ..pose };
-        add(&format!("scene and camera {distance:e} off"), turned(scene(60, 2, keep), far), false);
+        // Depths that are apart also where f32 holds them to a sixteenth.
+        let spread = |i: usize, m: &mut [f32; 3], _: &mut [f32; 3], _: &mut f32| {
+            let depth = 1.0 + 0.25 * i as f32;
+            *m = m.map(|x| x * depth / m[2]);
+        };
+        add(&format!("scene and camera {distance:e} off"), turned(scene(40, 2, spread), far), false);
     }
     for distance in [1e3, 1e5] {
         let mut off = needles_off(40, distance);
