@@ -28,16 +28,15 @@ fn main() {
 
     let kernels = sources::find(&root);
     sources::refresh(&root, &kernels);
-    let (plain, whole): (Vec<_>, Vec<_>) = kernels.iter().partition(|kernel| kernel.name.ends_with(sources::PLAIN));
-    let modules: Vec<_> = whole
-        .into_iter()
+    let modules: Vec<_> = kernels
+        .iter()
         .map(|kernel| {
             let words = fs::read(root.join("spirv").join(format!("{}.spv", kernel.name))).expect("refreshed above");
             (kernel, reflect::reflect(&kernel.name, &words))
         })
         .collect();
     let limits = fs::read_to_string(root.join("shared/limits.glsl")).expect("kernels/shared/limits.glsl");
-    fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &plain, &limits)).expect("OUT_DIR is writable");
+    fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &limits)).expect("OUT_DIR is writable");
 }
 
 /// The shared library is known by its ABI version, so that programs never meet one of another.

@@ -7,9 +7,8 @@ use crate::{
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
-/// Source text of `kernels.rs`: constants of limits.glsl, one struct a kernel, and the list of all modules. `plain` are the
-/// variants without effects.
-pub fn table(root: &Path, kernels: &[(&Source, Interface)], plain: &[&Source], limits: &str) -> String {
+/// Source text of `kernels.rs`: constants of limits.glsl, one struct a kernel, and the list of all modules.
+pub fn table(root: &Path, kernels: &[(&Source, Interface)], limits: &str) -> String {
     let mut areas = BTreeMap::<&str, String>::new();
     let mut all = String::new();
     for modules in kernels.chunk_by(|a, b| a.0.kernel == b.0.kernel) {
@@ -17,8 +16,7 @@ pub fn table(root: &Path, kernels: &[(&Source, Interface)], plain: &[&Source], l
         for index in 0..modules.len() {
             writeln!(all, "    &{area}::{}[{index}],", table_name(stem)).expect("string");
         }
-        let plain = plain.iter().find(|plain| plain.kernel == modules[0].0.kernel).copied();
-        *areas.entry(area).or_default() += &kernel_struct(root, stem, modules, plain);
+        *areas.entry(area).or_default() += &kernel_struct(root, stem, modules);
     }
     let mut text = String::from("use crate::gpu::{Binding, Element, Kernel, LocalSize, Module, Needs, Tensor};\n\n");
     writeln!(text, "/// Constants that kernels and host share, from kernels/shared/limits.glsl.\npub mod limits {{")
@@ -40,7 +38,7 @@ pub fn table(root: &Path, kernels: &[(&Source, Interface)], plain: &[&Source], l
     text
 }
 
-fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)], plain: Option<&Source>) -> String {
+fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)]) -> String {
     let (source, interface) = &modules[0];
     let (name, kernel) = (&source.kernel, camel_case(stem));
     let fields = |i: &Interface| (fields(i), i.buffers.iter().map(|b| b.binding).collect::<Vec<_>>());
@@ -70,16 +68,6 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)], plai
         interface.constants.iter().map(|(_, field, scalar)| format!("self.{field}{}", to_bits(*scalar))).collect(),
     );
     let table: String = modules.iter().map(|(source, interface)| module(root, source, interface)).collect();
-    let plain = plain.map_or_else(String::new, |plain| {
-        format!(
-            "
-        fn plain(&self) -> &'static Module {{
-            static PLAIN: [Module; 1] = [{}];
-            &PLAIN[0]
-        }}",
-            module(root, plain, interface)
-        )
-    });
     let (summary, table_name, count) = (source.summary.replace('[', "\\["), table_name(stem), modules.len());
     format!(
         "
@@ -92,7 +80,7 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)], plai
     pub(super) static {table_name}: [Module; {count}] = [{table}];
 
     impl Kernel for {kernel} {{
-        fn module(&self) -> &'static Module {{ &{table_name}[{index}] }}{plain}
+        fn module(&self) -> &'static Module {{ &{table_name}[{index}] }}
         fn buffers(&self) -> Vec<Tensor> {{ vec![{buffers}] }}
         #[allow(unused_mut)]
         fn push(&self) -> [u32; 16] {{

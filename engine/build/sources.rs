@@ -31,11 +31,6 @@ impl Source {
     }
 }
 
-/// Ends the names of variants of kernels from which the code of every effect was taken: their constants that are marked
-/// `// effect` keep the values that turn effects off and are no specialisation constants any more, and lines of the form
-/// `if (EFFECT) statement;` or `if (EFFECT > 0) statement;` are gone.
-pub const PLAIN: &str = ".plain";
-
 /// Every kernel below `root`, by name.
 pub fn find(root: &Path) -> Vec<Source> {
     let mut sources = Vec::new();
@@ -137,30 +132,7 @@ fn load(root: &Path, kernel: String) -> Vec<Source> {
         let hash = hash(&text);
         Source { kernel: kernel.clone(), name, elements, text, summary: summary.clone(), hash }
     };
-    let mut modules: Vec<Source> = elements::choices(&text).into_iter().map(module).collect();
-    modules.extend(plain(&modules[0]));
-    modules
-}
-
-/// The variant without effects, where the kernel has any.
-fn plain(source: &Source) -> Option<Source> {
-    let effect = |line: &str| {
-        let (_, constant) = line.split_once(") const ").filter(|_| line.contains("; // effect"))?;
-        Some((constant.split(' ').nth(1)?.to_owned(), format!("const {constant}\n")))
-    };
-    let names: BTreeSet<String> = source.text.lines().filter_map(|line| Some(effect(line)?.0)).collect();
-    let fixed = |line: &str| match (effect(line), line.trim_start().strip_prefix("if (")) {
-        (Some((_, constant)), _) => constant,
-        (_, Some(rest)) if names.contains(rest.split([' ', ')']).next().unwrap_or_default()) => "\n".into(),
-        _ => format!("{line}\n"),
-    };
-    if names.is_empty() {
-        return None;
-    }
-    assert!(source.elements.is_empty(), "kernels/{}.comp: effects and elements in one kernel", source.kernel);
-    let text: String = source.text.lines().map(fixed).collect();
-    let (kernel, name, summary) = (source.kernel.clone(), format!("{}{PLAIN}", source.name), source.summary.clone());
-    Some(Source { kernel, name, elements: Vec::new(), hash: hash(&text), text, summary })
+    elements::choices(&text).into_iter().map(module).collect()
 }
 
 fn hash(text: &str) -> String {

@@ -1,11 +1,12 @@
 // Finds the normals of Gaussians: the shortest axis of each, turned towards the camera.
 //
-// In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; cameras [C, 5, 4] as
-// render/project reads them. Out, for each pair of a Gaussian and a camera [N, C]: normals [3], unit vectors, world.
+// In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; cameras [C, 2, 4, 4],
+// see shared/camera. Out, for each pair of a Gaussian and a camera [N, C]: normals [3], unit vectors, world.
 // One invocation owns one pair. Of axes equally short the first is taken.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;
+#include "shared/camera.glsl"
 #include "shared/index.glsl"
 #include "shared/rotation.glsl"
 
@@ -23,5 +24,8 @@ void main() {
     mat3 axes = rotation(unit(quats[n]));
     vec3 scale = scales[n];
     vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
-    normals[pair] = dot(axis, cameras[5 * camera + 4].xyz - means[n]) < 0 ? -axis : axis;
+    uint at = CAMERA_ROWS * camera;
+    vec3 centre = vec3(cameras[at].w, cameras[at + 1].w, cameras[at + 2].w);
+    vec3 rest = vec3(cameras[at + 4].w, cameras[at + 5].w, cameras[at + 6].w);
+    normals[pair] = dot(axis, from_centre(means[n], centre, rest)) > 0 ? -axis : axis;
 }

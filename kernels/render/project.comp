@@ -1,25 +1,30 @@
 // Projects Gaussians to the image planes of several cameras and finds the tiles that each one touches.
 //
 // In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; opacities [N];
-// sh_coeffs [N, (SH_DEGREE + 1)^2, 3]; cameras [C, 5, 4]: three rows of world-to-camera, (fx, fy, cx, cy) pixels, centre.
-// Out, for each pair of a Gaussian and a camera [N, C]: xy_opacities [3] pixels and opacity; conics [3], see below;
+// sh_coeffs [N, (SH_DEGREE + 1)^2, 3]; cameras [C, 2, 4, 4], see shared/camera.
+// Out, for each pair of a Gaussian and a camera [N, C]: xy_opacities [3], place in pixels (the centre, or the ridge's x, see
+// shared/splat, and the centre's y) and opacity; conics [3], see below;
 // colours [3]; depths (bits of camera z); tile_sets [3]; indices of the pairs.
 // One invocation owns one pair.
 //
 // A conic (A, k, P) is the inverse covariance [[A, -Ak], [-Ak, Ak^2 + P]] completed to squares:
-// d' conic d = A (dx - k dy)^2 + P dy^2, which neither cancels for needles nor is ever negative.
+// d' conic d = A (dx - k dy)^2 + P dy^2, which neither cancels for needles nor is ever negative. dx - k dy is measured from
+// the splat's ridge.
 // EWA splatting (Zwicker et al. 2001) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;
+#include "shared/camera.glsl"
+#include "shared/double_float.glsl"
 #include "shared/index.glsl"
 #include "shared/rotation.glsl"
 #include "shared/spherical_harmonics.glsl"
 #include "shared/splat.glsl"
+#include "shared/ridge.glsl"
 
 layout(constant_id = 1) const bool COLOUR = true;
-layout(constant_id = 2) const uint SH_DEGREE = 0; // effect
-layout(constant_id = 3) const bool ANTIALIASED = false; // effect
+layout(constant_id = 2) const uint SH_DEGREE = 0;
+layout(constant_id = 3) const bool ANTIALIASED = false;
 
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
 layout(scalar, set = 0, binding = 1) readonly buffer Scales { vec3 scales[]; };
@@ -37,32 +42,36 @@ layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_co
 
 const float NEAR = 0.01;
 const float FAR = 1e10;
-const float BLUR = 0.3;        // pixels^2 added to both variances: a Gaussian is never thinner than a pixel
 const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 falls below ALPHA_MIN
+const float LONG = 1e8;        // pixels: powers of what is longer would overflow
+const float LONGEST = 1e15;    // pixels: what is longer is the same in every picture, unless its centre is as far off
 
-// Smallest d' conic d over the pixel centres between `from` and `to`, relative to the Gaussian's centre. The form is
-// convex with its minimum at 0, so it lies at 0 or on an edge that faces 0.
-float nearest(vec3 conic, vec2 from, vec2 to) {
-    vec2 edge = clamp(vec2(0), from, to);
-    float y = clamp(conic.x * conic.y * edge.x / (conic.x * conic.y * conic.y + conic.z), from.y, to.y);
-    float x = clamp(conic.y * edge.y, from.x, to.x);
-    vec2 e = vec2(edge.x - conic.y * y, x - conic.y * edge.y);
-    vec2 q = conic.x * e * e + conic.z * vec2(y * y, edge.y * edge.y);
+// Smallest d' conic d over the pixel centres between `from` and `to`. The form is convex with its minimum at the centre, so
+// it lies there or on an edge that faces it.
+float nearest(vec3 conic, vec2 centre, vec2 place, vec2 from, vec2 to) {
+    float row = ridge_row(place.y, height), rise = place.y - row;
+    vec2 edge = clamp(centre, from, to);
+    float along = conic.x * conic.y * (edge.x - place.x) + conic.z * rise;
+    float y = clamp(row + along / (conic.x * conic.y * conic.y + conic.z), from.y, to.y);
+    float x = clamp(place.x + conic.y * (edge.y - row), from.x, to.x);
+    vec2 e = vec2(edge.x - place.x - conic.y * (y - row), x - place.x - conic.y * (edge.y - row));
+    vec2 dy = vec2(y, edge.y) - place.y;
+    vec2 q = conic.x * e * e + conic.z * dy * dy;
     return min(q.x, q.y);
 }
 
-// Tiles within `radii` of xy; of few tiles, those where an alpha reaches ALPHA_MIN. `reach` is the largest d' conic d
-// that does; the margin covers the rounding of d' conic d within images of 2^15 pixels a side.
-TileSet touched(vec2 xy, vec2 radii, vec3 conic, float reach) {
+// Tiles within `radii` of the centre; of few tiles, those where an alpha reaches ALPHA_MIN. `reach` is the largest d' conic
+// d that does; the margin covers the rounding of d' conic d within images of 2^15 pixels a side.
+TileSet touched(vec2 centre, vec2 place, vec2 radii, vec3 conic, float reach) {
     vec2 grid = (uvec2(width, height) + TILE - 1) / TILE;
-    uvec2 first = uvec2(clamp(floor((xy - radii) / TILE), vec2(0), grid));
-    uvec2 end = uvec2(clamp(ceil((xy + radii) / TILE), vec2(0), grid));
+    uvec2 first = uvec2(clamp(floor((centre - radii) / TILE), vec2(0), grid));
+    uvec2 end = uvec2(clamp(ceil((centre + radii) / TILE), vec2(0), grid));
     TileSet tiles = TileSet(first, end - min(first, end), 0);
     uint area = tiles.size.x * tiles.size.y;
     if (area == 0 || area > 32) return tiles;
     for (uint t = 0; t < area; ++t) {
-        vec2 corner = vec2(first + uvec2(t % tiles.size.x, t / tiles.size.x)) * TILE - xy;
-        if (nearest(conic, corner + 0.5, corner + TILE - 0.5) <= reach + 0.1) tiles.mask |= 1u << t;
+        vec2 corner = vec2(first + uvec2(t % tiles.size.x, t / tiles.size.x)) * TILE;
+        if (nearest(conic, centre, place, corner + 0.5, corner + TILE - 0.5) <= reach + 0.1) tiles.mask |= 1u << t;
     }
     if (tiles.mask == 0) tiles.size = uvec2(0);
     return tiles;
@@ -76,9 +85,10 @@ void add_bands(uint n, vec3 direction, inout vec3 sum) {
     for (uint k = 1; k < COEFFS; ++k) sum += basis[k] * sh_coeffs[n * COEFFS + k];
 }
 
-vec3 colour(uint n, uint camera) {
+// Seen along `offset`, which is divided by its largest component first, so that its square does not overflow.
+vec3 colour(uint n, vec3 offset) {
     vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
-    if (SH_DEGREE > 0) add_bands(n, normalize(means[n] - cameras[5 * camera + 4].xyz), sum);
+    if (SH_DEGREE > 0) add_bands(n, normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z))), sum);
     return max(sum, 0);
 }
 
@@ -86,9 +96,13 @@ vec3 colour(uint n, uint camera) {
 // are written so that NaN draws nothing.
 TileSet project(uint n, uint camera, uint pair) {
     const TileSet none = TileSet(uvec2(0), uvec2(0), 0);
-    mat4x3 view = transpose(mat3x4(cameras[5 * camera], cameras[5 * camera + 1], cameras[5 * camera + 2]));
-    vec2 focal = cameras[5 * camera + 3].xy, principal = cameras[5 * camera + 3].zw;
-    vec3 p = view * vec4(means[n], 1);
+    vec4 rows_of_camera[CAMERA_ROWS];
+    for (uint r = 0; r < CAMERA_ROWS; ++r) rows_of_camera[r] = cameras[CAMERA_ROWS * camera + r];
+    mat4x3 view = transpose(mat3x4(rows_of_camera[0], rows_of_camera[1], rows_of_camera[2]));
+    vec3 rest = vec3(rows_of_camera[4].w, rows_of_camera[5].w, rows_of_camera[6].w);
+    vec2 focal = rows_of_camera[3].xy, principal = rows_of_camera[3].zw;
+    vec3 offset = from_centre(means[n], view[3], rest);
+    vec3 p = mat3(view) * offset;
     depths[pair] = CULLED_DEPTH;
     if (!(p.z >= NEAR && p.z <= FAR)) return none;
 
@@ -97,30 +111,38 @@ TileSet project(uint n, uint camera, uint pair) {
     vec2 slope = clamp(p.xy / p.z, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
     mat3 axes = mat3(view) * rotation(unit(quats[n]));
     mat3 rows = transpose(axes);
-    vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scales[n];
-    vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scales[n];
+    vec3 scale = min(scales[n], LONGEST * p.z / dot(focal, 1 + abs(slope)));
+    vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scale;
+    vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scale;
+    float longest = sqrt(max(dot(u, u), dot(v, v))), unit = longest > LONG ? 1 / longest : 1;
+    u *= unit;
+    v *= unit;
 
     // Determinants as sums of squares (Cauchy-Binet), because ac - b^2 cancels for needles.
     vec3 minors = cross(u, v);
+    float blur = BLUR * unit * unit;
     float sharp = dot(minors, minors), trace = dot(u, u) + dot(v, v);
-    float det = sharp + BLUR * trace + BLUR * BLUR;
-    float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
-    vec3 conic = vec3(yy / det, xy / yy, 1 / yy);
+    float det = sharp + blur * trace + blur * blur;
+    float xx = dot(u, u) + blur, xy = dot(u, v), yy = dot(v, v) + blur;
+    vec3 conic = vec3(yy / det * unit * unit, xy / yy, unit * unit / yy);
 
     float opacity = opacities[n];
     if (ANTIALIASED) opacity *= sqrt(sharp / det);
     if (!(opacity >= ALPHA_MIN)) return none;
     float reach = 2 * log(255 * opacity);
-    vec2 radii = ceil(min(EXTENT_MAX, sqrt(reach)) * sqrt(vec2(xx, yy)));
+    vec2 radii = ceil(min(EXTENT_MAX, sqrt(reach)) * sqrt(vec2(xx, yy)) / unit);
     vec2 centre = focal * p.xy / p.z + principal;
     if (!(all(greaterThan(centre + radii, vec2(0))) && all(lessThan(centre - radii, vec2(width, height))))) return none;
-    TileSet tiles = touched(centre, radii, conic, reach);
+    vec2 place = centre, beyond = max(-centre, centre - vec2(width, height));
+    if (max(beyond.x, beyond.y) > FAR_OFF)
+        find_ridge(rows_of_camera, uvec2(width, height), means[n], scale, quats[n], place, conic);
+    TileSet tiles = touched(centre, place, radii, conic, reach);
     if (tile_count(tiles) == 0) return none;
 
     depths[pair] = floatBitsToUint(p.z);
-    xy_opacities[pair] = vec3(centre, opacity);
+    xy_opacities[pair] = vec3(place, opacity);
     conics[pair] = conic;
-    if (COLOUR) colours[pair] = colour(n, camera);
+    if (COLOUR) colours[pair] = colour(n, offset);
     return tiles;
 }
 

@@ -18,12 +18,12 @@ layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint RUNS = 8;
 layout(constant_id = 2) const bool COLOUR = true;
-layout(constant_id = 3) const bool HAS_BACKGROUND = false; // effect
-layout(constant_id = 4) const bool ALPHA = false; // effect
-layout(constant_id = 5) const bool DEPTH = false; // effect
-layout(constant_id = 6) const bool EXPECTED_DEPTH = false; // effect
-layout(constant_id = 7) const bool NORMAL = false; // effect
-layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // effect: pairs of one token; 0: no token colours
+layout(constant_id = 3) const bool HAS_BACKGROUND = false;
+layout(constant_id = 4) const bool ALPHA = false;
+layout(constant_id = 5) const bool DEPTH = false;
+layout(constant_id = 6) const bool EXPECTED_DEPTH = false;
+layout(constant_id = 7) const bool NORMAL = false;
+layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // pairs of one token; 0: no token colours
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
@@ -127,14 +127,16 @@ void main() {
         uint pair = pair_indices[i];
         Values seen = values(pair);
         float opacity = xy_opacities[pair].z;
-        vec2 corner = vec2(tile() * TILE) + 0.5 - xy_opacities[pair].xy;
+        vec2 place = xy_opacities[pair].xy, first = vec2(tile() * TILE) + 0.5;
+        // Of the first pixel from the splat's place, and y again from the row where the ridge's x is that place's.
+        vec3 corner = vec3(first - place, first.y - ridge_row(place.y, size.y));
         // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2), and the exponent below which alpha is below ALPHA_MIN.
         vec3 conic = conics[pair] * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E);
         float faint = log2(ALPHA_MIN / opacity) - ROUNDING;
         bool live = false;
         for (uint run = 0; run < RUNS; ++run) {
-            vec2 from = corner + run_start(run) + vec2(0, lane_offset().y);
-            float shear = conic.y * from.y, across = conic.z * from.y * from.y;
+            vec3 from = corner + run_start(run).xyy + vec3(0, lane_offset().yy);
+            float shear = conic.y * from.z, across = conic.z * from.y * from.y;
             float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
             if (conic.x * nearest * nearest + across >= faint) {
                 float e = from.x + lane_offset().x - shear;

@@ -4,7 +4,13 @@
 const float ALPHA_MIN = 1.0 / 255.0;      // weaker contributions are skipped
 const float ALPHA_MAX = 0.999;            // stronger ones are clamped
 const float TRANSMITTANCE_MIN = 1e-4;     // a pixel is done before it would get here
+const float BLUR = 0.3;                   // pixels^2 added to both variances: a Gaussian is never thinner than a pixel
+const float FAR_OFF = 256;                // pixels beyond a picture from which on a splat's place is its ridge's
 const uint CULLED_DEPTH = 0x7f800000;     // bits of +infinity: what is not drawn sorts behind everything
+
+// The row at which the x of a splat's place lies on its ridge, where alpha is largest in a row: its centre's, or, so that
+// a long needle's ridge is exact where it is seen, the picture's nearest.
+float ridge_row(float y, uint height) { return y < -FAR_OFF || y > height + FAR_OFF ? clamp(y, 0, height) : y; }
 
 // All tiles of a rectangle, or, where it has at most 32, those whose bit is set (row-major).
 struct TileSet {

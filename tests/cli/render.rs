@@ -178,7 +178,7 @@ fn explaining_names_passes_and_what_was_left_out() {
     let passes = json["explain"]["passes"].as_array().expect("a list");
     let normals = passes.iter().find(|pass| pass["pass"] == "render/normals").expect("it ran");
     // 200 Gaussians: means, scales, quats and normals, and one camera.
-    assert_eq!(normals["bytes"].as_u64(), Some(200 * (12 + 12 + 16 + 12) + 80));
+    assert_eq!(normals["bytes"].as_u64(), Some(200 * (12 + 12 + 16 + 12) + 128));
     let left_out = json["explain"]["left_out"].as_array().expect("a list");
     let has = |what: &str| left_out.iter().any(|left| left["what"] == what);
     assert!(has("depth") && !has("normals") && !has("background"), "{left_out:?}");

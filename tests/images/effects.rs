@@ -99,19 +99,6 @@ fn what_is_not_asked_for_changes_nothing() {
     }
 }
 
-#[test]
-fn kernels_without_effects_draw_the_same() {
-    let (scene, camera) = (random_scene(2_000, 0, 0.1), camera(100, 60));
-    let mut plain = Renderer::without_effects(device());
-    let request = RenderRequest::default();
-    assert_eq!(plain.render(&scene, &[camera], &request).unwrap(), render(&scene, &[camera], &request));
-    // Of a scene with more bands they draw the first.
-    let more = random_scene(50, 2, 0.2);
-    let mut first = Scene { sh_degree: 0, sh_coeffs: Vec::new(), ..more.clone() };
-    first.sh_coeffs.extend(more.sh_coeffs.iter().step_by(9));
-    assert_eq!(plain.render(&more, &[camera], &request).unwrap(), render(&first, &[camera], &request));
-}
-
 /// The plan of 5,000 Gaussians in a picture of 64 x 64.
 fn plan(request: &RenderRequest) -> Plan {
     let (len, sh_degree) = (5_000, 1);

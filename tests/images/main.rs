@@ -3,4 +3,5 @@
 mod effects;
 mod precision;
 mod properties;
+mod range;
 mod render;

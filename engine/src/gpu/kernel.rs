@@ -161,10 +161,6 @@ impl Element {
 pub trait Kernel {
     /// Code and interface, for the element types of this call.
     fn module(&self) -> &'static Module;
-    /// The same without the code of any effect: see [`super::Recorder::plain`].
-    fn plain(&self) -> &'static Module {
-        self.module()
-    }
     /// Tensors in the order of [`Module::bindings`].
     fn buffers(&self) -> Vec<Tensor>;
     /// Push constants, by word.

@@ -15,7 +15,6 @@ pub struct Recorder {
     scope: u32,
     allocations: Vec<Allocation>,
     observed: Option<Vec<(String, Tensor)>>,
-    plain: bool,
     error: Option<Error>,
 }
 
@@ -29,7 +28,6 @@ impl Recorder {
             scope: 0,
             allocations: Vec::new(),
             observed: None,
-            plain: false,
             error: None,
         }
     }
@@ -77,13 +75,6 @@ impl Recorder {
     /// From here on, [`Recorder::observe`] keeps what it is shown.
     pub fn observing(mut self) -> Self {
         self.observed = Some(Vec::new());
-        self
-    }
-
-    /// From here on, kernels are those that were compiled without the code of any effect, to measure what effects cost
-    /// that are turned off. They ignore what asks for one.
-    pub fn plain(mut self) -> Self {
-        self.plain = true;
         self
     }
 
@@ -196,7 +187,7 @@ impl Recorder {
     }
 
     fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
-        let module = if self.plain { kernel.plain() } else { kernel.module() };
+        let module = kernel.module();
         let Needs { half_storage, matrices } = module.needs;
         let can = (!half_storage || self.limits.half_storage)
             && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some());

@@ -15,9 +15,11 @@ use zipsplat_tests::{
 #[test]
 fn equals_the_eigenvectors_of_the_covariances() {
     let turned = Pose { rotation: glam::DMat3::from_rotation_y(0.7), translation: [3.0, 0.5, 2.0].into() };
-    let cameras = [camera(64, 64), Camera { pose: turned, ..camera(64, 64) }];
-    for count in [0, 1, 63, 64, 1000] {
-        let scene = random_scene(count, 0, 0.3);
+    for (count, off) in [(0, 0.0), (1, 0.0), (63, 0.0), (64, 0.0), (1000, 0.0), (1000, 1e6)] {
+        let mut cameras = [camera(64, 64), Camera { pose: turned, ..camera(64, 64) }];
+        let mut scene = random_scene(count, 0, 0.3);
+        cameras.iter_mut().for_each(|camera| camera.pose.translation += off / 3.0);
+        scene.means.iter_mut().flatten().for_each(|x| *x = (f64::from(*x) + off / 3.0) as f32);
         let mut rec = Recorder::new(device().limits());
         let pairs = count * cameras.len();
         let kernel = Normals {

@@ -94,10 +94,12 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
         return None;
     }
     let centre = [fx * p.x / p.z + cx, fy * p.y / p.z + cy];
-    let before = covariance_2d(gaussians, i, camera, p);
-    let [xx, xy, yy] = [before[0] + EPS_2D, before[1], before[2] + EPS_2D];
-    let determinant = xx * yy - xy * xy;
-    let compensation = ((before[0] * before[2] - xy * xy) / determinant).max(0.0).sqrt();
+    let [u, v] = spread_2d(gaussians, i, camera, p);
+    let blur = EPS_2D.sqrt();
+    let [wide_u, wide_v] = [[u[0], u[1], u[2], blur, 0.0], [v[0], v[1], v[2], 0.0, blur]];
+    let [xx, xy, yy] = [dot(&wide_u, &wide_u), dot(&wide_u, &wide_v), dot(&wide_v, &wide_v)];
+    let determinant = gram_determinant(&wide_u, &wide_v);
+    let compensation = (gram_determinant(&u, &v) / determinant).sqrt();
     let opacity = gaussians.opacities[i] * if antialiased { compensation } else { 1.0 };
     if opacity < MIN_ALPHA {
         return None;
@@ -123,13 +125,30 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
     })
 }
 
-/// The ellipse's covariance xx, xy, yy before the blur, linearised at the camera-space mean `p`, whose slope is held
-/// within 15 % of the picture's width (height) beyond its borders.
-fn covariance_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> [f64; 3] {
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// `|a|^2 |b|^2 - (a b)^2` by orthogonalising (Gram and Schmidt, twice), which does not cancel where they are nearly parallel.
+fn gram_determinant(a: &[f64], b: &[f64]) -> f64 {
+    let square = dot(a, a);
+    if square == 0.0 {
+        return 0.0;
+    }
+    let mut rest = b.to_vec();
+    for _ in 0..2 {
+        let along = dot(a, &rest) / square;
+        rest.iter_mut().zip(a).for_each(|(rest, a)| *rest -= along * a);
+    }
+    square * dot(&rest, &rest)
+}
+
+/// Two vectors whose products are the ellipse's covariance before the blur, linearised at the camera-space mean `p`, whose
+/// slope is held within 15 % of the picture's width (height) beyond its borders.
+fn spread_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> [[f64; 3]; 2] {
     let [w, x, y, z] = gaussians.quats[i];
     let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let spread = camera.rotation * axes * DMat3::from_diagonal(DVec3::from(gaussians.scales[i]));
-    let covariance = spread * spread.transpose();
 
     let [fx, fy, cx, cy] = camera.intrinsics;
     let held = |slope: f64, focal: f64, principal: f64, size: usize| {
@@ -141,7 +160,7 @@ fn covariance_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> 
     // Rows of the Jacobian of (fx x / z, fy y / z).
     let u = DVec3::new(fx, 0.0, -fx * tx) / p.z;
     let v = DVec3::new(0.0, fy, -fy * ty) / p.z;
-    [u.dot(covariance * u), u.dot(covariance * v), v.dot(covariance * v)]
+    [u, v].map(|row| (spread.transpose() * row).into())
 }
 
 fn tiles(centre: [f64; 2], radii: [f64; 2], size: [usize; 2]) -> [[u32; 2]; 2] {

@@ -2,7 +2,7 @@
 //! kernels' own formulas in running error analysis.
 
 use super::bound::{Bounded, U, ULP};
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use zipsplat::types::{Camera, Scene};
 use zipsplat_reference::render::{
@@ -12,6 +12,8 @@ use zipsplat_reference::render::{
 
 /// As kernels/shared/splat.glsl and kernels/render/project.comp have them.
 const BLUR: f64 = 0.3;
+const FAR_OFF: f64 = 256.0;
+const LONG: f64 = 1e8;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 
@@ -20,7 +22,9 @@ pub type PixelBounds = [f64; 5];
 
 /// What the kernels keep of a Gaussian.
 struct Splat {
-    centre: [Bounded; 2],
+    place: [Bounded; 2],
+    /// The row at which the x of `place` lies on the ridge, where that is not the centre's.
+    row: Option<f64>,
     /// Inverse covariance as squares: A, k, P.
     conic: [Bounded; 3],
     opacity: Bounded,
@@ -66,13 +70,9 @@ pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBou
 
 /// kernels/render/project.comp, line by line.
 fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, colour: [f64; 3]) -> Splat {
-    let view = camera.view_matrix();
-    let mean = scene.means[n].map(Bounded::exact);
-    let row = |r: usize| [0, 1, 2, 3].map(|c| Bounded::rounded(view.col(c)[r]));
-    let p = [0, 1, 2].map(|r| {
-        let row = row(r);
-        Bounded::dot([row[0], row[1], row[2]], mean) + row[3]
-    });
+    let rotation = camera.pose.rotation;
+    let offset = offset(scene, n, camera);
+    let p = [0, 1, 2].map(|r| Bounded::dot(rotation.col(r).to_array().map(Bounded::rounded), offset));
     let i = &camera.intrinsics;
     let focal = [i.fx, i.fy].map(Bounded::rounded);
     let principal = [i.cx, i.cy].map(Bounded::rounded);
@@ -82,22 +82,67 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, colour: [f
         let low = -principal[a] / focal[a] - margin;
         (p[a] / p[2]).max(low).min((size[a] - principal[a]) / focal[a] + margin)
     });
-    let axes = axes(scene.quats[n], |r, c| row(r)[c]);
+    let axes = axes(scene.quats[n], |r, c| Bounded::rounded(rotation.col(r)[c]));
     let scales = scene.scales[n].map(Bounded::exact);
     let spread = |a: usize| [0, 1, 2].map(|c| focal[a] / p[2] * (axes[a][c] - slope[a] * axes[2][c]) * scales[c]);
-    let [u, v] = [spread(0), spread(1)];
+    let (mut u, mut v, mut unit) = (spread(0), spread(1), None);
+    let longest = Bounded::dot(u, u).max(Bounded::dot(v, v)).sqrt();
+    if longest.value > LONG {
+        let by = Bounded::exact(1.0) / longest;
+        (u, v, unit) = (u.map(|x| x * by), v.map(|x| x * by), Some(by * by));
+    }
+    let scaled = |x: Bounded| unit.map_or(x, |unit| x * unit);
     let minors = [[1, 2], [2, 0], [0, 1]].map(|[a, b]| u[a] * v[b] - u[b] * v[a]);
-    let (blur, sharp) = (Bounded::rounded(BLUR), Bounded::dot(minors, minors));
+    let (blur, sharp) = (scaled(Bounded::rounded(BLUR)), Bounded::dot(minors, minors));
     let trace = Bounded::dot(u, u) + Bounded::dot(v, v);
     let det = sharp + blur * trace + blur * blur;
     let (xy, yy) = (Bounded::dot(u, v), Bounded::dot(v, v) + blur);
+    let place = [0, 1].map(|a| focal[a] * p[a] / p[2] + principal[a]);
+    let beyond = far_off(place, [i.width, i.height].map(f64::from));
+    // Of a better v v + BLUR, where the place is its ridge's: a few roundings.
+    let yy = if beyond == [false; 2] { yy } else { Bounded { value: yy.value, error: 24.0 * U * yy.value } };
     let opacity = Bounded::exact(scene.opacities[n]);
-    Splat {
-        centre: [0, 1].map(|a| focal[a] * p[a] / p[2] + principal[a]),
-        conic: [yy / det, xy / yy, Bounded::exact(1.0) / yy],
+    let splat = Splat {
+        place,
+        row: None,
+        conic: [scaled(yy / det), xy / yy, scaled(Bounded::exact(1.0) / yy)],
         opacity: if antialiased { opacity * (sharp / det).sqrt() } else { opacity },
-        colour: colours(scene, n, camera, colour),
+        colour: colours(scene, n, colour),
         depth: p[2],
+    };
+    if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
+}
+
+/// Where the Gaussian lies from the camera's centre, which is two numbers there.
+fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
+    [0, 1, 2].map(|c| {
+        let centre = camera.pose.translation[c];
+        let coarse = Bounded::exact(scene.means[n][c]) - Bounded::exact(centre as f32);
+        coarse - Bounded::rounded(centre - f64::from(centre as f32))
+    })
+}
+
+/// Whether a place is sure to lie so far beyond the picture's sides that a splat's place is its ridge's. Near the threshold it
+/// may or may not, and the splat keeps the larger bound.
+fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
+    [0, 1].map(|a| {
+        let Bounded { value, error } = place[a];
+        (-value).max(value - size[a]) - error > FAR_OFF
+    })
+}
+
+/// kernels/shared/ridge.glsl, which computes with twice the bits and rounds what it gives; `height` where the centre's row is
+/// beyond the picture's.
+fn ridge(splat: Splat, height: Option<f64>) -> Splat {
+    let ([x, y], [a, k, p]) = (splat.place.map(|at| at.value), splat.conic);
+    let row = height.map(|height| y.clamp(0.0, height));
+    let rise = row.map_or(0.0, |row| row - y);
+    let again = |value: f64, from: f64| Bounded { error: U * value.abs() + from * (-40f64).exp2(), value };
+    Splat {
+        place: [again(x + k.value * rise, x.abs() + (k.value * rise).abs()), again(y, y.abs())],
+        row,
+        conic: [a, again(k.value, k.value.abs()), p],
+        ..splat
     }
 }
 
@@ -118,13 +163,10 @@ fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]
 }
 
 /// The reference's colour with its bound. A basis function of band l has a slope of at most
-/// `sqrt((2l + 1) l (l + 1) / 4 pi)`, 2.6 for the bands there are, and a value of at most 1.5; the direction is off by what
-/// the difference of centre and camera loses, and by its normalisation.
-fn colours(scene: &Scene, n: usize, camera: &Camera, colour: [f64; 3]) -> [Bounded; 3] {
-    let centre = camera.pose.translation;
-    let mean = DVec3::from(scene.means[n].map(f64::from));
-    let distance = (mean - centre).length();
-    let off = U * (mean.length() + 2.0 * centre.length()) / distance + 8.0 * ULP;
+/// `sqrt((2l + 1) l (l + 1) / 4 pi)`, 2.6 for the bands there are, and a value of at most 1.5; the direction is off by
+/// two roundings of the difference of centre and camera, and by its normalisation.
+fn colours(scene: &Scene, n: usize, colour: [f64; 3]) -> [Bounded; 3] {
+    let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
     let coeffs = &scene.sh_coeffs[n * k..][..k];
     std::array::from_fn(|c| {
@@ -194,20 +236,20 @@ fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
 }
 
 fn alpha(splat: &Splat, place: [f64; 2]) -> Bounded {
-    let [dx, dy] = [0, 1].map(|a| Bounded::exact(place[a]) - splat.centre[a]);
+    let [dx, dy] = [0, 1].map(|a| Bounded::exact(place[a]) - splat.place[a]);
     let [a, k, p] = splat.conic;
     let half = Bounded::rounded(-0.5 * std::f64::consts::LOG2_E);
-    let across = dx - k * dy;
+    let across = dx - k * splat.row.map_or(dy, |row| Bounded::rounded(place[1] - row));
     let exponent = a * half * across * across + p * half * dy * dy;
     (splat.opacity * exponent.exp2()).min(Bounded::rounded(MAX_ALPHA))
 }
 
 /// Whether f32 is sure to order the depths as f64 does: they are far enough apart, or exact.
 pub fn orders_depths(scene: &Scene, camera: &Camera) -> bool {
-    let view = camera.view_matrix();
-    let rotation = DMat3::from_mat4(view);
-    let mut depths: Vec<(f64, f64)> = (scene.means.iter().map(|m| DVec3::from(m.map(f64::from))))
-        .map(|m| ((rotation * m).z + view.w_axis.z, 8.0 * U * (m.length() + view.w_axis.length())))
+    let forward = camera.pose.rotation.z_axis;
+    let mut depths: Vec<(f64, f64)> = (scene.means.iter())
+        .map(|m| DVec3::from(m.map(f64::from)) - camera.pose.translation)
+        .map(|offset| (forward.dot(offset), 8.0 * U * offset.length()))
         .collect();
     depths.sort_by(|a, b| a.0.total_cmp(&b.0));
     let exact = camera.pose == zipsplat::types::Pose::IDENTITY;

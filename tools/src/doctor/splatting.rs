@@ -3,7 +3,7 @@
 use super::{
     Area, Case, Mode, Worst,
     bound::U,
-    picture::{bounds, orders_depths, truth},
+    picture::{PixelBounds, bounds, orders_depths, truth},
 };
 use crate::noise::{Noise, camera};
 use glam::{DMat3, DVec3};
@@ -13,19 +13,31 @@ use zipsplat::{
     stages::render::{Depth, RenderRequest, Renderer},
     types::{Camera, Pose, Scene},
 };
+use zipsplat_reference::render::rasterise::Rendering;
 
 const REASON: &str = "running error analysis (Wilkinson) of projection and blending, formula by formula: every value carries what \
     rounding may have added; where alpha may lie on either side of 1/255, or transmittance of 1e-4, both pictures are allowed";
 
 /// Holds a picture of `scene` to its truth.
 pub fn check(device: &Device, scene: &Scene, camera: &Camera, antialiased: bool) -> Result<Worst> {
-    assert!(orders_depths(scene, camera), "a case whose order of depths f32 decides");
+    check_all(device, scene, std::slice::from_ref(camera), antialiased)
+}
+
+/// Holds pictures of `scene`, drawn together where they are of one size, to their truth.
+pub fn check_all(device: &Device, scene: &Scene, cameras: &[Camera], antialiased: bool) -> Result<Worst> {
     let request =
         RenderRequest { alpha: true, depth: Some(Depth::Accumulated), antialiased, ..RenderRequest::default() };
-    let frames = Renderer::new(device).render(scene, std::slice::from_ref(camera), &request)?;
-    let (truth, bounds) = (truth(scene, camera, antialiased), bounds(scene, camera, antialiased));
+    let frames = Renderer::new(device).render(scene, cameras, &request)?;
     let mut worst = Worst::NONE;
-    for frame in frames {
+    let mut known: Option<(Camera, Rendering, Vec<PixelBounds>)> = None;
+    for (frame, camera) in frames.into_iter().zip(cameras) {
+        let (_, truth, bounds) = match known.take().filter(|(of, ..)| of == camera) {
+            Some(same) => known.insert(same),
+            None => {
+                assert!(orders_depths(scene, camera), "a case whose order of depths f32 decides");
+                known.insert((*camera, truth(scene, camera, antialiased), bounds(scene, camera, antialiased)))
+            }
+        };
         let plane = |values: Option<Vec<f32>>| values.unwrap_or_default();
         // Truth, too, was rounded in f64, and is blended by another formula.
         let slack = |truth: f64| U * 1e-3 * truth.abs();
@@ -54,6 +66,26 @@ fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     (scene, Camera { pose, ..camera(70, 53) })
 }
 
+/// Needles through the picture of [`camera`] whose centres lie `distance` pixels off it, in all directions.
+fn needles_off(count: usize, distance: f64) -> Scene {
+    scene(count, 0, |i, mean, scales, _| {
+        let along = DVec3::from_array([(i as f64).cos(), (i as f64).sin(), 0.0]);
+        let (depth, f) = (1.0 + 0.1 * i as f64, 70.0);
+        let seen = DVec3::from(mean.map(f64::from)) / f64::from(mean[2]);
+        *mean = ((seen + distance / f * along) * depth).as_vec3().to_array();
+        *scales = [(distance / f * depth) as f32, 1e-3, 2e-3];
+    })
+}
+
+/// So many cameras with 2,048 tiles each, of which the last alone stands elsewhere: they are drawn together.
+fn many_tiles(cameras: usize) -> Vec<Camera> {
+    let mut cameras = vec![camera(1, 32_768); cameras];
+    if let Some(last) = cameras.last_mut() {
+        last.pose.translation.x = 0.25;
+    }
+    cameras
+}
+
 pub fn area() -> Area {
     let mut cases = Vec::new();
     let mut add = |name: &str, (scene, camera): (Scene, Camera), antialiased: bool| {
@@ -71,6 +103,22 @@ pub fn area() -> Area {
         translation: DVec3::new(3.0, -1.0, 2.0),
     };
     add("a turned camera", turned(scene(60, 1, keep), pose), false);
+    for distance in [1e4, 1e6] {
+        let far = Pose { translation: distance * DVec3::new(1.0 / 3.0, 0.1, 1.0 / 7.0), ..pose };
+        // Depths that are apart also where f32 holds them to a sixteenth.
+        let spread = |i: usize, m: &mut [f32; 3], _: &mut [f32; 3], _: &mut f32| {
+            let depth = 1.0 + 0.25 * i as f32;
+            *m = m.map(|x| x * depth / m[2]);
+        };
+        add(&format!("scene and camera {distance:e} off"), turned(scene(40, 2, spread), far), false);
+    }
+    for distance in [1e3, 1e5] {
+        let mut off = needles_off(40, distance);
+        for (i, quat) in off.quats.iter_mut().enumerate() {
+            *quat = [(0.5 * i as f32).cos(), 0.0, 0.0, (0.5 * i as f32).sin()];
+        }
+        add(&format!("needles {distance:e} pixels off the picture"), (off, still()), false);
+    }
     let needles = |_: usize, _: &mut [f32; 3], s: &mut [f32; 3], _: &mut f32| *s = [0.0, 1e-6, 15.0];
     add("scales of 0, 1e-6 and 15 in one", (scene(50, 0, needles), still()), false);
     add("scales of 0, 1e-6 and 15 in one, antialiased", (scene(50, 0, needles), still()), true);
@@ -140,5 +188,8 @@ pub fn area() -> Area {
         });
         add(&format!("a field of view of {degrees}°"), (seen, lens), false);
     }
+    cases.push(Case::new("67,584 tiles", 40, move |device, _| {
+        check_all(device, &scene(40, 0, keep), &many_tiles(33), false)
+    }));
     Area { kernel: "render", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }

@@ -1,6 +1,6 @@
 //! Many pictures one after another: the device draws the next ones while the host uses those that are done.
 
-use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, renderer::check};
+use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, range::check};
 use crate::{Error, Result, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 

@@ -8,6 +8,7 @@ mod frame;
 mod intersect;
 mod pack;
 mod project;
+mod range;
 mod rasterise;
 mod renderer;
 
@@ -19,7 +20,8 @@ use crate::{
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
-pub use renderer::{MAX_SIDE, Renderer};
+pub use range::MAX_SIDE;
+pub use renderer::Renderer;
 
 /// The pictures of one plan: all of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,8 +4,9 @@ use super::{FrameShape, RenderRequest};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::{Normals, Project},
-    types::Camera,
+    types::{Camera, Pose},
 };
+use glam::DVec4;
 
 /// A scene on the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,20 +27,18 @@ pub struct SceneTensors {
     pub sh_degree: u32,
 }
 
-/// A camera as kernels read it: three rows of world-to-camera, `(fx, fy, cx, cy)` in pixels, and its centre.
-pub type CameraRows = [[f32; 4]; 5];
+/// A camera as kernels read it, 16 numbers: three rows of the world-to-camera rotation, each with a coordinate of the camera's
+/// centre behind it, and `(fx, fy, cx, cy)` in pixels. They come as f32, then again as what rounding took from each, so that
+/// a camera far from the world's origin loses nothing.
+pub type CameraRows = [[f32; 4]; 8];
 
-/// Converts a camera, in f64 up to the last step.
+/// Converts a camera. Each number keeps 48 bits.
 pub fn camera_rows(camera: &Camera) -> CameraRows {
-    let view = camera.view_matrix();
-    let (i, centre) = (&camera.intrinsics, camera.pose.translation);
-    [
-        view.row(0).as_vec4().to_array(),
-        view.row(1).as_vec4().to_array(),
-        view.row(2).as_vec4().to_array(),
-        [i.fx, i.fy, i.cx, i.cy].map(|v| v as f32),
-        centre.extend(0.0).as_vec4().to_array(),
-    ]
+    let (i, Pose { rotation, translation }) = (&camera.intrinsics, &camera.pose);
+    let row = |r: usize| rotation.col(r).extend(translation[r]);
+    let rows = [row(0), row(1), row(2), DVec4::new(i.fx, i.fy, i.cx, i.cy)];
+    let rest = rows.map(|row| row - row.as_vec4().as_dvec4());
+    std::array::from_fn(|r| if r < 4 { rows[r].as_vec4() } else { rest[r - 4].as_vec4() }.to_array())
 }
 
 /// Every pair of a Gaussian and a camera, Gaussian-major.

@@ -1,7 +1,9 @@
 //! Draws a scene again and again: keeps it on the device, and keeps plans.
 
 use super::{
-    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows, record,
+    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows,
+    range::{check, drawable},
+    record,
 };
 use crate::{
     Error, Result,
@@ -14,9 +16,6 @@ use std::sync::Arc;
 const PLANS: usize = 4;
 /// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
 const GPU_TOGETHER: usize = 8;
-/// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
-pub const MAX_SIDE: u32 = 1 << 15;
-
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
 pub struct Renderer {
     device: Device,
@@ -29,8 +28,6 @@ pub struct Renderer {
     cameras_at_once: usize,
     /// Most pictures of one submission of [`Renderer::render_each`].
     pub(super) together: usize,
-    /// Whether kernels have no code of effects.
-    plain: bool,
 }
 
 struct Loaded {
@@ -73,7 +70,6 @@ impl Renderer {
             capacity,
             cameras_at_once: usize::MAX,
             together: if device.limits().cpu { 1 } else { GPU_TOGETHER },
-            plain: false,
         }
     }
 
@@ -81,12 +77,6 @@ impl Renderer {
     pub fn together(mut self, most: usize) -> Self {
         self.together = most.max(1);
         self
-    }
-
-    /// A renderer whose kernels were compiled without the code of any effect, to measure what effects cost that are not
-    /// asked for. It draws colour without view dependence on black, and nothing else may be asked of it.
-    pub fn without_effects(device: &Device) -> Self {
-        Self { plain: true, ..Self::new(device) }
     }
 
     /// Draws `scene` with each camera, in their order.
@@ -105,7 +95,7 @@ impl Renderer {
     /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
-        let degree = if self.plain { 0 } else { used_degree(scene) };
+        let degree = used_degree(scene);
         let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
         let loaded = match self.scene.take().filter(|loaded| same(&loaded.tensors)) {
             Some(loaded) => loaded,
@@ -119,7 +109,7 @@ impl Renderer {
         let Loaded { memory, tensors, .. } = self.scene.insert(Loaded { stored_degree: scene.sh_degree, ..loaded });
         memory.write(tensors.means, &scene.means)?;
         memory.write(tensors.scales, &scene.scales)?;
-        memory.write(tensors.quats, &scene.quats)?;
+        memory.write(tensors.quats, &drawable(&scene.quats))?;
         memory.write(tensors.opacities, &scene.opacities)?;
         if degree == scene.sh_degree {
             return memory.write(tensors.sh_coeffs, &scene.sh_coeffs);
@@ -284,8 +274,7 @@ impl Renderer {
                 }
                 let most = self.device.limits().max_binding_bytes as usize / 4;
                 let capacity = self.capacity.saturating_mul(shape.cameras).min(most);
-                let rec = Recorder::new(self.device.limits());
-                scene.plan(&self.device, if self.plain { rec.plain() } else { rec }, key, capacity)?
+                scene.plan(&self.device, key, capacity)?
             }
         };
         self.plans.push(planned);
@@ -344,29 +333,13 @@ impl Loaded {
         Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
     }
 
-    fn plan(&self, device: &Device, mut rec: Recorder, key: Key, capacity: usize) -> Result<Planned> {
+    fn plan(&self, device: &Device, key: Key, capacity: usize) -> Result<Planned> {
+        let mut rec = Recorder::new(device.limits());
         let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
         let outputs = record(&mut rec, &self.tensors, cameras, key.shape, &key.request, capacity);
         let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
         Ok(Planned { key, capacity, run, cameras, outputs })
     }
-}
-
-/// Holds that these pictures can be drawn.
-pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
-    if request.channels() == 0 {
-        let expected = "one of rgb, alpha, depth, normals and token colours";
-        return Err(Error::argument("render request", "no output", expected));
-    }
-    for (i, camera) in cameras.iter().enumerate() {
-        camera.validate(&format!("camera {i}"))?;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        if size.0.max(size.1) > MAX_SIDE {
-            let found = format!("{} x {}", size.0, size.1);
-            return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
-        }
-    }
-    Ok(())
 }
 
 /// Coefficients up to a degree.

@@ -1,4 +1,4 @@
-//! `zipsplat bench render --effects`: what each effect costs on, off, and with its code removed.
+//! `zipsplat bench render --effects`: what each effect costs on and off.
 
 use super::{Repeats, Spread};
 use crate::{
@@ -27,10 +27,6 @@ struct Row {
     off: Spread,
     /// Asked for.
     on: Spread,
-    /// From kernels that were compiled without the code of any effect.
-    removed: Spread,
-    /// Median of off over removed, of pairs measured side by side.
-    off_over_removed: f64,
 }
 
 /// Measures every effect on a scene, whose bands above 0 are the first of them.
@@ -41,7 +37,6 @@ pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size
     let load = |mut renderer: Renderer, scene: &Scene| renderer.load(scene).map(|()| renderer);
     let mut whole = load(Renderer::new(device), scene)?;
     let mut renderer = load(Renderer::new(device), &plain_scene)?;
-    let mut removed = load(Renderer::without_effects(device), &plain_scene)?;
 
     let off = RenderRequest::default();
     let effects = [
@@ -58,39 +53,27 @@ pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size
         Ok(renderer.profile(&camera, request)?.total("").0)
     };
     let mut measure = |effect: &'static str, on: &RenderRequest, stage: &Stage<'_>| {
-        let mut times = [Vec::new(), Vec::new(), Vec::new()];
+        let mut times = [Vec::new(), Vec::new()];
         for i in 0..repeats.warmup + repeats.repeats {
             stage.reach(f64::from(i) / f64::from(repeats.warmup + repeats.repeats))?;
             let with = if effect == effects[0].0 { &mut whole } else { &mut renderer };
             let on = time(with, on)?;
-            // Which of them comes first alternates, so that what changes while they run cancels.
-            let (off, removed) = if i % 2 == 0 {
-                (time(&mut renderer, &off)?, time(&mut removed, &off)?)
-            } else {
-                let removed = time(&mut removed, &off)?;
-                (time(&mut renderer, &off)?, removed)
-            };
-            let round = [off, on, removed];
+            let round = [time(&mut renderer, &off)?, on];
             if i >= repeats.warmup {
                 times.iter_mut().zip(round).for_each(|(times, time)| times.push(time));
             }
         }
-        let ratios = times[0].iter().zip(&times[2]).map(|(off, removed)| off.div_duration_f64(*removed));
-        let mut ratios: Vec<f64> = ratios.collect();
-        ratios.sort_by(f64::total_cmp);
-        let off_over_removed = ratios[ratios.len() / 2];
-        let [off, on, removed] = times.map(Spread::of);
-        Ok(Row { effect, off, on, removed, off_over_removed })
+        let [off, on] = times.map(Spread::of);
+        Ok(Row { effect, off, on })
     };
     let mut rows = Vec::new();
     for (effect, on) in &effects {
         rows.push(session.stage(effect, |stage| measure(effect, on, stage))?.0);
     }
-    let headings = ["effect", "off: ms, median (min..max)", "on", "removed", "off / removed"];
+    let headings = ["effect", "off: ms, median (min..max)", "on"];
     let mut table = Table::new(1, &headings);
     for row in &rows {
-        let ratio = format!("{:.3}", row.off_over_removed);
-        table.row([row.effect.into(), row.off.to_string(), row.on.to_string(), row.removed.to_string(), ratio]);
+        table.row([row.effect.into(), row.off.to_string(), row.on.to_string()]);
     }
     let what = format!("{} Gaussians, {size}, on {}", scene.len(), device.limits().name);
     session.report(&rows, format!("{what}\n{table}"))

@@ -52,7 +52,7 @@ pub struct Render {
     /// Print comma-separated values
     #[arg(long, conflicts_with = "effects")]
     csv: bool,
-    /// Measure instead, on the first of each list, every effect off, on, and with its code removed from the kernels
+    /// Measure instead, on the first of each list, every effect off and on
     #[arg(long, conflicts_with = "gsplat")]
     effects: bool,
     /// Also time gsplat on the same scenes, with this Python, which has PyTorch and gsplat, on a CUDA GPU
