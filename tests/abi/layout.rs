@@ -110,5 +110,6 @@ fn nothing_was_left_out() {
     );
     let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
     assert_eq!(constants().len() - 4, numbers);
-    assert_eq!(code.iter().filter(|line| line.starts_with("#define ZS_")).count(), 4 + 1, "and ZS_RATIO_AUTO");
+    let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("ZS_ENUM(")).count();
+    assert_eq!(defined, 4 + 1, "and ZS_RATIO_AUTO");
 }
