@@ -66,7 +66,9 @@ fn pkg_config_says_where_things_are() {
         Path::new(success(command).trim()).canonicalize().ok()
     };
     let folder = tempfile::tempdir().expect("a folder");
-    ["libzipsplat.a", "libzipsplat.so"].map(|name| std::fs::write(folder.path().join(name), "").expect("a file"));
+    for name in ["libzipsplat.a", "libzipsplat.so"] {
+        std::fs::write(folder.path().join(name), "").expect("a file");
+    }
     for lib in ["lib", "lib64", "lib/x86_64-linux-gnu"] {
         let prefix = folder.path().join(lib.replace('/', "-"));
         let mut install = Command::new(root().join("tools/install.sh"));

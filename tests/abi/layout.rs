@@ -102,7 +102,7 @@ fn nothing_was_left_out() {
     let structures = structures();
     let fields = structures.iter().filter(|(name, _)| name.starts_with("offsetof")).count();
     let bodies = code.join("\n");
-    let bodies = bodies.split("typedef struct ").filter_map(|part| part.split_once(" {\n"));
+    let bodies = bodies.split("typedef struct ").skip(1).filter_map(|part| part.split_once(" {\n"));
     let found: usize = bodies.map(|(_, rest)| rest.split('}').next().unwrap_or_default().matches(';').count()).sum();
     assert_eq!(
         (fields, structures.len() - fields),

@@ -2,6 +2,7 @@
 
 use super::{assert_spz, failure, round_trip, scene};
 use zipsplat::types::{Scene, SceneFormat, WriteOptions, decode_scene, encode_scene};
+use zipsplat_tests::scenes;
 
 /// A zstd frame (RFC 8878) that stores its content: one segment, a content size of four bytes, raw blocks of a few bytes, and
 /// where the content ends with equal ones a run of them.
@@ -113,6 +114,23 @@ fn ours_keep_what_version_3_keeps() {
         let bytes = encode_scene(&truth, SceneFormat::Spz, &options).unwrap();
         assert_eq!((&bytes[..5], decode_scene(&bytes, None).unwrap()), (&b"NGSP\x04"[..], found));
     }
+}
+
+#[test]
+fn equal_gaussians_come_back() {
+    let one = scenes::random_scene(1, 0, 0.1);
+    let n = 300_000;
+    let many = Scene {
+        means: vec![one.means[0]; n],
+        scales: vec![one.scales[0]; n],
+        quats: vec![one.quats[0]; n],
+        opacities: vec![one.opacities[0]; n],
+        sh_coeffs: vec![one.sh_coeffs[0]; n],
+        sh_degree: 0,
+    };
+    let bytes = encode_scene(&many, SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap();
+    let found = read(&bytes);
+    assert!(found.len() == n && found.means.iter().all(|mean| *mean == found.means[0]));
 }
 
 #[test]

@@ -27,7 +27,7 @@ const HEADER: usize = 16;
 const HAS_EXTENSIONS: u8 = 2;
 /// Most records that are read over.
 const MAX_EXTENSIONS: u64 = 1 << 20;
-/// Deflate turns a byte into no more than this many.
+/// Deflate turns a byte into no more than this many; files of version 4 are held to that, too.
 const MAX_INFLATION: u64 = 1032;
 
 /// Writes an SPZ of `version` 2, 3 or 4; the file appears whole or not at all. Kept are positions to 2⁻¹⁷ of a unit, coarser

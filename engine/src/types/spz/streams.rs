@@ -6,17 +6,13 @@ use rayon::prelude::*;
 use ruzstd::decoding::StreamingDecoder;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-use super::{Fault, HAS_EXTENSIONS, Layout, MAGIC};
+use super::{Fault, HAS_EXTENSIONS, Layout, MAGIC, MAX_INFLATION};
 use crate::types::Scene;
 
 const VERSION: u32 = 4;
 const HEADER: usize = 32;
 /// Bytes of the table for a stream: its packed and its plain size.
 const ENTRY: usize = 16;
-/// The library of the format's authors takes this many Gaussians, each of 9 bytes, for a byte of the file at most: a small file
-/// asks for no memory that is out of proportion.
-const MAX_INFLATION: u64 = 1024;
-const MIN_GAUSSIAN_BYTES: u64 = 9;
 /// Least limit on the window of a zstd frame, as its specification recommends.
 const MIN_WINDOW: u64 = 8 << 20;
 /// The extension that names the axes of what is stored, and its value for the usual ones.
@@ -39,7 +35,8 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
         return fault(4, format!("found version {version} outside a gzip stream, expected {VERSION}"));
     }
     let layout = Layout::of_header(version, bytes[12], bytes[13])?;
-    if u64::from(count) * MIN_GAUSSIAN_BYTES > MAX_INFLATION * bytes.len() as u64 {
+    // As much as a gzip stream of this length may hold: zstd could make any number of a few bytes.
+    if u64::from(count) * layout.gaussian_bytes() as u64 > MAX_INFLATION * bytes.len() as u64 {
         return fault(8, format!("found {count} Gaussians in {} bytes, which cannot hold as many", bytes.len()));
     }
     let table = word(bytes, 16) as usize;
@@ -163,8 +160,13 @@ pub(super) fn write(layout: &Layout, scene: &Scene, count: u32, out: &mut dyn Wr
         Ok(())
     })?;
     sections.retain(|section| !section.is_empty());
-    let pack = |section: &Vec<u8>| compress_to_vec(&section[..], CompressionLevel::Fastest);
-    let packed: Vec<Vec<u8>> = sections.par_iter().map(pack).collect();
+    let pack = |level| sections.par_iter().map(|section| compress_to_vec(&section[..], level)).collect();
+    let mut packed: Vec<Vec<u8>> = pack(CompressionLevel::Fastest);
+    let bytes = |streams: &[Vec<u8>]| streams.iter().map(|stream| stream.len() as u64).sum::<u64>();
+    // Equal Gaussians pack better than what readers take for sound.
+    if bytes(&sections) > MAX_INFLATION * bytes(&packed) {
+        packed = pack(CompressionLevel::Uncompressed);
+    }
     for word in [MAGIC, VERSION, count] {
         out.write_all(&word.to_le_bytes())?;
     }
