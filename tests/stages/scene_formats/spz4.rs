@@ -142,18 +142,17 @@ fn damaged_ones_are_refused() {
         (8, &[0xff; 4], "found 4294967295 Gaussians in"),
         (8, &[3], "stream 1 holds 18 bytes, expected 27"),
         (12, &[4], "found degree 4"),
-        (12, &[0], "found 6 streams with values, expected 5"),
+        (12, &[0], "stream 6 holds 18 bytes, expected 0"),
         (13, &[24], "24 fractional bits"),
-        (15, &[5], "stream"),
+        (15, &[5], "found 5 streams with values, expected 6"),
         (15, &[255], "the table of 255 streams"),
         (16, &[31], "the table of streams at byte 31"),
         (16, &[0xff; 4], "the table of streams at byte 4294967295"),
         (32, &[0xff; 8], "stream 1 has 18446744073709551615 bytes"),
-        (32, &[1], "stream"),
+        (32, &[1], "after the last stream"),
         (40, &[19], "stream 1 holds 19 bytes, expected 18"),
         (first, &[0], "stream 1 of 6: zstd"),
-        // A frame that says and has more.
-        (first + 5, &[19], "stream 1 of 6: zstd"),
+        (first + 5, &[19], "stream 1 of 6: found a frame of 19 bytes, expected 18"),
     ] {
         let mut damaged = sound.clone();
         damaged[at..at + bytes.len()].copy_from_slice(bytes);
@@ -164,12 +163,17 @@ fn damaged_ones_are_refused() {
         assert!(failure("scene.spz", &sound[..length]).contains("truncated"), "{length}");
     }
     assert!(failure("scene.spz", &[&sound[..], &[0]].concat()).contains("1 bytes after the last stream"));
-    // A frame with another byte than the table says, and one whose run is far longer.
-    let long = |content: &[u8]| {
+    // A table that promises less than a frame holds, which says so or states the table's size as well.
+    let longer = |content: &[u8], says_so: bool| {
         let mut bytes = file(1, 0, &[], &[&[0; 9], content, &[128; 3], &[160; 3], &ROTATIONS[0].to_le_bytes()]);
-        bytes[32 + 16 + 8] = 1;
+        bytes[32 + 16 + 8..][..8].copy_from_slice(&1u64.to_le_bytes());
+        if !says_so {
+            let second = 32 + 5 * 16 + frame(&[0; 9]).len();
+            bytes[second + 5..][..4].copy_from_slice(&1u32.to_le_bytes());
+        }
         failure("scene.spz", &bytes)
     };
-    assert!(long(&[1, 2]).contains("stream 2 of 5: found more than 1 bytes"));
-    assert!(long(&[0; 1 << 16]).contains("stream 2"));
+    assert!(longer(&[1, 2], true).contains("stream 2 of 5: found a frame of 2 bytes, expected 1"));
+    assert!(longer(&[1, 2], false).contains("stream 2 of 5: found more than 1 bytes"));
+    assert!(longer(&[0; 1 << 16], false).contains("stream 2 of 5"));
 }

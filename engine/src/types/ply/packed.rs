@@ -23,6 +23,10 @@ pub(super) fn is(ply: &Ply<'_>) -> bool {
 /// The scene of a whole file.
 pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     let vertices = ply.table("vertex")?;
+    let mut words = Vec::new();
+    for name in ["packed_position", "packed_rotation", "packed_scale", "packed_color"] {
+        words.push(vertices.typed(name, Scalar::U32)?);
+    }
     let chunks = ply.table("chunk")?;
     if chunks.count != vertices.count.div_ceil(CHUNK) {
         let (found, count, expected) = (chunks.count, vertices.count, vertices.count.div_ceil(CHUNK));
@@ -32,11 +36,6 @@ pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     }
     let sh = if ply.has_element("sh") { Some(ply.table("sh")?) } else { None };
     let (rest, sh_degree) = rest_columns(ply, sh.as_ref(), vertices.count)?;
-    let columns = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
-    let mut words = Vec::new();
-    for name in columns {
-        words.push(vertices.typed(name, Scalar::U32)?);
-    }
     let ranges = ranges(ply, &chunks)?;
     let mut scene = Scene::zeroed(vertices.count, sh_degree);
     ply.rows(&vertices, |start, rows| {

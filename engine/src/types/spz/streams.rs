@@ -141,6 +141,11 @@ fn inflate(packed: &[u8], section: &mut [u8]) -> std::result::Result<(), String>
     let window = MIN_WINDOW.max(section.len() as u64);
     let zstd = |error: &dyn std::fmt::Display| format!("zstd: {error}");
     let mut decoder = StreamingDecoder::new_with_max_window_size(packed, window).map_err(|error| zstd(&error))?;
+    // 0 where the frame does not say.
+    let stated = decoder.decoder.content_size();
+    if stated != 0 && stated != section.len() as u64 {
+        return Err(format!("found a frame of {stated} bytes, expected {}", section.len()));
+    }
     decoder.read_exact(section).map_err(|error| zstd(&error))?;
     if decoder.read(&mut [0]).map_err(|error| zstd(&error))? > 0 {
         return Err(format!("found more than {} bytes, expected the end", section.len()));
