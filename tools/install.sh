@@ -3,6 +3,7 @@
 # need to find them. PREFIX can be moved afterwards.
 # usage: tools/install.sh PREFIX
 #   DESTDIR         put before PREFIX, for packages
+#   ZIPSPLAT_LIBDIR where libraries go below PREFIX: lib (default), lib64, lib/x86_64-linux-gnu
 #   ZIPSPLAT_LIBS   a folder that has the libraries already: nothing is built. For a PREFIX that only root can write:
 #                   cargo build --release -p zipsplat && sudo ZIPSPLAT_LIBS=target/release tools/install.sh /usr/local
 set -euo pipefail
@@ -14,7 +15,9 @@ prefix=${1:?usage: tools/install.sh PREFIX}
 [[ $prefix == /* ]] || prefix=$PWD/$prefix
 prefix=${DESTDIR:-}$prefix
 libs=${ZIPSPLAT_LIBS:-}
-for folder in include lib lib/pkgconfig lib/cmake/zipsplat; do
+lib=${ZIPSPLAT_LIBDIR:-lib}
+[[ $lib != /* && /$lib/ != */../* ]] || die "ZIPSPLAT_LIBDIR: found $lib, expected a folder below PREFIX such as lib64"
+for folder in include "$lib" "$lib/pkgconfig" "$lib/cmake/zipsplat"; do
   { mkdir -p "$prefix/$folder" && [[ -w $prefix/$folder ]]; } ||
     die "cannot write to $prefix/$folder; where that takes root, build as yourself and install as root:" \
       "cargo build --release -p zipsplat && sudo ZIPSPLAT_LIBS=target/release tools/install.sh $1"
@@ -36,43 +39,49 @@ case $(uname -s) in
 esac
 
 install -m 644 "$header" "$prefix/include/zipsplat.h"
-install -m 755 "$libs/$link" "$prefix/lib/$shared"
-ln -sf "$shared" "$prefix/lib/$link"
-install -m 644 "$libs/libzipsplat.a" "$prefix/lib/libzipsplat.a"
+install -m 755 "$libs/$link" "$prefix/$lib/$shared"
+ln -sf "$shared" "$prefix/$lib/$link"
+install -m 644 "$libs/libzipsplat.a" "$prefix/$lib/libzipsplat.a"
+# The way from the folder of libraries to PREFIX.
+up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 
 # pc NAME DESCRIPTION LIBS
 pc() {
-  cat > "$prefix/lib/pkgconfig/$1.pc" << END
-prefix=\${pcfiledir}/../..
+  cat > "$prefix/$lib/pkgconfig/$1.pc" << END
+prefix=\${pcfiledir}/../$up
+exec_prefix=\${prefix}
+libdir=\${exec_prefix}/$lib
+includedir=\${prefix}/include
+
 Name: zipsplat
 Description: $2
 Version: $version
-Cflags: -I\${prefix}/include
+Cflags: -I\${includedir}
 Libs: $3
 END
 }
-# shellcheck disable=SC2016 # ${prefix} is pkg-config's
-pc zipsplat 'Photos to a scene of 3D Gaussians, on Vulkan' '-L${prefix}/lib -lzipsplat'
+# shellcheck disable=SC2016 # ${libdir} is pkg-config's
+pc zipsplat 'Photos to a scene of 3D Gaussians, on Vulkan' '-L${libdir} -lzipsplat'
 # shellcheck disable=SC2016
-pc zipsplat-static 'The same, linked statically' '${prefix}/lib/libzipsplat.a '"$system"
+pc zipsplat-static 'The same, linked statically' '${libdir}/libzipsplat.a '"$system"
 
-cat > "$prefix/lib/cmake/zipsplat/zipsplat-config.cmake" << END
+cat > "$prefix/$lib/cmake/zipsplat/zipsplat-config.cmake" << END
 # find_package(zipsplat) gives zipsplat::zipsplat, the shared library, and zipsplat::static.
-get_filename_component(_zipsplat "\${CMAKE_CURRENT_LIST_DIR}/../../.." ABSOLUTE)
+get_filename_component(_zipsplat "\${CMAKE_CURRENT_LIST_DIR}/../../$up" ABSOLUTE)
 if(NOT TARGET zipsplat::zipsplat)
   add_library(zipsplat::zipsplat SHARED IMPORTED)
   set_target_properties(zipsplat::zipsplat PROPERTIES
-    IMPORTED_LOCATION "\${_zipsplat}/lib/$shared" IMPORTED_SONAME "$shared"
+    IMPORTED_LOCATION "\${_zipsplat}/$lib/$shared" IMPORTED_SONAME "$shared"
     INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
   add_library(zipsplat::static STATIC IMPORTED)
   set_target_properties(zipsplat::static PROPERTIES
-    IMPORTED_LOCATION "\${_zipsplat}/lib/libzipsplat.a"
+    IMPORTED_LOCATION "\${_zipsplat}/$lib/libzipsplat.a"
     INTERFACE_LINK_LIBRARIES "$system"
     INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
 endif()
 END
 # Versions of one ABI fit programs that were built for it or an earlier one of the same.
-cat > "$prefix/lib/cmake/zipsplat/zipsplat-config-version.cmake" << END
+cat > "$prefix/$lib/cmake/zipsplat/zipsplat-config-version.cmake" << END
 set(PACKAGE_VERSION "$version")
 if(NOT PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION AND PACKAGE_FIND_VERSION_MAJOR EQUAL $(number VERSION_MAJOR))
   set(PACKAGE_VERSION_COMPATIBLE TRUE)

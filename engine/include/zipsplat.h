@@ -7,17 +7,18 @@
  *     zs_model      a network with its weights on the device; makes
  *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; is drawn by
  *     zs_renderer   a scene on the device
- *     zs_photo      a photo from a file, for those who have no pixels yet
+ *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
+ *     zs_bytes      a scene's file in memory
  *
  * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
  * zs_last_error has for the thread that called. A call that fails leaves nothing half made; one that creates an object sets
  * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
  * host has no memory left at all.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory or zs_reconstruct hands out is yours; give it back to its
- * zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive what
- * they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on them.
- * Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory or zs_reconstruct hands out is yours; give it back
+ * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
+ * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
+ * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
  * get from functions returning const char * are never yours to free.
  *
  * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
@@ -52,6 +53,21 @@
 #include <stddef.h>
 #include <stdint.h>
 
+// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+#define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
+#else
+#define ZS_ENUM(name) typedef int32_t name; enum name
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/************************************************************/
+/*  What the header was made for, and what the library is.  */
+/************************************************************/
+
 // Version of the library that this header belongs to. Fixes of bugs raise the last number, additions the middle one.
 #define ZS_VERSION_MAJOR 0
 
@@ -65,16 +81,19 @@
 // with it; additions keep it.
 #define ZS_ABI_VERSION 1
 
-// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
-#define ZS_RATIO_AUTO 0.0
+// The ABI version of the library that is loaded. Where it is not ZS_ABI_VERSION, call nothing else.
+uint32_t zs_abi_version(void);
+
+// The version of the library that is loaded, as "0.1.0". Static: never free it.
+const char *zs_version(void);
+
+/************************************************************************/
+/*  How calls end: a status, and a message for the thread that called.  */
+/************************************************************************/
 
 // How a call ended. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
 // as a failure.
-enum zs_status
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
+ZS_ENUM(zs_status) {
     // It did what it says.
     ZS_OK = 0,
     // A value you gave cannot be used: give another. The message names it, what was found and what is expected.
@@ -101,20 +120,23 @@ enum zs_status
     // A bug in the library. It goes on working, but the objects of this call are better destroyed.
     ZS_ERROR_INTERNAL = 11,
 };
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_status zs_status;
-#else
-typedef int32_t zs_status;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
+
+// A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
+const char *zs_status_name(int32_t status);
+
+// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
+// none has failed. A thread has one place for its message, the same until the thread ends: the pointer stays good, and the next
+// call of this thread that fails writes its message there. So a call and its message may stand in one expression, whichever
+// is evaluated first: printf("%s: %s", zs_status_name(zs_scene_open(path, &scene)), zs_last_error()). A message of more than
+// 16 KiB is cut. Copy one that you want to keep.
+const char *zs_last_error(void);
+
+/***************************/
+/*  Devices and contexts.  */
+/***************************/
 
 // What kind of device it is.
-enum zs_device_kind
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
+ZS_ENUM(zs_device_kind) {
     // Integrated in the processor, virtual, or unknown.
     ZS_DEVICE_OTHER = 0,
     // A graphics card.
@@ -122,142 +144,10 @@ enum zs_device_kind
     // The processor itself, by way of lavapipe.
     ZS_DEVICE_CPU = 2,
 };
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_device_kind zs_device_kind;
-#else
-typedef int32_t zs_device_kind;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// How a pixel lies in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
-enum zs_pixel_format
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-    // 3 bytes: red, green, blue.
-    ZS_PIXEL_RGB8 = 1,
-    // 4 bytes: red, green, blue, alpha. VK_FORMAT_R8G8B8A8_UNORM.
-    ZS_PIXEL_RGBA8 = 2,
-    // 4 bytes: blue, green, red, alpha. VK_FORMAT_B8G8R8A8_UNORM.
-    ZS_PIXEL_BGRA8 = 3,
-    // 3 f32: red, green, blue.
-    ZS_PIXEL_RGB_F32 = 4,
-    // 4 f32: red, green, blue, alpha. VK_FORMAT_R32G32B32A32_SFLOAT.
-    ZS_PIXEL_RGBA_F32 = 5,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_pixel_format zs_pixel_format;
-#else
-typedef int32_t zs_pixel_format;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// Number formats of the network. Geometry is f32 always.
-enum zs_precision
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-    // ZS_PRECISION_FAST on a GPU with matrix units whose kernels passed their test, else ZS_PRECISION_EXACT.
-    ZS_PRECISION_BEST = 0,
-    // f32 throughout.
-    ZS_PRECISION_EXACT = 1,
-    // f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
-    ZS_PRECISION_FAST = 2,
-    // bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
-    ZS_PRECISION_FAST_BF16 = 3,
-    // As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks, where matrix units multiply those.
-    ZS_PRECISION_TURBO = 4,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_precision zs_precision;
-#else
-typedef int32_t zs_precision;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// Which tokens are kept where the ratio is below 1.
-enum zs_selection
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-    // The nearest token of each centroid of k-means: the method's own.
-    ZS_SELECT_KMEANS = 0,
-    // Evenly spread.
-    ZS_SELECT_STRIDE = 1,
-    // Random, by `seed`.
-    ZS_SELECT_RANDOM = 2,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_selection zs_selection;
-#else
-typedef int32_t zs_selection;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// Kinds of depth along the camera's z axis, in world units.
-enum zs_depth
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-    // The mean depth of what is seen: the sum of depth times blending weight, over alpha. 0 where nothing is.
-    ZS_DEPTH_EXPECTED = 0,
-    // The sum of depth times blending weight.
-    ZS_DEPTH_ACCUMULATED = 1,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_depth zs_depth;
-#else
-typedef int32_t zs_depth;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// Kinds of zs_vulkan_requirement.
-enum zs_requirement_kind
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-    // `name` is the least version for VkApplicationInfo.apiVersion and of the device, as "1.3".
-    ZS_REQUIRES_API_VERSION = 0,
-    // `name` is an extension of the device.
-    ZS_REQUIRES_DEVICE_EXTENSION = 1,
-    // `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
-    ZS_REQUIRES_FEATURE = 2,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum zs_requirement_kind zs_requirement_kind;
-#else
-typedef int32_t zs_requirement_kind;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
 
 // A Vulkan device at work: everything that runs on it is created from a context. Any number of threads may use a context at
 // the same time. Models and renderers keep what they need of it: it may be destroyed before them.
 typedef struct zs_context zs_context;
-
-// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
-typedef struct zs_model zs_model;
-
-// A photo from a file, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
-typedef struct zs_photo zs_photo;
-
-// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
-// drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
-typedef struct zs_renderer zs_renderer;
-
-// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
-// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
-typedef struct zs_scene zs_scene;
 
 // What a device is. Strings are UTF-8, end with NUL and are cut where they are too long.
 typedef struct zs_device_info {
@@ -293,6 +183,43 @@ typedef struct zs_context_options {
     const char *device;
 } zs_context_options;
 
+// Counts the Vulkan devices of this machine, usable or not. ZS_ERROR_NO_DEVICE where there is no Vulkan loader or no
+// driver.
+zs_status zs_device_count(uint32_t *count);
+
+// Says what device number `index` is, from 0 to below zs_device_count.
+zs_status zs_device_get(uint32_t index, struct zs_device_info *info);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_context_options).
+zs_status zs_context_options_default(struct zs_context_options *options, size_t size);
+
+// Opens a device of its own: instance, device and queue are the context's. `options` may be NULL.
+zs_status zs_context_create(const struct zs_context_options *options, struct zs_context **context);
+
+// Says what device a context is on.
+zs_status zs_context_get_info(const struct zs_context *context, struct zs_device_info *info);
+
+// Destroys a context. Its device closes when its last model and renderer are gone too. NULL is allowed.
+void zs_context_destroy(struct zs_context *context);
+
+/*************************/
+/*  Pixels and cameras.  */
+/*************************/
+
+// How a pixel lies in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+ZS_ENUM(zs_pixel_format) {
+    // 3 bytes: red, green, blue.
+    ZS_PIXEL_RGB8 = 1,
+    // 4 bytes: red, green, blue, alpha. VK_FORMAT_R8G8B8A8_UNORM.
+    ZS_PIXEL_RGBA8 = 2,
+    // 4 bytes: blue, green, red, alpha. VK_FORMAT_B8G8R8A8_UNORM.
+    ZS_PIXEL_BGRA8 = 3,
+    // 3 f32: red, green, blue.
+    ZS_PIXEL_RGB_F32 = 4,
+    // 4 f32: red, green, blue, alpha. VK_FORMAT_R32G32B32A32_SFLOAT.
+    ZS_PIXEL_RGBA_F32 = 5,
+};
+
 // A photo in your memory, read during the call only. Its first row is the top one. Alpha is ignored; f32 values are clamped
 // to 0..1 and rounded to 8 bits, which is what networks are trained with.
 typedef struct zs_image {
@@ -309,6 +236,70 @@ typedef struct zs_image {
     // The first pixel of the top row; of any alignment.
     const void *pixels;
 } zs_image;
+
+// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
+// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
+typedef struct zs_camera {
+    // sizeof(zs_camera); set it before the call.
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // Pixels a row.
+    uint32_t width;
+    // Rows.
+    uint32_t height;
+    // Horizontal focal length in pixels.
+    double fx;
+    // Vertical focal length in pixels.
+    double fy;
+    // Principal point from the left edge, in pixels.
+    double cx;
+    // Principal point from the top edge, in pixels.
+    double cy;
+    // Camera-to-world rotation, row by row: its columns are the camera's right, down and forward in the world.
+    double rotation[9];
+    // The camera's centre in the world.
+    double translation[3];
+} zs_camera;
+
+/*********************************************************/
+/*  Photos from files and bytes, and pictures to files.  */
+/*********************************************************/
+
+// A photo, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
+typedef struct zs_photo zs_photo;
+
+// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
+// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation:
+// photos that have one and such cameras have to be decoded by the app. `path` is UTF-8.
+zs_status zs_photo_open(const char *path,
+                        struct zs_photo **photo);
+
+// As zs_photo_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns.
+zs_status zs_photo_from_memory(const void *data, size_t size, struct zs_photo **photo);
+
+// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
+// memory, there until it is destroyed. Set its struct_size before the call.
+zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
+
+// Destroys a photo. NULL is allowed.
+void zs_photo_destroy(struct zs_photo *photo);
+
+// Writes a picture in your memory as a PNG of 8 bits a channel, without alpha. The file appears whole or not at all; one of
+// that name is replaced. `path` is UTF-8.
+zs_status zs_image_save_png(const struct zs_image *image,
+                            const char *path);
+
+/**************************************************************/
+/*  Scenes: Gaussians in and out of arrays, files and bytes.  */
+/**************************************************************/
+
+// Bytes of the library's, such as a scene's file in memory. They never change.
+typedef struct zs_bytes zs_bytes;
+
+// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
+// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
+typedef struct zs_scene zs_scene;
 
 // Gaussians as arrays, one a property, each as long as it says.
 typedef struct zs_gaussians {
@@ -337,9 +328,84 @@ typedef struct zs_gaussians {
 typedef struct zs_save_options {
     // sizeof(zs_save_options); zs_save_options_default sets it.
     uint32_t struct_size;
-    // Version of a .spz file: 3, or 2 for older readers. Default 3.
+    // Version of an SPZ: 3; 2 for older readers; 4, packed by zstd, for those that know only the newest. Default 3.
     uint32_t spz_version;
 } zs_save_options;
+
+// Fills `gaussians` with how large a scene is and where its arrays are: the scene's own memory, there until it is destroyed.
+// Set its struct_size before the call.
+zs_status zs_scene_get_gaussians(const struct zs_scene *scene,
+                                 struct zs_gaussians *gaussians);
+
+// Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
+zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
+
+// Reads a scene file: PLY of 3D Gaussian Splatting, also packed (.compressed.ply), SPZ, .splat, glTF with KHR_gaussian_splatting
+// (.gltf, .glb). Whatever axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
+zs_status zs_scene_open(const char *path,
+                        struct zs_scene **scene);
+
+// As zs_scene_open, which refuses a file with values that are NaN, infinite or out of range: here Gaussians with such values are
+// left out, and `dropped` gets their number. `dropped` may be NULL.
+zs_status zs_scene_open_dropping_invalid(const char *path,
+                                         uint64_t *dropped,
+                                         struct zs_scene **scene);
+
+// As zs_scene_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns. PLY, SPZ and
+// .glb are told apart by their first bytes; `format` names one that they do not tell ("splat", "gltf"), and may be NULL. A
+// glTF may name no other file. Where `dropped` is not NULL, Gaussians with values that are NaN, infinite or out of range are left
+// out and it gets their number; where it is NULL, such a scene is refused.
+zs_status zs_scene_from_memory(const void *data,
+                               size_t size,
+                               const char *format,
+                               uint64_t *dropped,
+                               struct zs_scene **scene);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
+zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
+
+// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not at
+// all; one of that name is replaced. `options` may be NULL. `path` is UTF-8.
+zs_status zs_scene_save(const struct zs_scene *scene,
+                        const char *path,
+                        const struct zs_save_options *options);
+
+// As zs_scene_save, to memory: what the file of `format` ("ply", "spz", "splat", "gltf" or "glb") would have is handed out
+// as an object, which is yours to destroy. `options` may be NULL.
+zs_status zs_scene_to_memory(const struct zs_scene *scene,
+                             const char *format,
+                             const struct zs_save_options *options,
+                             struct zs_bytes **bytes);
+
+// Says where bytes are and how many: the object's own memory, there until it is destroyed.
+zs_status zs_bytes_get(const struct zs_bytes *bytes, const void **data, size_t *size);
+
+// Destroys bytes. NULL is allowed.
+void zs_bytes_destroy(struct zs_bytes *bytes);
+
+// Destroys a scene. NULL is allowed.
+void zs_scene_destroy(struct zs_scene *scene);
+
+/*************/
+/*  Models.  */
+/*************/
+
+// Number formats of the network. Geometry is f32 always.
+ZS_ENUM(zs_precision) {
+    // ZS_PRECISION_FAST on a GPU with matrix units whose kernels passed their test, else ZS_PRECISION_EXACT.
+    ZS_PRECISION_BEST = 0,
+    // f32 throughout.
+    ZS_PRECISION_EXACT = 1,
+    // f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
+    ZS_PRECISION_FAST = 2,
+    // bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
+    ZS_PRECISION_FAST_BF16 = 3,
+    // As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks, where matrix units multiply those.
+    ZS_PRECISION_TURBO = 4,
+};
+
+// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
+typedef struct zs_model zs_model;
 
 // Called now and then while something takes long, on the thread that made the call, with the share that is done (0 to 1) and
 // what is under way (for a log; valid during the call). Return 0 to go on; anything else stops the work, which then ends
@@ -385,30 +451,46 @@ typedef struct zs_model_info {
     const char *notes;
 } zs_model_info;
 
-// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
-// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
-typedef struct zs_camera {
-    // sizeof(zs_camera); set it before the call.
-    uint32_t struct_size;
-    // Must be 0.
-    uint32_t reserved;
-    // Pixels a row.
-    uint32_t width;
-    // Rows.
-    uint32_t height;
-    // Horizontal focal length in pixels.
-    double fx;
-    // Vertical focal length in pixels.
-    double fy;
-    // Principal point from the left edge, in pixels.
-    double cx;
-    // Principal point from the top edge, in pixels.
-    double cy;
-    // Camera-to-world rotation, row by row: its columns are the camera's right, down and forward in the world.
-    double rotation[9];
-    // The camera's centre in the world.
-    double translation[3];
-} zs_camera;
+// Fills `options` with the defaults. `size` is sizeof(zs_model_options).
+zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
+
+// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), the model that is built
+// into the library for "embedded" (ZS_ERROR_UNSUPPORTED where none is), or random numbers for "seeded:VARIANT", to try things
+// out. `options` may be NULL.
+zs_status zs_model_open(const struct zs_context *context,
+                        const char *path,
+                        const struct zs_model_options *options,
+                        struct zs_model **model);
+
+// As zs_model_open, with a file's contents, which are not needed any more when this returns.
+zs_status zs_model_from_memory(const struct zs_context *context,
+                               const void *data,
+                               size_t size,
+                               const struct zs_model_options *options,
+                               struct zs_model **model);
+
+// Says what a model is.
+zs_status zs_model_get_info(const struct zs_model *model, struct zs_model_info *info);
+
+// Destroys a model. NULL is allowed.
+void zs_model_destroy(struct zs_model *model);
+
+/****************************************/
+/*  Reconstruction: photos to a scene.  */
+/****************************************/
+
+// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
+#define ZS_RATIO_AUTO 0.0
+
+// Which tokens are kept where the ratio is below 1.
+ZS_ENUM(zs_selection) {
+    // The nearest token of each centroid of k-means: the method's own.
+    ZS_SELECT_KMEANS = 0,
+    // Evenly spread.
+    ZS_SELECT_STRIDE = 1,
+    // Random, by `seed`.
+    ZS_SELECT_RANDOM = 2,
+};
 
 // What to reconstruct.
 typedef struct zs_reconstruct_options {
@@ -441,6 +523,33 @@ typedef struct zs_reconstruct_options {
     // Given to `progress`.
     void *user_data;
 } zs_reconstruct_options;
+
+// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
+zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
+
+// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
+// camera. `options` may be NULL.
+zs_status zs_reconstruct(const struct zs_model *model,
+                         const struct zs_image *images,
+                         size_t image_count,
+                         const struct zs_reconstruct_options *options,
+                         struct zs_scene **scene);
+
+/*********************************************************************/
+/*  Renderers: a scene on a device, drawn into the caller's memory.  */
+/*********************************************************************/
+
+// Kinds of depth along the camera's z axis, in world units.
+ZS_ENUM(zs_depth) {
+    // The mean depth of what is seen: the sum of depth times blending weight, over alpha. 0 where nothing is.
+    ZS_DEPTH_EXPECTED = 0,
+    // The sum of depth times blending weight.
+    ZS_DEPTH_ACCUMULATED = 1,
+};
+
+// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
+// drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
+typedef struct zs_renderer zs_renderer;
 
 // How to draw.
 typedef struct zs_render_options {
@@ -477,6 +586,44 @@ typedef struct zs_picture {
     // height x width: depth in world units.
     float *depth;
 } zs_picture;
+
+// Brings a scene to a context's device. The scene may be destroyed afterwards.
+zs_status zs_renderer_create(const struct zs_context *context,
+                             const struct zs_scene *scene,
+                             struct zs_renderer **renderer);
+
+// Draws another scene from now on. Cheap for one of the same number of Gaussians and degree. After a failure draw nothing
+// before another call of this has succeeded.
+zs_status zs_renderer_set_scene(const struct zs_renderer *renderer,
+                                const struct zs_scene *scene);
+
+// Destroys a renderer, after waiting for pictures on their way to zs_vulkan_target. NULL is allowed.
+void zs_renderer_destroy(struct zs_renderer *renderer);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_render_options).
+zs_status zs_render_options_default(struct zs_render_options *options, size_t size);
+
+// Draws `count` cameras, each into the picture of its number. It returns when all are written. Cameras of one size are drawn
+// together. After a failure some pictures may be written. `options` may be NULL.
+zs_status zs_render(const struct zs_renderer *renderer,
+                    const struct zs_camera *cameras,
+                    const struct zs_picture *pictures,
+                    size_t count,
+                    const struct zs_render_options *options);
+
+/*****************************************************/
+/*  An app's own Vulkan device, images and buffers.  */
+/*****************************************************/
+
+// Kinds of zs_vulkan_requirement.
+ZS_ENUM(zs_requirement_kind) {
+    // `name` is the least version for VkApplicationInfo.apiVersion and of the device, as "1.3".
+    ZS_REQUIRES_API_VERSION = 0,
+    // `name` is an extension of the device.
+    ZS_REQUIRES_DEVICE_EXTENSION = 1,
+    // `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
+    ZS_REQUIRES_FEATURE = 2,
+};
 
 // Something that has to be enabled on a device of yours.
 typedef struct zs_vulkan_requirement {
@@ -575,150 +722,6 @@ typedef struct zs_vulkan_target {
     const struct zs_semaphore_point *signals;
 } zs_vulkan_target;
 
-#ifdef __cplusplus
-extern "C" {
-#endif // __cplusplus
-
-// The ABI version of the library that is loaded. Where it is not ZS_ABI_VERSION, call nothing else.
-uint32_t zs_abi_version(void);
-
-// The version of the library that is loaded, as "0.1.0". Static: never free it.
-const char *zs_version(void);
-
-// A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
-const char *zs_status_name(int32_t status);
-
-// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
-// none has failed. Yours to read until the next call of this thread that fails.
-const char *zs_last_error(void);
-
-// Counts the Vulkan devices of this machine, usable or not. ZS_ERROR_NO_DEVICE where there is no Vulkan loader or no
-// driver.
-zs_status zs_device_count(uint32_t *count);
-
-// Says what device number `index` is, from 0 to below zs_device_count.
-zs_status zs_device_get(uint32_t index, struct zs_device_info *info);
-
-// Fills `options` with the defaults. `size` is sizeof(zs_context_options).
-zs_status zs_context_options_default(struct zs_context_options *options, size_t size);
-
-// Opens a device of its own: instance, device and queue are the context's. `options` may be NULL.
-zs_status zs_context_create(const struct zs_context_options *options, struct zs_context **context);
-
-// Says what device a context is on.
-zs_status zs_context_get_info(const struct zs_context *context, struct zs_device_info *info);
-
-// Destroys a context. Its device closes when its last model and renderer are gone too. NULL is allowed.
-void zs_context_destroy(struct zs_context *context);
-
-// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation:
-// photos that have one and such cameras have to be decoded by the app. `path` is UTF-8.
-zs_status zs_photo_open(const char *path,
-                        struct zs_photo **photo);
-
-// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
-// memory, there until it is destroyed. Set its struct_size before the call.
-zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
-
-// Destroys a photo. NULL is allowed.
-void zs_photo_destroy(struct zs_photo *photo);
-
-// Writes a picture in your memory as a PNG of 8 bits a channel, without alpha. The file appears whole or not at all; one of
-// that name is replaced. `path` is UTF-8.
-zs_status zs_image_save_png(const struct zs_image *image,
-                            const char *path);
-
-// Fills `gaussians` with how large a scene is and where its arrays are: the scene's own memory, there until it is destroyed.
-// Set its struct_size before the call.
-zs_status zs_scene_get_gaussians(const struct zs_scene *scene,
-                                 struct zs_gaussians *gaussians);
-
-// Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
-zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
-
-// Reads a scene file: PLY of 3D Gaussian Splatting, SPZ, .splat, glTF with KHR_gaussian_splatting (.gltf, .glb). Whatever
-// axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
-zs_status zs_scene_open(const char *path,
-                        struct zs_scene **scene);
-
-// As zs_scene_open, which refuses a file with values that are NaN, infinite or out of range: here Gaussians with such values are
-// left out, and `dropped` gets their number. `dropped` may be NULL.
-zs_status zs_scene_open_dropping_invalid(const char *path,
-                                         uint64_t *dropped,
-                                         struct zs_scene **scene);
-
-// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
-zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
-
-// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not at
-// all; one of that name is replaced. `options` may be NULL. `path` is UTF-8.
-zs_status zs_scene_save(const struct zs_scene *scene,
-                        const char *path,
-                        const struct zs_save_options *options);
-
-// Destroys a scene. NULL is allowed.
-void zs_scene_destroy(struct zs_scene *scene);
-
-// Fills `options` with the defaults. `size` is sizeof(zs_model_options).
-zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
-
-// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), the model that is built
-// into the library for "embedded" (ZS_ERROR_UNSUPPORTED where none is), or random numbers for "seeded:VARIANT", to try things
-// out. `options` may be NULL.
-zs_status zs_model_open(const struct zs_context *context,
-                        const char *path,
-                        const struct zs_model_options *options,
-                        struct zs_model **model);
-
-// As zs_model_open, with a file's contents, which are not needed any more when this returns.
-zs_status zs_model_from_memory(const struct zs_context *context,
-                               const void *data,
-                               size_t size,
-                               const struct zs_model_options *options,
-                               struct zs_model **model);
-
-// Says what a model is.
-zs_status zs_model_get_info(const struct zs_model *model, struct zs_model_info *info);
-
-// Destroys a model. NULL is allowed.
-void zs_model_destroy(struct zs_model *model);
-
-// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
-zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
-
-// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
-// camera. `options` may be NULL.
-zs_status zs_reconstruct(const struct zs_model *model,
-                         const struct zs_image *images,
-                         size_t image_count,
-                         const struct zs_reconstruct_options *options,
-                         struct zs_scene **scene);
-
-// Brings a scene to a context's device. The scene may be destroyed afterwards.
-zs_status zs_renderer_create(const struct zs_context *context,
-                             const struct zs_scene *scene,
-                             struct zs_renderer **renderer);
-
-// Draws another scene from now on. Cheap for one of the same number of Gaussians and degree. After a failure draw nothing
-// before another call of this has succeeded.
-zs_status zs_renderer_set_scene(const struct zs_renderer *renderer,
-                                const struct zs_scene *scene);
-
-// Destroys a renderer, after waiting for pictures on their way to zs_vulkan_target. NULL is allowed.
-void zs_renderer_destroy(struct zs_renderer *renderer);
-
-// Fills `options` with the defaults. `size` is sizeof(zs_render_options).
-zs_status zs_render_options_default(struct zs_render_options *options, size_t size);
-
-// Draws `count` cameras, each into the picture of its number. It returns when all are written. Cameras of one size are drawn
-// together. After a failure some pictures may be written. `options` may be NULL.
-zs_status zs_render(const struct zs_renderer *renderer,
-                    const struct zs_camera *cameras,
-                    const struct zs_picture *pictures,
-                    size_t count,
-                    const struct zs_render_options *options);
-
 // Lists what has to be enabled on a device of yours before zs_context_adopt, and what may be; nothing else is used. Needs no
 // device. The list is static: never free it.
 zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list,
@@ -744,8 +747,10 @@ zs_status zs_render_to_vulkan(const struct zs_renderer *renderer,
                               const struct zs_vulkan_target *target,
                               const struct zs_render_options *options);
 
-#ifdef __cplusplus
-}  // extern "C"
-#endif  // __cplusplus
+#undef ZS_ENUM
 
-#endif  /* ZIPSPLAT_H */
+#ifdef __cplusplus
+}
+#endif
+
+#endif // ZIPSPLAT_H

@@ -22,12 +22,16 @@ fn null_is_refused_everywhere() {
         unsafe { zs_context_create(null(), null_mut()) },
         unsafe { zs_context_get_info(null(), null_mut()) },
         unsafe { zs_photo_open(null(), null_mut()) },
+        unsafe { zs_photo_from_memory(null(), 0, null_mut()) },
         unsafe { zs_photo_get_image(null(), null_mut()) },
         unsafe { zs_image_save_png(null(), null()) },
         unsafe { zs_scene_get_gaussians(null(), null_mut()) },
         unsafe { zs_scene_create(null(), null_mut()) },
         unsafe { zs_scene_open(null(), null_mut()) },
         unsafe { zs_scene_open_dropping_invalid(null(), null_mut(), null_mut()) },
+        unsafe { zs_scene_from_memory(null(), 0, null(), null_mut(), null_mut()) },
+        unsafe { zs_scene_to_memory(null(), null(), null(), null_mut()) },
+        unsafe { zs_bytes_get(null(), null_mut(), null_mut()) },
         unsafe { zs_save_options_default(null_mut(), 8) },
         unsafe { zs_scene_save(null(), null(), null()) },
         unsafe { zs_model_options_default(null_mut(), 32) },
@@ -53,6 +57,7 @@ fn null_is_refused_everywhere() {
     unsafe {
         zs_context_destroy(null_mut());
         zs_photo_destroy(null_mut());
+        zs_bytes_destroy(null_mut());
         zs_model_destroy(null_mut());
         zs_scene_destroy(null_mut());
         zs_renderer_destroy(null_mut());

@@ -4,7 +4,7 @@ use crate::{
     header::root,
     installation::{Linking, installation, runner, success},
 };
-use std::process::Command;
+use std::{path::Path, process::Command};
 
 const PROGRAM: &str = r#"
 #include <zipsplat.h>
@@ -54,6 +54,42 @@ fn a_prefix_that_cannot_be_written_is_refused_before_anything_is_built() {
 fn versions_agree() {
     let version = installation().pkg_config(&["--modversion", "zipsplat"]);
     assert_eq!(version, [env!("CARGO_PKG_VERSION")]);
+}
+
+/// Below the prefix, by the names that tools ask for.
+#[test]
+fn pkg_config_says_where_things_are() {
+    let found = |prefix: &Path, lib: &str, variable: &str| {
+        let mut command = Command::new("pkg-config");
+        command.args([&format!("--variable={variable}"), "zipsplat"]);
+        command.env("PKG_CONFIG_PATH", prefix.join(lib).join("pkgconfig"));
+        Path::new(success(command).trim()).canonicalize().ok()
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["libzipsplat.a", "libzipsplat.so"] {
+        std::fs::write(folder.path().join(name), "").expect("a file");
+    }
+    for lib in ["lib", "lib64", "lib/x86_64-linux-gnu"] {
+        let prefix = folder.path().join(lib.replace('/', "-"));
+        let mut install = Command::new(root().join("tools/install.sh"));
+        install.arg(&prefix).env("ZIPSPLAT_LIBS", folder.path());
+        // The default.
+        if lib != "lib" {
+            install.env("ZIPSPLAT_LIBDIR", lib);
+        }
+        success(install);
+        for variable in ["prefix", "exec_prefix"] {
+            assert_eq!(found(&prefix, lib, variable), prefix.canonicalize().ok(), "{variable}, {lib}");
+        }
+        assert_eq!(found(&prefix, lib, "libdir"), prefix.join(lib).canonicalize().ok());
+        assert_eq!(found(&prefix, lib, "includedir"), prefix.join("include").canonicalize().ok());
+        assert!(prefix.join(lib).join("libzipsplat.so").exists() && prefix.join("include/zipsplat.h").exists());
+    }
+    let mut outside = Command::new(root().join("tools/install.sh"));
+    outside.arg(folder.path().join("outside")).env("ZIPSPLAT_LIBS", folder.path()).env("ZIPSPLAT_LIBDIR", "../lib");
+    let failed = outside.output().expect("the script runs");
+    let message = String::from_utf8_lossy(&failed.stderr);
+    assert!(!failed.status.success() && message.contains("ZIPSPLAT_LIBDIR: found ../lib"), "{message}");
 }
 
 #[test]

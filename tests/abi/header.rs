@@ -1,4 +1,4 @@
-//! The committed header is what the sources give.
+//! The committed header is what the sources give: cbindgen's declarations, those of a source together.
 
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
@@ -45,7 +45,112 @@ fn generate() -> String {
         .fold(Builder::new().with_config(config), |builder, name| builder.with_src(ffi.join(format!("{name}.rs"))));
     let mut header = Vec::new();
     builder.generate().expect("the sources can be read").write(&mut header);
-    String::from_utf8(header).expect("text")
+    by_source(&String::from_utf8(header).expect("text"), &SOURCES.map(|name| text(&ffi, name)))
+}
+
+fn text(ffi: &Path, name: &str) -> String {
+    std::fs::read_to_string(ffi.join(format!("{name}.rs"))).expect("a source")
+}
+
+/// What stands before all declarations. cbindgen writes ten lines of preprocessor for each enumeration instead.
+const BEFORE: &str = r#"// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+#define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
+#else
+#define ZS_ENUM(name) typedef int32_t name; enum name
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+"#;
+
+const AFTER: &str = r"
+#undef ZS_ENUM
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif // ZIPSPLAT_H
+";
+
+/// cbindgen's header with types and functions of a source together, under the sentence that the source begins with. cbindgen
+/// sorts by kind; types come before their use in its order, and do so still, as each source uses those before it.
+fn by_source(header: &str, sources: &[String]) -> String {
+    let (top, declarations) = header.split_once("#include <stdint.h>\n").expect("its includes");
+    let mut sections = vec![String::new(); sources.len()];
+    for item in declarations.trim().split("\n\n").filter(|item| !is_frame(item)) {
+        let name = declared(item);
+        let source = sources.iter().position(|source| declares(source, name));
+        let section = &mut sections[source.unwrap_or_else(|| panic!("no source declares {name}:\n{item}"))];
+        *section += &format!("\n{}\n", plain_enumeration(item));
+    }
+    let mut out = format!("{top}#include <stdint.h>\n\n{BEFORE}");
+    for (source, section) in sources.iter().zip(sections) {
+        let title = source.lines().next().and_then(|line| line.strip_prefix("//! ")).expect("what a source is");
+        let line = "*".repeat(title.len() + 4);
+        out += &format!("\n/*{line}*/\n/*  {title}  */\n/*{line}*/\n{section}");
+    }
+    out + AFTER
+}
+
+/// Whether it is cbindgen's `extern "C"` or the guard's end.
+fn is_frame(item: &str) -> bool {
+    item.starts_with("#ifdef __cplusplus") || item.starts_with("#endif")
+}
+
+/// The name that an item of C declares, behind its comment.
+fn declared(item: &str) -> &str {
+    let code = item.lines().find(|line| !line.starts_with("//")).expect("a declaration");
+    let word = |text: &str| text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
+    let behind = |mark: &str| code.split_once(mark).map(|(_, rest)| &rest[..word(rest)]);
+    let keyword = ["#define ", "typedef struct ", "(*"].into_iter().find_map(behind);
+    let function = || code.split_once('(').and_then(|(before, _)| before.rsplit([' ', '*']).next());
+    let enumeration = code.strip_prefix("enum ").map(|rest| &rest[..word(rest)]);
+    enumeration.or(keyword).or_else(function).unwrap_or_else(|| panic!("what is declared here?\n{item}"))
+}
+
+/// Whether a source of Rust declares a name.
+fn declares(source: &str, name: &str) -> bool {
+    let ends = |rest: &str| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_');
+    ["const", "enum", "struct", "type", "fn"]
+        .iter()
+        .any(|kind| source.split(&format!(" {kind} {name}")).skip(1).any(ends))
+}
+
+/// An enumeration by way of the macro; any other item as it is.
+fn plain_enumeration(item: &str) -> String {
+    let Some((comment, code)) =
+        item.split_once("enum zs_").filter(|(comment, _)| comment.lines().all(|l| l.starts_with("//")))
+    else {
+        return item.to_owned();
+    };
+    let (name, rest) = code.split_once('\n').expect("its body");
+    let (_, body) = rest.split_once("\n {\n").expect("its body behind the type");
+    let (body, _) = body.split_once("\n};\n#ifndef __cplusplus").expect("the end of its body");
+    format!("{comment}ZS_ENUM(zs_{name}) {{\n{body}\n}};")
+}
+
+/// A reader finds what an object is and what can be done with it in one place.
+#[test]
+fn types_and_functions_of_an_object_stand_together() {
+    let header = std::fs::read_to_string(root().join("engine/include/zipsplat.h")).expect("the header");
+    let place = |text: &str| header.find(text).unwrap_or_else(|| panic!("{text} is not in the header"));
+    let order = [
+        "typedef struct zs_context zs_context;",
+        "zs_status zs_context_create(",
+        "typedef struct zs_scene zs_scene;",
+        "typedef struct zs_gaussians {",
+        "zs_status zs_scene_open(",
+        "typedef struct zs_model zs_model;",
+        "zs_status zs_model_open(",
+        "typedef struct zs_vulkan_target {",
+        "zs_status zs_render_to_vulkan(",
+    ];
+    assert!(order.map(place).is_sorted());
+    let conditions = header.lines().filter(|line| line.starts_with("#if")).count();
+    assert_eq!(conditions, 4, "the guard, the enumerations, and extern \"C\" from and to");
 }
 
 /// `ZIPSPLAT_WRITE_HEADER=1` writes it instead.

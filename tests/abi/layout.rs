@@ -102,7 +102,7 @@ fn nothing_was_left_out() {
     let structures = structures();
     let fields = structures.iter().filter(|(name, _)| name.starts_with("offsetof")).count();
     let bodies = code.join("\n");
-    let bodies = bodies.split("typedef struct ").filter_map(|part| part.split_once(" {\n"));
+    let bodies = bodies.split("typedef struct ").skip(1).filter_map(|part| part.split_once(" {\n"));
     let found: usize = bodies.map(|(_, rest)| rest.split('}').next().unwrap_or_default().matches(';').count()).sum();
     assert_eq!(
         (fields, structures.len() - fields),
@@ -110,5 +110,6 @@ fn nothing_was_left_out() {
     );
     let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
     assert_eq!(constants().len() - 4, numbers);
-    assert_eq!(code.iter().filter(|line| line.starts_with("#define ZS_")).count(), 4 + 1, "and ZS_RATIO_AUTO");
+    let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("ZS_ENUM(")).count();
+    assert_eq!(defined, 4 + 1, "and ZS_RATIO_AUTO");
 }

@@ -10,6 +10,7 @@ mod header;
 mod installation;
 mod layout;
 mod lost;
+mod memory;
 mod notes;
 mod random_calls;
 mod same_bits;

@@ -53,6 +53,11 @@ fn scenes_go_from_format_to_format() {
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     folder.run("convert @/a.ply @/two.spz --spz-version 2").success();
     assert!(bytes("two.spz").len() < bytes("b.spz").len());
+    folder.run("convert @/a.ply @/four.spz --spz-version 4").success();
+    assert!(bytes("four.spz").starts_with(b"NGSP\x04"));
+    folder.run("convert @/four.spz @/g.ply").success();
+    let [three, four] = ["b.spz", "four.spz"].map(|name| read_scene(folder.path(name)).expect("a scene"));
+    assert!(three == four);
     let mut found = read_scene(folder.path("f.ply")).expect("a scene").means;
     let mut means = truth.means;
     found.sort_by(|a, b| a[2].total_cmp(&b[2]));

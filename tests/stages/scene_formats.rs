@@ -2,12 +2,17 @@
 
 mod foreign;
 mod gltf;
+mod packed;
+mod spz4;
 
 use std::fs;
 use std::io::Write;
 
 use zipsplat::Error;
-use zipsplat::types::{Scene, SceneFormat, WriteOptions, matrix_from_quaternion, read_scene, write_scene};
+use zipsplat::types::{
+    Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, matrix_from_quaternion,
+    read_scene, write_scene,
+};
 use zipsplat_tests::scenes;
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
@@ -96,6 +101,18 @@ fn spz_keeps_what_its_grids_resolve() {
     }
 }
 
+/// Large sections are packed in parts, which one stream holds.
+#[test]
+fn spz_of_many_gaussians_is_one_stream() {
+    let truth = scenes::random_scene(120_000, 0, 0.1);
+    let [three, four] = [3, 4].map(|spz_version| encode_scene(&truth, SceneFormat::Spz, &WriteOptions { spz_version }));
+    let [three, four] = [three.unwrap(), four.unwrap()];
+    assert!(decode_scene(&three, None).unwrap() == decode_scene(&four, None).unwrap());
+    let mut plain = Vec::new();
+    std::io::Read::read_to_end(&mut GzDecoder::new(&three[..]), &mut plain).unwrap();
+    assert_eq!(plain.len(), 16 + 20 * truth.len());
+}
+
 #[test]
 fn version_2_keeps_rotations_but_near_half_turns() {
     let mut truth = scene(0);
@@ -117,7 +134,7 @@ fn spz_gives_far_scenes_coarser_positions() {
     let path = std::env::temp_dir().join("never-written.spz");
     let error = write_scene(&path, &far, &WriteOptions::default()).expect_err("too far").to_string();
     assert!(error.contains("means") && !path.exists(), "{error}");
-    let version = WriteOptions { spz_version: 4 };
+    let version = WriteOptions { spz_version: 5 };
     assert!(matches!(write_scene(&path, &scene(0), &version), Err(Error::Argument { .. })) && !path.exists());
 }
 
@@ -169,6 +186,33 @@ fn formats_are_told_apart() {
     assert!(matches!(error, Error::Argument { .. }) && !path("c.obj").exists());
     assert!(failure("c.obj", b"v 0 0 0").contains("expected .ply"));
     assert!(matches!(read_scene(path("none.spz")), Err(Error::Io { .. })));
+}
+
+/// Every format of the table, to memory and back as to a file and back.
+#[test]
+fn bytes_in_memory_are_what_files_have() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in SceneFormat::ALL.iter().copied() {
+        let (truth, path) = (scene(1), folder.path().join(format!("scene{}", format.extension())));
+        assert_eq!(SceneFormat::of_extension(&path), Some(format));
+        let bytes = encode_scene(&truth, format, &WriteOptions::default()).unwrap();
+        write_scene(&path, &truth, &WriteOptions::default()).unwrap();
+        assert!(fs::read(&path).unwrap() == bytes, "{format:?}");
+        assert!(decode_scene(&bytes, Some(format)).unwrap() == read_scene(&path).unwrap(), "{format:?}");
+        let marked = !matches!(format, SceneFormat::Splat | SceneFormat::Gltf);
+        assert_eq!(decode_scene(&bytes, None).is_ok(), marked, "{format:?}");
+    }
+    let error = decode_scene(b"no scene", None).expect_err("no scene").to_string();
+    assert!(error.contains("scene in memory") && error.contains("expected .ply"), "{error}");
+    let truth = Scene { opacities: vec![2.0; 400], ..scene(0) };
+    assert!(matches!(encode_scene(&truth, SceneFormat::Ply, &WriteOptions::default()), Err(Error::Argument { .. })));
+    let row = [f32::NAN, 0.0, 1.0, 0.1, 0.1, 0.1].map(f32::to_le_bytes);
+    let bytes = [row.as_flattened(), &[9; 8]].concat();
+    assert!(decode_scene(&bytes, Some(SceneFormat::Splat)).is_err());
+    assert_eq!(decode_scene_unchecked(&bytes, Some(SceneFormat::Splat)).unwrap().len(), 1);
+    let outside = br#"{"asset": {"version": "2.0"}, "buffers": [{"uri": "Cargo.toml", "byteLength": 1}]}"#;
+    let error = decode_scene(outside, SceneFormat::named("gltf")).expect_err("a file beside memory").to_string();
+    assert!(error.contains("Cargo.toml") && error.contains("expected a .glb or base64"), "{error}");
 }
 
 fn gzip(bytes: &[u8]) -> Vec<u8> {

@@ -20,6 +20,7 @@ mod vulkan;
 /// What the header says of threads.
 const _: () = {
     const fn any_thread<T: Send + Sync>() {}
+    any_thread::<zs_bytes>();
     any_thread::<zs_context>();
     any_thread::<zs_model>();
     any_thread::<zs_photo>();

@@ -1,14 +1,14 @@
-//! Photos from files, and pictures to files.
+//! Photos from files and bytes, and pictures to files.
 
 use super::{
     picture::{zs_image, zs_pixel_format},
-    pointers::{Versioned, borrow, destroy, produce, read_given, text, write_versioned},
+    pointers::{Versioned, array, borrow, destroy, produce, read_given, text, write_versioned},
     status::{guard, zs_status},
 };
 use crate::types::Image;
-use std::ffi::c_char;
+use std::ffi::{c_char, c_void};
 
-/// A photo from a file, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
+/// A photo, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
 pub struct zs_photo {
     image: Image,
 }
@@ -22,6 +22,20 @@ pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_
     let open = || Ok(zs_photo { image: Image::open(unsafe { text(path, "path") }?)? });
     // SAFETY: the caller's pointer.
     unsafe { produce(photo, open) }
+}
+
+/// As zs_photo_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_photo_from_memory(
+    data: *const c_void,
+    size: usize,
+    photo: *mut *mut zs_photo,
+) -> zs_status {
+    // SAFETY: the caller's array of that size.
+    let decode =
+        || Ok(zs_photo { image: Image::decode(unsafe { array(data.cast::<u8>(), size, "bytes of a photo") }?)? });
+    // SAFETY: the caller's pointer.
+    unsafe { produce(photo, decode) }
 }
 
 /// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own

@@ -7,17 +7,18 @@
  *     zs_model      a network with its weights on the device; makes
  *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; is drawn by
  *     zs_renderer   a scene on the device
- *     zs_photo      a photo from a file, for those who have no pixels yet
+ *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
+ *     zs_bytes      a scene's file in memory
  *
  * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
  * zs_last_error has for the thread that called. A call that fails leaves nothing half made; one that creates an object sets
  * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
  * host has no memory left at all.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory or zs_reconstruct hands out is yours; give it back to its
- * zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive what
- * they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on them.
- * Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory or zs_reconstruct hands out is yours; give it back
+ * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
+ * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
+ * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
  * get from functions returning const char * are never yours to free.
  *
  * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one

@@ -1,19 +1,27 @@
-//! Scenes: Gaussians in and out of arrays and files.
+//! Scenes: Gaussians in and out of arrays, files and bytes.
 
 use super::{
     pointers::{
-        POINTER, Versioned, array, borrow, destroy, produce, read_given, read_versioned, text, write_defaults,
-        write_versioned,
+        POINTER, Versioned, array, borrow, destroy, optional_text, produce, read_given, read_versioned, text,
+        write_defaults, write_versioned,
     },
     status::{Failure, guard, zs_status},
 };
-use crate::types::{Scene, WriteOptions, read_scene, read_scene_unchecked, write_scene};
-use std::ffi::c_char;
+use crate::types::{
+    Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene,
+    read_scene_unchecked, write_scene,
+};
+use std::ffi::{c_char, c_void};
 
 /// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
 /// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
 pub struct zs_scene {
     pub(super) scene: Scene,
+}
+
+/// Bytes of the library's, such as a scene's file in memory. They never change.
+pub struct zs_bytes {
+    bytes: Vec<u8>,
 }
 
 /// Gaussians as arrays, one a property, each as long as it says.
@@ -47,7 +55,7 @@ pub struct zs_gaussians {
 pub struct zs_save_options {
     /// sizeof(zs_save_options); zs_save_options_default sets it.
     pub struct_size: u32,
-    /// Version of a .spz file: 3, or 2 for older readers. Default 3.
+    /// Version of an SPZ: 3; 2 for older readers; 4, packed by zstd, for those that know only the newest. Default 3.
     pub spz_version: u32,
 }
 
@@ -136,8 +144,8 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
 /// More fill no device's memory, and their arrays' sizes stay far from wrapping.
 const MAX_GAUSSIANS: usize = 1 << 28;
 
-/// Reads a scene file: PLY of 3D Gaussian Splatting, SPZ, .splat, glTF with KHR_gaussian_splatting (.gltf, .glb). Whatever
-/// axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
+/// Reads a scene file: PLY of 3D Gaussian Splatting, also packed (.compressed.ply), SPZ, .splat, glTF with KHR_gaussian_splatting
+/// (.gltf, .glb). Whatever axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
@@ -168,6 +176,40 @@ pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
     unsafe { produce(scene, open) }
 }
 
+/// As zs_scene_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns. PLY, SPZ and
+/// .glb are told apart by their first bytes; `format` names one that they do not tell ("splat", "gltf"), and may be NULL. A
+/// glTF may name no other file. Where `dropped` is not NULL, Gaussians with values that are NaN, infinite or out of range are left
+/// out and it gets their number; where it is NULL, such a scene is refused.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_from_memory(
+    data: *const c_void,
+    size: usize,
+    format: *const c_char,
+    dropped: *mut u64,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
+    let decode = || {
+        // SAFETY: the caller's array of that size, and a string or NULL.
+        let (bytes, format) =
+            unsafe { (array(data.cast::<u8>(), size, "bytes of a scene")?, optional_text(format, "format")?) };
+        let format = format.map(format_named).transpose()?;
+        if dropped.is_null() {
+            return Ok(zs_scene { scene: decode_scene(bytes, format)? });
+        }
+        let mut scene = decode_scene_unchecked(bytes, format)?;
+        let count = scene.drop_invalid()? as u64;
+        // SAFETY: not NULL, and the caller's to write.
+        unsafe { dropped.write(count) };
+        Ok(zs_scene { scene })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, decode) }
+}
+
+fn format_named(name: &str) -> Result<SceneFormat, Failure> {
+    SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
+}
+
 /// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, size: usize) -> zs_status {
@@ -189,6 +231,50 @@ pub unsafe extern "C" fn zs_scene_save(
             unsafe { (borrow(scene, "scene")?, text(path, "path")?, read_versioned(options)?) };
         Ok(write_scene(path, &scene.scene, &WriteOptions { spz_version: options.spz_version })?)
     })
+}
+
+/// As zs_scene_save, to memory: what the file of `format` ("ply", "spz", "splat", "gltf" or "glb") would have is handed out
+/// as an object, which is yours to destroy. `options` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_to_memory(
+    scene: *const zs_scene,
+    format: *const c_char,
+    options: *const zs_save_options,
+    bytes: *mut *mut zs_bytes,
+) -> zs_status {
+    let encode = || {
+        // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
+        let (scene, format, options) =
+            unsafe { (borrow(scene, "scene")?, text(format, "format")?, read_versioned(options)?) };
+        let options = WriteOptions { spz_version: options.spz_version };
+        Ok(zs_bytes { bytes: encode_scene(&scene.scene, format_named(format)?, &options)? })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(bytes, encode) }
+}
+
+/// Says where bytes are and how many: the object's own memory, there until it is destroyed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_bytes_get(bytes: *const zs_bytes, data: *mut *const c_void, size: *mut usize) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let found = &unsafe { borrow(bytes, "bytes") }?.bytes;
+        if data.is_null() || size.is_null() {
+            return Err(Failure::argument("data and size", "NULL", "where to put them"));
+        }
+        // SAFETY: not NULL, and the caller's to write.
+        unsafe { data.write(found.as_ptr().cast()) };
+        // SAFETY: as above.
+        unsafe { size.write(found.len()) };
+        Ok(())
+    })
+}
+
+/// Destroys bytes. NULL is allowed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_bytes_destroy(bytes: *mut zs_bytes) {
+    // SAFETY: an object that the caller gives up, or NULL.
+    unsafe { destroy(bytes) }
 }
 
 /// Destroys a scene. NULL is allowed.

@@ -3,8 +3,8 @@
 use crate::Error;
 use std::{
     any::Any,
-    cell::RefCell,
-    ffi::{CStr, CString, c_char},
+    cell::Cell,
+    ffi::{CStr, c_char},
     panic::{AssertUnwindSafe, catch_unwind},
 };
 
@@ -66,14 +66,36 @@ pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
 }
 
 /// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
-/// none has failed. Yours to read until the next call of this thread that fails.
+/// none has failed. A thread has one place for its message, the same until the thread ends: the pointer stays good, and the next
+/// call of this thread that fails writes its message there. So a call and its message may stand in one expression, whichever
+/// is evaluated first: printf("%s: %s", zs_status_name(zs_scene_open(path, &scene)), zs_last_error()). A message of more than
+/// 16 KiB is cut. Copy one that you want to keep.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_last_error() -> *const c_char {
-    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+    LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())
+}
+
+/// A thread's message at a place that never moves. Cells, as C reads it through a pointer from before it was written.
+struct Message(Box<[Cell<u8>]>);
+
+/// Bytes of the longest message, with its NUL.
+const MAX_MESSAGE: usize = 16 << 10;
+
+impl Message {
+    fn new() -> Self {
+        Self(vec![Cell::new(0); MAX_MESSAGE].into())
+    }
+
+    /// Replaces the message, cut between characters where it is too long.
+    fn set(&self, message: &str) {
+        let end = (0..MAX_MESSAGE.min(message.len() + 1)).rev().find(|end| message.is_char_boundary(*end)).unwrap_or(0);
+        let bytes = message.as_bytes()[..end].iter().map(|byte| if *byte == 0 { b' ' } else { *byte });
+        self.0.iter().zip(bytes.chain([0])).for_each(|(to, from)| to.set(from));
+    }
 }
 
 thread_local! {
-    static LAST_ERROR: RefCell<CString> = RefCell::default();
+    static LAST_ERROR: Message = Message::new();
 }
 
 /// Why a call failed.
@@ -120,9 +142,8 @@ impl From<Error> for Failure {
 pub(super) fn guard(body: impl FnOnce() -> Result<(), Failure>) -> zs_status {
     let result = catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|payload| Err(Failure::panicked(payload)));
     let Err(Failure { status, message }) = result else { return ZS_OK };
-    let message = CString::new(message.replace('\0', " ")).unwrap_or_default();
     // A thread that is ending has no messages any more.
-    let _ = LAST_ERROR.try_with(|last| last.replace(message));
+    let _ = LAST_ERROR.try_with(|last| last.set(&message));
     status
 }
 
@@ -136,6 +157,22 @@ mod tests {
         // SAFETY: the message of this thread, read before the next call.
         let message = unsafe { CStr::from_ptr(zs_last_error()) };
         assert_eq!(message.to_str(), Ok("a bug in zipsplat: index 3 of 2"));
+    }
+
+    #[test]
+    fn long_messages_are_cut_between_characters() {
+        let message = Message::new();
+        let found = || {
+            let bytes: Vec<u8> = message.0.iter().map(Cell::get).collect();
+            CStr::from_bytes_until_nul(&bytes).expect("it ends").to_str().expect("UTF-8").to_owned()
+        };
+        // Two bytes each: the last one does not fit in front of the NUL.
+        message.set(&"ä".repeat(MAX_MESSAGE));
+        assert_eq!(found().len(), MAX_MESSAGE - 2);
+        for (text, expected) in [("a\0b", "a b"), ("", "")] {
+            message.set(text);
+            assert_eq!(found(), expected);
+        }
     }
 
     #[test]

@@ -58,6 +58,19 @@ impl Image {
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
+    /// As [`Image::open`], from a file's bytes, which errors call "photo in memory".
+    ///
+    /// # Errors
+    /// [`Error::Format`] as [`Image::open`].
+    pub fn decode(bytes: &[u8]) -> Result<Self> {
+        let name = Path::new("photo in memory");
+        refuse_other_kind(name, bytes)?;
+        let decoded = decode_bytes(bytes).map_err(|reason| Error::format(name, None, reason));
+        let (mut decoded, orientation) = decoded?;
+        decoded.apply_orientation(orientation);
+        Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
+    }
+
     /// As [`Image::open`], but with the pixels as they are stored, whatever the EXIF orientation says. So COLMAP sees a photo, and
     /// the cameras that it finds are of these pixels.
     ///
@@ -173,13 +186,17 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     let failed = |source| Error::io(path, source);
     let (mut file, mut bytes) = (open_file(path)?, Vec::new());
     file.by_ref().take(MARK).read_to_end(&mut bytes).map_err(failed)?;
-    if let Some((kind, command)) = other_kind(&bytes) {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let reason = format!("found {kind}, expected PNG, JPEG or WebP: {}", command.replace('@', &name));
-        return Err(Error::format(path, None, reason));
-    }
+    refuse_other_kind(path, &bytes)?;
     file.read_to_end(&mut bytes).map_err(failed)?;
     Ok(bytes)
+}
+
+/// Refuses what is known to be no photo by its first bytes.
+fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
+    let Some((kind, command)) = other_kind(start) else { return Ok(()) };
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let reason = format!("found {kind}, expected PNG, JPEG or WebP: {}", command.replace('@', &name));
+    Err(Error::format(path, None, reason))
 }
 
 /// What a camera or phone writes beside photos, by its first bytes, and the command that makes photos of a file `@`.

@@ -13,6 +13,7 @@ pub mod resample;
 mod scene;
 mod scene_file;
 mod sh_rotation;
+mod source;
 mod splat;
 mod spz;
 mod trajectory;
@@ -25,7 +26,10 @@ pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
 pub use ply::{read_ply, read_ply_origin, read_points, write_ply, write_ply_with_origin, write_points};
 pub use scene::Scene;
-pub use scene_file::{SceneFormat, WriteOptions, read_scene, read_scene_unchecked, write_scene};
+pub use scene_file::{
+    SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked,
+    write_scene,
+};
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use crate::{Error, Result};
 
 /// N 3D Gaussians in the frame of the first view's camera (OpenCV axes).
@@ -73,6 +75,31 @@ impl Scene {
             sh_coeffs: Vec::with_capacity(count * coeffs),
             sh_degree: 0,
         }
+    }
+
+    /// As many Gaussians, of zeros: for a reader that fills them.
+    pub(super) fn zeroed(count: usize, sh_degree: u32) -> Self {
+        Self {
+            means: vec![[0.0; 3]; count],
+            scales: vec![[0.0; 3]; count],
+            quats: vec![[0.0; 4]; count],
+            opacities: vec![0.0; count],
+            sh_coeffs: vec![[0.0; 3]; count * coeffs(sh_degree)],
+            sh_degree,
+        }
+    }
+
+    /// The Gaussians from number `start` on, to be filled at the same time.
+    pub(super) fn rows_mut(&mut self, start: usize) -> impl IndexedParallelIterator<Item = GaussianMut<'_>> {
+        let k = self.sh_coeffs_per_gaussian();
+        let fields = (
+            &mut self.means[start..],
+            &mut self.scales[start..],
+            &mut self.quats[start..],
+            &mut self.opacities[start..],
+            self.sh_coeffs[k * start..].par_chunks_exact_mut(k),
+        );
+        fields.into_par_iter().map(|(mean, scale, quat, opacity, sh)| GaussianMut { mean, scale, quat, opacity, sh })
     }
 
     /// Scales the world about the origin: means and scales times `factor`.
@@ -170,6 +197,15 @@ impl Scene {
         }
         Ok(())
     }
+}
+
+/// A Gaussian's fields, as [`Scene`] has them.
+pub(super) struct GaussianMut<'a> {
+    pub mean: &'a mut [f32; 3],
+    pub scale: &'a mut [f32; 3],
+    pub quat: &'a mut [f32; 4],
+    pub opacity: &'a mut f32,
+    pub sh: &'a mut [[f32; 3]],
 }
 
 /// What a Gaussian's values of one field have to be.

@@ -1,30 +1,82 @@
-//! Scene files of every format that is known.
+//! Scene files of every format that is known. A format is a module beside this file and a line of the table below.
 
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::Path;
 
-use super::{Scene, file::open_file, gltf, ply, splat, spz};
+use super::{Scene, file::write_atomic, gltf, ply, source::Source, splat, spz};
 use crate::{Error, Result};
 
-/// What a scene file is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SceneFormat {
-    /// 3D Gaussian Splatting PLY.
-    Ply,
+/// What a format's module says of it.
+pub(super) struct Format {
+    /// First bytes of its files, any of these; none where the extension alone tells it.
+    pub marks: &'static [&'static [u8]],
+    /// Whether it keeps spherical harmonics above degree 0.
+    pub view_dependence: bool,
+    /// Reads a scene with its values as they are.
+    pub read: fn(Source<'_>) -> Result<Scene>,
+    /// Checks that the format can hold a scene, which is valid, and gives what writes it.
+    pub write: for<'a> fn(&'a Scene, &WriteOptions) -> Result<Encoder<'a>>,
+}
+
+/// Writes a scene that was checked: only writing itself can fail any more.
+pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
+
+/// ".a, .b or .c".
+macro_rules! listed {
+    ($last:literal) => { $last };
+    ($one:literal, $last:literal) => { concat!($one, " or ", $last) };
+    ($first:literal, $($rest:literal),+) => { concat!($first, ", ", listed!($($rest),+)) };
+}
+
+/// The enumeration of formats from their table: name, extension, and what their module says.
+macro_rules! formats {
+    ($($(#[$doc:meta])* $name:ident $extension:literal $format:path;)*) => {
+        /// What a scene file is.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum SceneFormat {
+            $($(#[$doc])* $name,)*
+        }
+
+        impl SceneFormat {
+            /// Every format, in the order of messages.
+            pub const ALL: &[Self] = &[$(Self::$name),*];
+
+            /// Extensions of the formats, for messages.
+            pub const EXTENSIONS: &str = listed!($($extension),*);
+
+            /// How the names of its files end, such as ".ply".
+            pub fn extension(self) -> &'static str {
+                match self {
+                    $(Self::$name => $extension,)*
+                }
+            }
+
+            fn format(self) -> &'static Format {
+                match self {
+                    $(Self::$name => &$format,)*
+                }
+            }
+        }
+    };
+}
+
+formats! {
+    /// 3D Gaussian Splatting PLY; read are also the packed ones of SuperSplat and PlayCanvas (`.compressed.ply`).
+    Ply ".ply" ply::FORMAT;
     /// Niantic's SPZ.
-    Spz,
+    Spz ".spz" spz::FORMAT;
     /// antimatter15's 32 bytes a Gaussian.
-    Splat,
+    Splat ".splat" splat::FORMAT;
+    /// The same as [`SceneFormat::Gltf`] in one binary file.
+    Glb ".glb" gltf::BINARY;
     /// glTF 2.0 with KHR_gaussian_splatting, as JSON.
-    Gltf,
-    /// The same in one binary file.
-    Glb,
+    Gltf ".gltf" gltf::TEXT;
 }
 
 /// How a scene is written where its format leaves a choice.
 #[derive(Clone, Copy, Debug)]
 pub struct WriteOptions {
-    /// Version of an SPZ: 3, or 2 for older readers.
+    /// Version of an SPZ: 3; 2 for older readers; 4, which is packed by zstd, for those that know only the newest.
     pub spz_version: u32,
 }
 
@@ -35,19 +87,15 @@ impl Default for WriteOptions {
 }
 
 impl SceneFormat {
-    /// Extensions of the formats, for messages.
-    pub const EXTENSIONS: &str = ".ply, .spz, .splat, .glb or .gltf";
+    /// By an extension, in any case and with its dot or without.
+    pub fn named(extension: &str) -> Option<Self> {
+        let extension = extension.strip_prefix('.').unwrap_or(extension);
+        Self::ALL.iter().copied().find(|format| format.extension()[1..].eq_ignore_ascii_case(extension))
+    }
 
     /// By the path's extension, in any case.
     pub fn of_extension(path: impl AsRef<Path>) -> Option<Self> {
-        match path.as_ref().extension()?.to_str()?.to_ascii_lowercase().as_str() {
-            "ply" => Some(Self::Ply),
-            "spz" => Some(Self::Spz),
-            "splat" => Some(Self::Splat),
-            "gltf" => Some(Self::Gltf),
-            "glb" => Some(Self::Glb),
-            _ => None,
-        }
+        Self::named(path.as_ref().extension()?.to_str()?)
     }
 
     /// By a file's first bytes, else by its extension; none where neither is a scene's. A `.splat` and a `.gltf` have
@@ -57,22 +105,25 @@ impl SceneFormat {
     /// [`Error::Io`] when the file cannot be read.
     pub fn of_file(path: impl AsRef<Path>) -> Result<Option<Self>> {
         let path = path.as_ref();
-        let by_extension = Self::of_extension(path);
-        let mut start = Vec::new();
-        let read = open_file(path)?.take(4).read_to_end(&mut start);
+        let (mut start, by_extension) = (Vec::new(), Self::of_extension(path));
+        let longest = Self::ALL.iter().flat_map(|format| format.format().marks).map(|mark| mark.len()).max();
+        let read = Source::open(path)?.take(longest.unwrap_or(0) as u64).read_to_end(&mut start);
         read.map_err(|source| Error::io(path, source))?;
-        Ok(match (by_extension, &start[..]) {
-            (Some(Self::Splat | Self::Gltf), _) => by_extension,
-            (_, [b'p', b'l', b'y', ..]) => Some(Self::Ply),
-            (_, [0x1f, 0x8b, ..] | b"NGSP") => Some(Self::Spz),
-            (_, b"glTF") => Some(Self::Glb),
-            _ => by_extension,
-        })
+        Ok(Self::told(&start, by_extension))
+    }
+
+    /// By a file's first bytes, else `otherwise`, which counts first where it has no mark.
+    fn told(start: &[u8], otherwise: Option<Self>) -> Option<Self> {
+        let marked = |format: &Self| format.format().marks.iter().any(|mark| start.starts_with(mark));
+        otherwise
+            .filter(|format| format.format().marks.is_empty())
+            .or_else(|| Self::ALL.iter().copied().find(marked))
+            .or(otherwise)
     }
 
     /// Whether it keeps spherical harmonics above degree 0.
     pub fn keeps_view_dependence(self) -> bool {
-        self != Self::Splat
+        self.format().view_dependence
     }
 }
 
@@ -92,13 +143,35 @@ pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
 /// As [`read_scene`], but for values.
 pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
     let path = path.as_ref();
-    match SceneFormat::of_file(path)? {
-        Some(SceneFormat::Ply) => ply::read_unchecked(path),
-        Some(SceneFormat::Spz) => spz::read_unchecked(path),
-        Some(SceneFormat::Splat) => splat::read_unchecked(path),
-        Some(SceneFormat::Gltf | SceneFormat::Glb) => gltf::read_unchecked(path),
-        None => Err(Error::format(path, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))),
-    }
+    let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
+    (format.format().read)(Source::open(path)?)
+}
+
+/// A scene from a file's bytes, told apart by the first of them, else of the format given: a `.splat` and a `.gltf` have no
+/// mark and need it. A glTF may name no other file. Axes and values are those of [`read_scene`]; errors call the bytes
+/// "scene in memory".
+///
+/// # Errors
+/// [`Error::Format`] as [`read_scene`].
+pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
+    decode_scene_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
+}
+
+/// As [`decode_scene`], with the values as they are, as [`read_scene_unchecked`] has them.
+///
+/// # Errors
+/// As [`decode_scene`], but for values.
+pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
+    let name = Path::new(IN_MEMORY);
+    let format = SceneFormat::told(bytes, format).ok_or_else(|| no_scene(name))?;
+    (format.format().read)(Source::memory(name, bytes))
+}
+
+/// What errors call bytes in memory.
+const IN_MEMORY: &str = "scene in memory";
+
+fn no_scene(name: &Path) -> Error {
+    Error::format(name, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))
 }
 
 /// Writes a scene in the format of the path's extension; the file appears whole or not at all. Cameras are not part of
@@ -109,12 +182,25 @@ pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
     let path = path.as_ref();
-    match SceneFormat::of_extension(path) {
-        Some(SceneFormat::Ply) => ply::write_ply(scene, path),
-        Some(SceneFormat::Spz) => spz::write_spz(scene, path, options.spz_version),
-        Some(SceneFormat::Splat) => splat::write_splat(scene, path),
-        Some(SceneFormat::Gltf) => gltf::write_gltf(scene, path, false),
-        Some(SceneFormat::Glb) => gltf::write_gltf(scene, path, true),
-        None => Err(Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS)),
-    }
+    let format = SceneFormat::of_extension(path)
+        .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
+    write_as(format, path, scene, options)
+}
+
+/// Writes a scene in a format, whatever the path is called.
+pub(super) fn write_as(format: SceneFormat, path: &Path, scene: &Scene, options: &WriteOptions) -> Result<()> {
+    scene.validate()?;
+    write_atomic(path, (format.format().write)(scene, options)?)
+}
+
+/// The bytes of the file that [`write_scene`] writes.
+///
+/// # Errors
+/// [`Error::Argument`] when the scene is not valid or the format cannot hold it.
+pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) -> Result<Vec<u8>> {
+    scene.validate()?;
+    let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
+    let written = (format.format().write)(scene, options)?(&mut bytes);
+    written.map_err(|source| Error::io(name, source))?;
+    Ok(bytes)
 }

@@ -5,12 +5,11 @@
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
-use super::{
-    Scene,
-    camera::unit_quaternion,
-    file::{read_file, write_atomic},
-};
+use super::scene_file::{Encoder, Format, SceneFormat, WriteOptions, write_as};
+use super::{Scene, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
+
+pub(super) const FORMAT: Format = Format { marks: &[], view_dependence: false, read: read_unchecked, write: encoder };
 
 /// Bytes a Gaussian.
 const ROW: usize = 32;
@@ -26,11 +25,14 @@ fn sh_constant() -> f32 {
 /// # Errors
 /// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    scene.validate()?;
+    write_as(SceneFormat::Splat, path.as_ref(), scene, &WriteOptions::default())
+}
+
+fn encoder<'a>(scene: &'a Scene, _: &WriteOptions) -> Result<Encoder<'a>> {
     let importance = |i: usize| scene.scales[i].map(f64::from).iter().product::<f64>() * f64::from(scene.opacities[i]);
     let mut order: Vec<usize> = (0..scene.len()).collect();
     order.sort_by(|&a, &b| importance(b).total_cmp(&importance(a)));
-    write_atomic(path.as_ref(), |out| order.iter().try_for_each(|&i| out.write_all(&encode(scene, i))))
+    Ok(Box::new(move |out| order.iter().try_for_each(|&i| out.write_all(&encode(scene, i)))))
 }
 
 fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
@@ -52,16 +54,16 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no whole number of Gaussians or one of them
 /// has values that are not finite, a negative standard deviation or no rotation.
 pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(path.as_ref())?.validated(path.as_ref())
+    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
 /// As [`read_splat`], with the values as they are.
-pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = read_file(path)?;
+fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
+    let bytes = source.rest()?;
     let (rows, rest) = bytes.as_chunks::<ROW>();
     if !rest.is_empty() {
         let reason = format!("{} bytes remain of a Gaussian, expected {ROW} for each", rest.len());
-        return Err(Error::format(path, Some((bytes.len() - rest.len()) as u64), reason));
+        return Err(Error::format(source.name, Some((bytes.len() - rest.len()) as u64), reason));
     }
     let mut scene = Scene::default();
     for row in rows {

@@ -5,10 +5,12 @@ use serde_json::json;
 use std::io::{Cursor, Read, Write};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 use zipsplat::{
-    types::{Camera, Intrinsics, Orbit, Scene, WriteOptions, poses::write_transforms, write_scene},
+    types::{
+        Camera, Intrinsics, Orbit, Scene, SceneFormat, WriteOptions, encode_scene, poses::write_transforms, write_scene,
+    },
     weights::{Checkpoint, Dtype},
 };
-use zipsplat_tests::{architectures::pico, scenes::random_scene};
+use zipsplat_tests::{architectures::pico, golden, scenes::random_scene};
 
 pub const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 
@@ -23,6 +25,11 @@ fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
 pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
     let scene: Scene = random_scene(7, sh_degree, 0.1);
     in_folder(&format!("scene.{extension}"), |path| write_scene(path, &scene, &WriteOptions::default()).unwrap())
+}
+
+/// A scene as an SPZ of version 4.
+pub fn spz4(sh_degree: u32) -> Vec<u8> {
+    encode_scene(&random_scene(7, sh_degree, 0.1), SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap()
 }
 
 /// The inside of an SPZ, which damage behind the checksum would not reach.
@@ -44,6 +51,11 @@ pub fn ascii_ply() -> Vec<u8> {
     let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
     let rows = "0.1 0.2 3 0.5 0.25 -0.5 1.5 -3 -3.5 -4 1 0 0.1 0\n".repeat(3);
     format!("ply\nformat ascii 1.0\ncomment made here\nelement vertex 3\n{properties}end_header\n{rows}").into_bytes()
+}
+
+/// A PLY of SuperSplat's packed kind.
+pub fn packed_ply() -> Vec<u8> {
+    std::fs::read(golden::find("scenes/scene.compressed.ply").expect("it is committed")).unwrap()
 }
 
 fn cameras() -> Vec<Camera> {

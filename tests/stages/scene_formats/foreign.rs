@@ -13,10 +13,10 @@ fn pair(name: &str) -> (Scene, Scene) {
 
 #[test]
 fn spz() {
-    for (version, rotation) in [(2, 4.0 * 3f64.sqrt() / 255.0), (3, 0.01)] {
+    for (version, rotation) in [(2, 4.0 * 3f64.sqrt() / 255.0), (3, 0.01), (4, 0.01)] {
         let (found, truth) = pair(&format!("scenes/v{version}.spz"));
         assert_eq!((found.len(), found.sh_degree), (7, 2));
-        // Both wrote 12 fractional bits.
+        // All wrote 12 fractional bits.
         assert_within("mean", found.means.as_flattened(), truth.means.as_flattened(), |_| 0.501 / 4096.0);
         let scales: Vec<f32> = truth.scales.iter().flatten().map(|scale| scale.max((-10f32).exp())).collect();
         let step = (1.001 / 32.0f32).exp() - 1.0;
@@ -25,11 +25,43 @@ fn spz() {
         assert_within("colour", &coefficient(&found, 0), &coefficient(&truth, 0), |_| 1.001 / (510.0 * 0.15));
         assert_rotations(&found.quats, &truth.quats, rotation);
         for k in 1..9 {
-            // One of the writers rounds down to a bucket. On our axes the end of the range may be either one.
+            // Some of the writers round down to a bucket. On our axes the end of the range may be either one.
             let levels = if k < 4 { 8.5 } else { 16.5 };
             let clamped: Vec<f32> = coefficient(&truth, k).iter().map(|value| value.clamp(-1.0, 1.0)).collect();
             assert_within(&format!("sh {k}"), &coefficient(&found, k), &clamped, |_| levels / 128.0);
         }
+    }
+}
+
+#[test]
+fn packed_ply() {
+    let (found, truth) = pair("scenes/scene.compressed.ply");
+    assert_eq!((found.len(), found.sh_degree), (7, 2));
+    // Its Gaussians are sorted by place.
+    let distance = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
+    let nearest = |mean: &[f32; 3]| {
+        (0..7).min_by(|a, b| distance(&truth.means[*a], mean).total_cmp(&distance(&truth.means[*b], mean))).unwrap()
+    };
+    let order: Vec<usize> = found.means.iter().map(nearest).collect();
+    let mut truth = truth;
+    truth.keep(&order);
+    let reach = |values: &[f32]| {
+        let (low, high) = values.iter().fold((f32::MAX, f32::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
+        high - low
+    };
+    let ln = |scene: &Scene| scene.scales.as_flattened().iter().map(|scale| scale.ln()).collect::<Vec<_>>();
+    let step = |values: &[f32], levels: f32| 0.51 * reach(values) / (levels - 1.0) + 1e-5;
+    let [position, scale] = [truth.means.as_flattened(), &ln(&truth)].map(|values| step(values, 1024.0));
+    assert_within("mean", found.means.as_flattened(), truth.means.as_flattened(), |_| position);
+    assert_within("scale", &ln(&found), &ln(&truth), |_| scale);
+    assert_within("opacity", &found.opacities, &truth.opacities, |_| 0.51 / 255.0);
+    let color = step(&coefficient(&truth, 0), 256.0);
+    assert_within("colour", &coefficient(&found, 0), &coefficient(&truth, 0), |_| color);
+    assert_rotations(&found.quats, &truth.quats, 0.01);
+    for k in 1..9 {
+        // A bucket of 256; its middle is read, but of the first and the last the ends of the range.
+        let clamped: Vec<f32> = coefficient(&truth, k).iter().map(|value| value.clamp(-4.0, 4.0)).collect();
+        assert_within(&format!("sh {k}"), &coefficient(&found, k), &clamped, |_| 1.01 * 8.0 / 256.0);
     }
 }
 

@@ -42,8 +42,8 @@ pub struct Convert {
     /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,
-    /// Version of an SPZ: 2 for older readers, or 3 [default: 3]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=3))]
+    /// Version of an SPZ: 2 for older readers, 3, or 4 for those that know only the newest [default: 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=4))]
     spz_version: Option<u32>,
 }
 

@@ -22,9 +22,14 @@ impl<'a> Buffers<'a> {
         self.contents.iter().map(|bytes| bytes.len()).sum()
     }
 
-    /// `binary` is the container's chunk, the content of a buffer without an address. Files are looked for beside `path`
-    /// and below, nowhere else.
-    pub(super) fn open(buffers: &[Buffer], binary: Option<&'a [u8]>, path: &Path) -> Result<Self> {
+    /// `binary` is the container's chunk, the content of a buffer without an address. Files are looked for in `folder`
+    /// and below, nowhere else; errors name `path`.
+    pub(super) fn open(
+        buffers: &[Buffer],
+        binary: Option<&'a [u8]>,
+        path: &Path,
+        folder: Option<&Path>,
+    ) -> Result<Self> {
         let fail = |i: usize, reason: String| Error::format(path, None, format!("buffer {i}: {reason}"));
         let (mut contents, mut of_buffer) = (Vec::new(), Vec::new());
         let mut files = HashMap::new();
@@ -41,7 +46,10 @@ impl<'a> Buffers<'a> {
                     let name = beside(uri).ok_or_else(|| {
                         fail(i, format!("found the address {uri:?}, expected a file in the folder or base64 data"))
                     })?;
-                    let file = path.parent().unwrap_or(Path::new("")).join(name);
+                    let memory = || {
+                        fail(i, format!("found the file {uri:?}, expected a .glb or base64 data where it is in memory"))
+                    };
+                    let file = folder.ok_or_else(memory)?.join(name);
                     match files.get(&file) {
                         Some(content) => *content,
                         None => {

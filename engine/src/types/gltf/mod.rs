@@ -11,12 +11,17 @@ use std::path::Path;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use rayon::prelude::*;
 
-use super::{Scene, axes::HalfTurn::AboutZ, file::read_file, sh_rotation::sh_rotation};
+use super::scene_file::Format;
+use super::{Scene, axes::HalfTurn::AboutZ, sh_rotation::sh_rotation, source::Source};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::{Document, Primitive, unpack};
 
 pub use write::write_gltf;
+
+pub(super) const BINARY: Format =
+    Format { marks: &[b"glTF"], view_dependence: true, read: read_unchecked, write: write::binary };
+pub(super) const TEXT: Format = Format { marks: &[], view_dependence: true, read: read_unchecked, write: write::text };
 
 /// The extension, and the prefix of its attributes.
 const EXTENSION: &str = "KHR_gaussian_splatting";
@@ -44,16 +49,16 @@ type Parsed<T> = std::result::Result<T, Fault>;
 /// [`Error::Io`] when a file cannot be read; [`Error::Format`] when it is damaged, shows no Gaussians, needs an extension
 /// that is not known (compressed Gaussians among them), or a node stretches its axes differently.
 pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(path.as_ref())?.validated(path.as_ref())
+    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
 /// As [`read_gltf`], with the values as they are.
-pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = read_file(path)?;
+fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
+    let (bytes, path) = (source.rest()?, source.name);
     let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
     let (json, binary) = unpack(&bytes).map_err(fail)?;
     let document = Document::parse(json).map_err(fail)?;
-    let buffers = Buffers::open(&document.buffers, binary, path)?;
+    let buffers = Buffers::open(&document.buffers, binary, path, source.folder())?;
     let mut parts = Vec::new();
     let mut count = 0;
     let shown = document.visit(|primitive, to_world| {

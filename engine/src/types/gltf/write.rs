@@ -6,7 +6,8 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::types::{Scene, axes::HalfTurn::AboutZ, camera::unit_quaternion, file::write_atomic};
+use crate::types::scene_file::{Encoder, SceneFormat, WriteOptions, write_as};
+use crate::types::{Scene, axes::HalfTurn::AboutZ, camera::unit_quaternion};
 use crate::{Error, Result};
 
 const FLOAT: u32 = 5126;
@@ -41,7 +42,19 @@ impl Attributes {
 /// [`Error::Argument`] when the scene is not valid or empty, which glTF does not know, or longer than the 4 GiB of a `.glb`;
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
-    scene.validate()?;
+    let format = if binary { SceneFormat::Glb } else { SceneFormat::Gltf };
+    write_as(format, path.as_ref(), scene, &WriteOptions::default())
+}
+
+pub(super) fn binary<'a>(scene: &'a Scene, _: &WriteOptions) -> Result<Encoder<'a>> {
+    encoder(scene, true)
+}
+
+pub(super) fn text<'a>(scene: &'a Scene, _: &WriteOptions) -> Result<Encoder<'a>> {
+    encoder(scene, false)
+}
+
+fn encoder(scene: &Scene, binary: bool) -> Result<Encoder<'_>> {
     if scene.is_empty() {
         return Err(Error::argument("scene", "no Gaussians", "at least one in a glTF"));
     }
@@ -67,13 +80,13 @@ pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result
     });
     let mut json = document.to_string().into_bytes();
     if !binary {
-        return write_atomic(path.as_ref(), |out| out.write_all(&json));
+        return Ok(Box::new(move |out| out.write_all(&json)));
     }
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() + 8 + data.len();
     let length = u32::try_from(total)
         .map_err(|_| Error::argument("scene", format!("{total} bytes"), "fewer than 2^32, the most of a .glb"))?;
-    write_atomic(path.as_ref(), |out| {
+    Ok(Box::new(move |out| {
         out.write_all(b"glTF")?;
         out.write_all(&2u32.to_le_bytes())?;
         out.write_all(&length.to_le_bytes())?;
@@ -83,7 +96,7 @@ pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result
             out.write_all(chunk)?;
         }
         Ok(())
-    })
+    }))
 }
 
 fn attributes(scene: &Scene) -> Attributes {

@@ -1,6 +1,7 @@
 //! The PLY layout of 3D Gaussian Splatting that viewers read (Kerbl et al. 2023): logit opacity, log scale,
-//! channel-first `f_rest_*`.
+//! channel-first `f_rest_*`. Read is also its packed kind (`packed`).
 
+mod packed;
 mod points;
 mod table;
 
@@ -9,12 +10,13 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::{
-    Scene,
-    file::{open_file, read_file, write_atomic},
-};
+use super::scene_file::{Encoder, Format};
+use super::{Scene, file::write_atomic, source::Source};
 use crate::{Error, Result};
-use table::{Column, Fault, MAX_HEADER, Table};
+use table::{Column, MAX_HEADER, Parsed, Ply, Table};
+
+pub(super) const FORMAT: Format =
+    Format { marks: &[b"ply"], view_dependence: true, read: read_unchecked, write: |scene, _| Ok(encoder(scene, "")) };
 
 pub use points::{read_points, write_points};
 
@@ -51,7 +53,7 @@ pub fn write_ply_with_origin(scene: &Scene, path: impl AsRef<Path>, photo: &str)
 /// [`Error::Io`] when the file cannot be read.
 pub fn read_ply_origin(path: impl AsRef<Path>) -> Result<Option<String>> {
     let (path, mut start) = (path.as_ref(), Vec::new());
-    let read = open_file(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
+    let read = Source::open(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
     read.map_err(|source| Error::io(path, source))?;
     let header = String::from_utf8_lossy(&start);
     let mut lines = header.lines().take_while(|line| start.starts_with(b"ply") && *line != "end_header");
@@ -60,6 +62,10 @@ pub fn read_ply_origin(path: impl AsRef<Path>) -> Result<Option<String>> {
 
 fn write(scene: &Scene, path: &Path, comment: &str) -> Result<()> {
     scene.validate()?;
+    write_atomic(path, encoder(scene, comment))
+}
+
+fn encoder<'a>(scene: &'a Scene, comment: &str) -> Encoder<'a> {
     let names = property_names(scene.sh_coeffs_per_gaussian());
     let mut header = format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n", scene.len());
     for name in &names {
@@ -67,7 +73,7 @@ fn write(scene: &Scene, path: &Path, comment: &str) -> Result<()> {
     }
     header += "end_header\n";
     let row = 4 * names.len();
-    write_atomic(path, |out| {
+    Box::new(move |out| {
         out.write_all(header.as_bytes())?;
         let mut rows = vec![0; row * BATCH.min(scene.len())];
         for start in (0..scene.len()).step_by(BATCH) {
@@ -119,43 +125,42 @@ fn ln(value: f32) -> f32 {
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is truncated, lacks a property, or holds values
 /// that are not finite once activated.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(path.as_ref())?.validated(path.as_ref())
+    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
 /// As [`read_ply`], with the values as they are.
-pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = read_file(path)?;
-    Table::parse(&bytes)
-        .and_then(|table| decode(&table))
-        .map_err(|Fault { offset, reason }| Error::format(path, Some(offset as u64), reason))
+fn read_unchecked(source: Source<'_>) -> Result<Scene> {
+    let path = source.name;
+    let decode = |mut ply: Ply<'_>| if packed::is(&ply) { packed::decode(&mut ply) } else { decode(&mut ply) };
+    Ply::open(source).and_then(decode).map_err(|fault| fault.of(path))
 }
 
-fn decode(table: &Table) -> std::result::Result<Scene, Fault> {
+fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
+    let table = ply.table("vertex")?;
     let column = |name: &str| table.column(name);
     let means = [column("x")?, column("y")?, column("z")?];
     let scales = [column("scale_0")?, column("scale_1")?, column("scale_2")?];
     let quats = [column("rot_0")?, column("rot_1")?, column("rot_2")?, column("rot_3")?];
     let opacity = column("opacity")?;
-    let (coeffs, sh_degree) = sh_columns(table)?;
-
-    let mut sh_coeffs = vec![[0.0; 3]; table.len() * coeffs.len()];
-    sh_coeffs.par_chunks_exact_mut(coeffs.len()).zip(table.rows()).for_each(|(out, row)| {
-        for (out, columns) in out.iter_mut().zip(&coeffs) {
-            *out = read(columns, row);
-        }
-    });
-    Ok(Scene {
-        means: table.rows().map(|row| read(&means, row)).collect(),
-        scales: table.rows().map(|row| read(&scales, row).map(f32::exp)).collect(),
-        quats: table.rows().map(|row| read(&quats, row)).collect(),
-        opacities: table.rows().map(|row| 1.0 / (1.0 + (-opacity.read(row)).exp())).collect(),
-        sh_coeffs,
-        sh_degree,
-    })
+    let (coeffs, sh_degree) = sh_columns(&table)?;
+    let mut scene = Scene::zeroed(table.count, sh_degree);
+    ply.rows(&table, |start, rows| {
+        scene.rows_mut(start).zip(rows.par_chunks_exact(table.row_bytes)).for_each(|(gaussian, row)| {
+            *gaussian.mean = read(&means, row);
+            *gaussian.scale = read(&scales, row).map(f32::exp);
+            *gaussian.quat = read(&quats, row);
+            *gaussian.opacity = 1.0 / (1.0 + (-opacity.read(row)).exp());
+            for (coeff, columns) in gaussian.sh.iter_mut().zip(&coeffs) {
+                *coeff = read(columns, row);
+            }
+        });
+        Ok(())
+    })?;
+    Ok(scene)
 }
 
 /// The columns of each coefficient's red, green and blue, and the degree.
-fn sh_columns(table: &Table) -> std::result::Result<(Vec<[Column; 3]>, u32), Fault> {
+fn sh_columns(table: &Table) -> Parsed<(Vec<[Column; 3]>, u32)> {
     let rest = table.names().filter(|name| name.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == rest as u32) else {
         return Err(table.fault(format!("{rest} f_rest properties, expected 0, 9, 24 or 45 (degree 0 to 3)")));

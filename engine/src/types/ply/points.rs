@@ -2,37 +2,39 @@
 
 use std::path::Path;
 
-use rayon::prelude::*;
-
-use super::super::file::{read_file, write_atomic};
-use super::table::{Fault, Table};
-use crate::{Error, Result};
+use super::super::{file::write_atomic, source::Source};
+use super::table::{Parsed, Ply};
+use crate::Result;
 
 /// Reads the positions of a PLY's vertices, in the file's frame and unit.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is truncated, lacks x, y or z, or holds values
-/// that are not finite.
+/// [`Error::Io`](crate::Error::Io) when the file cannot be read; [`Error::Format`](crate::Error::Format) when it is
+/// truncated, lacks x, y or z, or holds values that are not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<Vec<[f32; 3]>> {
     let path = path.as_ref();
-    let bytes = read_file(path)?;
-    let positions = |table: &Table| {
-        let columns = [table.column("x")?, table.column("y")?, table.column("z")?];
-        let points: Vec<_> = table.rows().map(|row| super::read(&columns, row)).collect();
-        match points.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
-            Some(i) => Err(table.fault(format!("vertex {i}: found {:?}, expected finite numbers", points[i]))),
-            None => Ok(points),
-        }
-    };
-    Table::parse(&bytes)
-        .and_then(|table| positions(&table))
-        .map_err(|Fault { offset, reason }| Error::format(path, Some(offset as u64), reason))
+    positions(Source::open(path)?).map_err(|fault| fault.of(path))
+}
+
+fn positions(source: Source<'_>) -> Parsed<Vec<[f32; 3]>> {
+    let mut ply = Ply::open(source)?;
+    let table = ply.table("vertex")?;
+    let columns = [table.column("x")?, table.column("y")?, table.column("z")?];
+    let mut points: Vec<[f32; 3]> = Vec::new();
+    ply.rows(&table, |_, rows| {
+        points.extend(rows.chunks_exact(table.row_bytes).map(|row| super::read(&columns, row)));
+        Ok(())
+    })?;
+    match points.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
+        Some(i) => Err(table.fault(format!("vertex {i}: found {:?}, expected finite numbers", points[i]))),
+        None => Ok(points),
+    }
 }
 
 /// Writes positions and 8-bit colours as a binary little-endian PLY; the file appears whole or not at all.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be written.
+/// [`Error::Io`](crate::Error::Io) when the file cannot be written.
 pub fn write_points(path: impl AsRef<Path>, points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len());
     ["x", "y", "z"].iter().for_each(|name| header += &format!("property float {name}\n"));

@@ -1,69 +1,190 @@
-//! The vertex table of a PLY file (Turk 1994): any scalar properties, binary little endian or ASCII.
+//! The elements of a PLY file (Turk 1994): any scalar properties, binary little endian or ASCII.
 
-use std::borrow::Cow;
+use std::io::{Chain, Cursor, Read};
+use std::path::Path;
 
-use rayon::prelude::*;
+use crate::Error;
+use crate::types::source::Source;
 
 /// The header must end within this many bytes.
 pub(super) const MAX_HEADER: usize = 1 << 16;
+/// Rows that are read at a time: a file is never in memory as a whole.
+const BATCH: usize = 1 << 16;
 
-/// What is wrong and where in the file.
-pub(super) struct Fault {
-    pub offset: usize,
-    pub reason: String,
+/// What is wrong.
+pub(super) enum Fault {
+    /// The bytes could not be read.
+    Unread(std::io::Error),
+    /// They are not what they should be, and where in the file.
+    Damaged { offset: u64, reason: String },
 }
 
-type Parsed<T> = Result<T, Fault>;
+impl Fault {
+    /// The error of a file.
+    pub(super) fn of(self, path: &Path) -> Error {
+        match self {
+            Self::Unread(source) => Error::io(path, source),
+            Self::Damaged { offset, reason } => Error::format(path, Some(offset), reason),
+        }
+    }
+}
 
-/// The vertices, a row of `row_bytes` each.
-pub(super) struct Table<'a> {
-    rows: Cow<'a, [u8]>,
-    row_bytes: usize,
+pub(super) type Parsed<T> = Result<T, Fault>;
+
+/// A PLY file whose header was read. Its elements are read in the file's order.
+pub(super) struct Ply<'a> {
+    ascii: bool,
+    elements: Vec<Element>,
+    /// What follows the header, from where the last element ended.
+    values: Chain<Cursor<Vec<u8>>, Source<'a>>,
+    /// How many of the elements were read or left out.
+    passed: usize,
+    /// Where the elements' values begin in the file, and how many bytes they have.
+    body: u64,
+    body_bytes: u64,
+}
+
+impl<'a> Ply<'a> {
+    /// Reads the header. Counts of binary files are compared with the file's length before anything is allocated by them.
+    pub(super) fn open(mut source: Source<'a>) -> Parsed<Self> {
+        let (mut start, length) = (Vec::new(), source.length());
+        source.by_ref().take(MAX_HEADER as u64).read_to_end(&mut start).map_err(Fault::Unread)?;
+        let Header { ascii, elements, body } = Header::parse(&start)?;
+        let body_bytes = length.saturating_sub(body as u64);
+        let values = Cursor::new(start.split_off(body)).chain(source);
+        Ok(Self { ascii, elements, values, passed: 0, body: body as u64, body_bytes })
+    }
+
+    /// Whether there is an element with this property.
+    pub(super) fn has(&self, element: &str, property: &str) -> bool {
+        let found = self.elements.iter().find(|found| found.name == element);
+        found.is_some_and(|element| element.properties.iter().any(|(name, _)| name == property))
+    }
+
+    /// Whether there is an element of this name.
+    pub(super) fn has_element(&self, element: &str) -> bool {
+        self.elements.iter().any(|found| found.name == element)
+    }
+
+    /// How the values of an element are laid out.
+    pub(super) fn table(&self, name: &str) -> Parsed<Table> {
+        let Some(position) = self.elements.iter().position(|element| element.name == name) else {
+            return Err(self.fault(format!("the header names no {name} element")));
+        };
+        if let Some(element) = self.elements[..=position].iter().find(|element| element.has_list) {
+            return Err(self.fault(format!("element {} has a list property, expected scalars", element.name)));
+        }
+        let element = &self.elements[position];
+        if element.properties.is_empty() {
+            return Err(self.fault(format!("the {name} element has no properties")));
+        }
+        let mut table = Table {
+            position,
+            count: element.count,
+            row_bytes: 0,
+            columns: Vec::new(),
+            body: self.body,
+            name: name.into(),
+        };
+        for (name, scalar) in &element.properties {
+            let scalar = if self.ascii { Scalar::F32 } else { *scalar };
+            table.columns.push((name.clone(), Column { offset: table.row_bytes, scalar }));
+            table.row_bytes += scalar.size();
+        }
+        let unit = |element: &Element| if self.ascii { element.properties.len() } else { element.row_bytes() };
+        let values =
+            |sum: u64, element: &Element| sum.checked_add((element.count as u64).checked_mul(unit(element) as u64)?);
+        let end = self.elements[..=position].iter().try_fold(0, values);
+        // A value of text takes a digit and, but for the last, a separator.
+        let most = if self.ascii { self.body_bytes / 2 + 1 } else { self.body_bytes };
+        if end.is_none_or(|end| end > most) {
+            return Err(self.truncated(element));
+        }
+        Ok(table)
+    }
+
+    /// Hands the rows of an element to `each` in the file's order, some at a time with the number of the first; text as f32.
+    /// The element has to follow those that were read.
+    pub(super) fn rows(&mut self, table: &Table, mut each: impl FnMut(usize, &[u8]) -> Parsed<()>) -> Parsed<()> {
+        if table.position < self.passed {
+            let (name, before) = (&table.name, &self.elements[self.passed - 1].name);
+            return Err(self.fault(format!("found element {name} before element {before}, expected it behind")));
+        }
+        let before = self.passed..table.position;
+        self.passed = table.position + 1;
+        if self.ascii {
+            return self.text_rows(before, table, each);
+        }
+        let skipped: u64 = self.elements[before].iter().map(|e| e.count as u64 * e.row_bytes() as u64).sum();
+        let mut skip = self.values.by_ref().take(skipped);
+        std::io::copy(&mut skip, &mut std::io::sink()).map_err(Fault::Unread)?;
+        let mut rows = vec![0; table.row_bytes * BATCH.min(table.count)];
+        for start in (0..table.count).step_by(BATCH) {
+            let batch = &mut rows[..table.row_bytes * BATCH.min(table.count - start)];
+            self.values.read_exact(batch).map_err(Fault::Unread)?;
+            each(start, batch)?;
+        }
+        Ok(())
+    }
+
+    fn text_rows(
+        &mut self,
+        before: std::ops::Range<usize>,
+        table: &Table,
+        mut each: impl FnMut(usize, &[u8]) -> Parsed<()>,
+    ) -> Parsed<()> {
+        // Bounded by the count, which `table` compared with the length.
+        let mut body = Vec::new();
+        self.values.read_to_end(&mut body).map_err(Fault::Unread)?;
+        let skipped = self.elements[before].iter().map(|element| element.count * element.properties.len()).sum();
+        let element = &self.elements[table.position];
+        let mut tokens = body.split(u8::is_ascii_whitespace).filter(|token| !token.is_empty()).skip(skipped);
+        let mut rows = Vec::with_capacity(table.count * table.row_bytes);
+        for i in 0..table.count * table.columns.len() {
+            let (row, property) = (i / table.columns.len(), &table.columns[i % table.columns.len()].0);
+            let token = tokens.next().ok_or_else(|| self.truncated(element))?;
+            let value = std::str::from_utf8(token).ok().and_then(|token| token.parse::<f32>().ok());
+            let Some(value) = value else {
+                let found = String::from_utf8_lossy(&token[..token.len().min(32)]);
+                let reason = format!("{} {row}, {property}: found {found:?}, expected a number", table.name);
+                return Err(self.fault(reason));
+            };
+            rows.extend_from_slice(&value.to_le_bytes());
+        }
+        each(0, &rows)
+    }
+
+    /// A fault of the elements' values.
+    pub(super) fn fault(&self, reason: String) -> Fault {
+        Fault::Damaged { offset: self.body, reason }
+    }
+
+    fn truncated(&self, element: &Element) -> Fault {
+        let Element { name, count, .. } = element;
+        let width = match self.ascii {
+            true => format!("{} values", element.properties.len()),
+            false => format!("{} bytes", element.row_bytes()),
+        };
+        let rows = if name == "vertex" { "vertices".into() } else { format!("rows of {name}") };
+        let follow = self.body_bytes;
+        self.fault(format!("truncated: the header promises {count} {rows} of {width}, {follow} bytes follow it"))
+    }
+}
+
+/// How an element's values are laid out: rows, each with a place for every property.
+pub(super) struct Table {
+    /// Of the element among the file's.
+    position: usize,
+    name: String,
+    /// Rows.
+    pub count: usize,
+    /// Bytes of a row.
+    pub row_bytes: usize,
     columns: Vec<(String, Column)>,
-    /// Where the rows' values begin in the file.
-    body: usize,
+    body: u64,
 }
 
-impl<'a> Table<'a> {
-    /// The table of a whole file. Counts are compared with the file's length before anything is allocated by them.
-    pub(super) fn parse(bytes: &'a [u8]) -> Parsed<Self> {
-        let Header { ascii, elements, body } = Header::parse(bytes)?;
-        let fault = |reason: String| Fault { offset: body, reason };
-        let Some(position) = elements.iter().position(|element| element.name == "vertex") else {
-            return Err(fault("the header names no vertex element".into()));
-        };
-        let (before, vertex) = (&elements[..position], &elements[position]);
-        if let Some(element) = elements[..=position].iter().find(|element| element.has_list) {
-            return Err(fault(format!("element {} has a list property, expected scalars", element.name)));
-        }
-        if vertex.properties.is_empty() {
-            return Err(fault("the vertex element has no properties".into()));
-        }
-        let rows = if ascii {
-            Cow::Owned(ascii_rows(&bytes[body..], before, vertex).map_err(fault)?)
-        } else {
-            Cow::Borrowed(binary_rows(&bytes[body..], before, vertex).map_err(fault)?)
-        };
-        let mut row_bytes = 0;
-        let mut columns = Vec::new();
-        for (name, scalar) in &vertex.properties {
-            let scalar = if ascii { Scalar::F32 } else { *scalar };
-            columns.push((name.clone(), Column { offset: row_bytes, scalar }));
-            row_bytes += scalar.size();
-        }
-        Ok(Self { rows, row_bytes, columns, body })
-    }
-
-    /// Vertices.
-    pub(super) fn len(&self) -> usize {
-        self.rows.len() / self.row_bytes
-    }
-
-    /// The rows in the file's order.
-    pub(super) fn rows(&self) -> rayon::slice::ChunksExact<'_, u8> {
-        self.rows.par_chunks_exact(self.row_bytes)
-    }
-
+impl Table {
     /// The properties' names in the file's order.
     pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|(name, _)| name.as_str())
@@ -73,56 +194,25 @@ impl<'a> Table<'a> {
     pub(super) fn column(&self, name: &str) -> Parsed<Column> {
         let found = self.columns.iter().find(|(column, _)| column == name);
         found.map(|(_, column)| *column).ok_or_else(|| {
-            let names: Vec<_> = self.names().collect();
-            self.fault(format!("the vertices have no property {name}, only {}", names.join(", ")))
+            let names = self.names().collect::<Vec<_>>().join(", ");
+            self.fault(format!("element {} has no property {name}, only {names}", self.name))
         })
+    }
+
+    /// The property called `name`, which has to be of a type, and the type's name.
+    pub(super) fn typed(&self, name: &str, scalar: Scalar) -> Parsed<Column> {
+        let column = self.column(name)?;
+        if column.scalar != scalar {
+            let reason = format!("{}, {name}: found {}, expected {}", self.name, column.scalar.name(), scalar.name());
+            return Err(self.fault(reason));
+        }
+        Ok(column)
     }
 
     /// A fault of the table's contents.
     pub(super) fn fault(&self, reason: String) -> Fault {
-        Fault { offset: self.body, reason }
+        Fault::Damaged { offset: self.body, reason }
     }
-}
-
-fn binary_rows<'a>(body: &'a [u8], before: &[Element], vertex: &Element) -> Result<&'a [u8], String> {
-    let bytes = |element: &Element| element.count.checked_mul(element.row_bytes());
-    let start = before.iter().try_fold(0usize, |sum, element| sum.checked_add(bytes(element)?));
-    let range = start.and_then(|start| Some(start..start.checked_add(bytes(vertex)?)?));
-    range.and_then(|range| body.get(range)).ok_or_else(|| truncated(body, vertex, "bytes", vertex.row_bytes()))
-}
-
-/// The values as rows of little-endian f32.
-fn ascii_rows(body: &[u8], before: &[Element], vertex: &Element) -> Result<Vec<u8>, String> {
-    let values = |element: &Element| element.count.checked_mul(element.properties.len());
-    let skipped = before.iter().try_fold(0usize, |sum, element| sum.checked_add(values(element)?));
-    // A value takes a digit and, but for the last, a separator.
-    let most = body.len() / 2 + 1;
-    let (Some(skipped), Some(count)) = (skipped, values(vertex).filter(|&count| count <= most)) else {
-        return Err(truncated(body, vertex, "values", vertex.properties.len()));
-    };
-    let mut tokens = body.split(u8::is_ascii_whitespace).filter(|token| !token.is_empty()).skip(skipped);
-    let mut rows = Vec::with_capacity(4 * count);
-    for i in 0..count {
-        let (vertex_index, property) = (i / vertex.properties.len(), &vertex.properties[i % vertex.properties.len()].0);
-        let Some(token) = tokens.next() else {
-            return Err(truncated(body, vertex, "values", vertex.properties.len()));
-        };
-        let value = std::str::from_utf8(token).ok().and_then(|token| token.parse::<f32>().ok());
-        let Some(value) = value else {
-            let found = String::from_utf8_lossy(&token[..token.len().min(32)]);
-            return Err(format!("vertex {vertex_index}, {property}: found {found:?}, expected a number"));
-        };
-        rows.extend_from_slice(&value.to_le_bytes());
-    }
-    Ok(rows)
-}
-
-fn truncated(body: &[u8], vertex: &Element, unit: &str, width: usize) -> String {
-    format!(
-        "truncated: the header promises {} vertices of {width} {unit}, {} bytes follow it",
-        vertex.count,
-        body.len()
-    )
 }
 
 struct Header {
@@ -149,14 +239,15 @@ impl Element {
 impl Header {
     fn parse(bytes: &[u8]) -> Parsed<Self> {
         if !bytes.starts_with(b"ply") {
-            return Err(Fault { offset: 0, reason: "does not start with \"ply\"".into() });
+            return Err(Fault::Damaged { offset: 0, reason: "does not start with \"ply\"".into() });
         }
         let mut ascii = None;
         let mut elements: Vec<Element> = Vec::new();
         let mut offset = 0;
         for line in bytes[..bytes.len().min(MAX_HEADER)].split_inclusive(|&byte| byte == b'\n') {
             let text = String::from_utf8_lossy(line);
-            let fault = |reason: &str| Fault { offset, reason: format!("{reason}: {:?}", text.trim()) };
+            let damaged = |reason| Fault::Damaged { offset: offset as u64, reason };
+            let fault = |reason: &str| damaged(format!("{reason}: {:?}", text.trim()));
             match text.split_whitespace().collect::<Vec<_>>()[..] {
                 ["format", "ascii", _] => ascii = Some(true),
                 ["format", "binary_little_endian", _] => ascii = Some(false),
@@ -182,13 +273,13 @@ impl Header {
             }
             offset += line.len();
         }
-        Err(Fault { offset, reason: "the header does not end".into() })
+        Err(Fault::Damaged { offset: offset as u64, reason: "the header does not end".into() })
     }
 }
 
 /// A PLY's scalar types.
-#[derive(Clone, Copy)]
-enum Scalar {
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Scalar {
     I8,
     U8,
     I16,
@@ -214,6 +305,19 @@ impl Scalar {
         })
     }
 
+    fn name(self) -> &'static str {
+        match self {
+            Self::I8 => "char",
+            Self::U8 => "uchar",
+            Self::I16 => "short",
+            Self::U16 => "ushort",
+            Self::I32 => "int",
+            Self::U32 => "uint",
+            Self::F32 => "float",
+            Self::F64 => "double",
+        }
+    }
+
     fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -234,18 +338,24 @@ pub(super) struct Column {
 impl Column {
     /// The property's value in one row.
     pub(super) fn read(self, row: &[u8]) -> f32 {
-        fn at<const N: usize>(row: &[u8], offset: usize) -> [u8; N] {
-            *row[offset..].first_chunk().expect("columns lie within the row")
-        }
         match self.scalar {
-            Scalar::I8 => f32::from(i8::from_le_bytes(at(row, self.offset))),
+            Scalar::I8 => f32::from(i8::from_le_bytes(self.bytes(row))),
             Scalar::U8 => f32::from(row[self.offset]),
-            Scalar::I16 => f32::from(i16::from_le_bytes(at(row, self.offset))),
-            Scalar::U16 => f32::from(u16::from_le_bytes(at(row, self.offset))),
-            Scalar::I32 => i32::from_le_bytes(at(row, self.offset)) as f32,
-            Scalar::U32 => u32::from_le_bytes(at(row, self.offset)) as f32,
-            Scalar::F32 => f32::from_le_bytes(at(row, self.offset)),
-            Scalar::F64 => f64::from_le_bytes(at(row, self.offset)) as f32,
+            Scalar::I16 => f32::from(i16::from_le_bytes(self.bytes(row))),
+            Scalar::U16 => f32::from(u16::from_le_bytes(self.bytes(row))),
+            Scalar::I32 => i32::from_le_bytes(self.bytes(row)) as f32,
+            Scalar::U32 => self.word(row) as f32,
+            Scalar::F32 => f32::from_le_bytes(self.bytes(row)),
+            Scalar::F64 => f64::from_le_bytes(self.bytes(row)) as f32,
         }
+    }
+
+    /// The value in one row of a property that is a u32.
+    pub(super) fn word(self, row: &[u8]) -> u32 {
+        u32::from_le_bytes(self.bytes(row))
+    }
+
+    fn bytes<const N: usize>(self, row: &[u8]) -> [u8; N] {
+        *row[self.offset..].first_chunk().expect("columns lie within the row")
     }
 }

@@ -16,7 +16,7 @@ const LOG_SCALE_LEVELS: f32 = 16.0;
 const COLOR_SCALE: f32 = 0.15;
 /// Levels of degree 1, and of the higher degrees, that share a bucket when writing: fewer different bytes pack better.
 const SH_BUCKETS: [i32; 2] = [8, 16];
-/// Largest magnitude of a component of version 3, which stands for `1 / sqrt(2)`.
+/// Largest magnitude of a component of versions 3 and 4, which stands for `1 / sqrt(2)`.
 const SMALLEST_THREE_MAX: f32 = 511.0;
 
 /// How the sections are laid out: positions, opacities, colours, scales, rotations, spherical harmonics above degree 0.
@@ -50,36 +50,41 @@ impl Layout {
         (self.sh_degree as usize + 1).pow(2) - 1
     }
 
+    /// Bytes a Gaussian in each section, in the file's order.
+    pub(super) fn section_bytes(&self) -> [usize; 6] {
+        [9, 1, 3, 3, self.rotation_bytes(), 3 * self.rest()]
+    }
+
     /// Bytes a Gaussian over all sections.
     pub(super) fn gaussian_bytes(&self) -> usize {
-        9 + 1 + 3 + 3 + self.rotation_bytes() + 3 * self.rest()
+        self.section_bytes().iter().sum()
     }
 
     /// Hands the sections to `write` in the file's order.
     pub(super) fn encode(
         &self,
         scene: &Scene,
-        mut write: impl FnMut(&[u8]) -> std::io::Result<()>,
+        mut write: impl FnMut(Vec<u8>) -> std::io::Result<()>,
     ) -> std::io::Result<()> {
         let k = scene.sh_coeffs_per_gaussian();
         let one = (1u32 << self.fractional_bits) as f32;
         let fixed = |value: f32| ((value * one).round() as i32).to_le_bytes().into_iter().take(3);
         let positions = scene.means.iter().flat_map(|&mean| AboutX.point(mean)).flat_map(fixed);
-        write(&positions.collect::<Vec<u8>>())?;
-        write(&scene.opacities.iter().map(|opacity| byte(255.0 * opacity)).collect::<Vec<u8>>())?;
+        write(positions.collect())?;
+        write(scene.opacities.iter().map(|opacity| byte(255.0 * opacity)).collect())?;
         let colors = scene.sh_coeffs.iter().step_by(k).flatten();
-        write(&colors.map(|dc| byte(255.0 * (COLOR_SCALE * dc + 0.5))).collect::<Vec<u8>>())?;
+        write(colors.map(|dc| byte(255.0 * (COLOR_SCALE * dc + 0.5))).collect())?;
         let scales = scene.scales.iter().flatten();
-        write(&scales.map(|scale| byte(LOG_SCALE_LEVELS * (scale.ln() - MIN_LOG_SCALE))).collect::<Vec<u8>>())?;
+        write(scales.map(|scale| byte(LOG_SCALE_LEVELS * (scale.ln() - MIN_LOG_SCALE))).collect())?;
         let rotations = scene.quats.iter().map(|&quat| unit_quaternion(AboutX.quat(quat)));
         if self.version == 2 {
-            write(&rotations.flat_map(first_three).collect::<Vec<u8>>())?;
+            write(rotations.flat_map(first_three).collect())?;
         } else {
-            write(&rotations.flat_map(smallest_three).collect::<Vec<u8>>())?;
+            write(rotations.flat_map(smallest_three).collect())?;
         }
         let rest = scene.sh_coeffs.iter().enumerate().filter(|(i, _)| i % k != 0);
         let level = |(i, rgb): (usize, &[f32; 3])| rgb.map(|value| sh_level(AboutX.sh(i % k) * value, i % k));
-        write(&rest.flat_map(level).collect::<Vec<u8>>())
+        write(rest.flat_map(level).collect())
     }
 
     /// The scene of `count` Gaussians whose sections are `body`, which has exactly their bytes.
@@ -151,7 +156,7 @@ fn from_first_three(levels: &[u8; 3]) -> [f32; 4] {
     [(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z]
 }
 
-/// Version 3, from the highest bit: which of x, y, z, w is largest in magnitude and left out (2 bits), then the others in
+/// Versions 3 and 4, from the highest bit: which of x, y, z, w is largest in magnitude and left out (2 bits), then the others in
 /// this order as sign and magnitude (1 + 9 bits) of the quaternion in which the largest is positive.
 fn smallest_three([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     let quat = [x, y, z, w];

@@ -1,20 +1,25 @@
-//! SPZ of Niantic, versions 2 and 3: a gzip stream of a 16-byte header and one section an attribute, a byte or a few for
-//! each value. Axes: x right, y up, z backward; reading and writing turn positions, rotations and spherical harmonics.
+//! SPZ of Niantic, versions 2 to 4: a header and one section an attribute, a byte or a few for each value. Versions 2 and 3
+//! are one gzip stream of all, version 4 has a zstd frame a section (`streams`). Axes: x right, y up, z backward; reading and
+//! writing turn positions, rotations and spherical harmonics.
 
 mod codec;
+mod gzip;
 mod range;
+mod streams;
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::Path;
 
-use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use flate2::read::GzDecoder;
 
-use super::{
-    Scene,
-    file::{read_file, write_atomic},
-};
+use super::scene_file::{Encoder, Format, SceneFormat, WriteOptions, write_as};
+use super::{Scene, source::Source};
 use crate::{Error, Result};
 use codec::Layout;
+use gzip::Gzip;
+
+pub(super) const FORMAT: Format =
+    Format { marks: &[&[0x1f, 0x8b], b"NGSP"], view_dependence: true, read: read_unchecked, write: encoder };
 
 pub use range::spz_coarsening;
 
@@ -31,49 +36,71 @@ const MAX_INFLATION: u64 = 64;
 /// So many bytes are inflated whatever the size of the file.
 const ALWAYS_INFLATED: u64 = 64 << 20;
 
-/// Writes an SPZ of `version` 2 or 3; the file appears whole or not at all. Kept are positions to 2⁻¹⁷ of a unit, coarser
+/// Writes an SPZ of `version` 2, 3 or 4; the file appears whole or not at all. Kept are positions to 2⁻¹⁷ of a unit, coarser
 /// only where the scene reaches beyond 128 units; scales from e⁻¹⁰ to e⁵·⁹ to 3.2 %; opacities to 1/510; coefficients of
 /// degree 0 in ±3.33 to 0.014, of degree 1 in ±1 to 9/256, of higher ones to 17/256; rotations by three bytes in
-/// version 2, to 0.0007 a component in version 3. What lies beyond these ranges is clamped.
+/// version 2, to 0.0007 a component in later ones. What lies beyond these ranges is clamped.
 ///
 /// # Errors
 /// [`Error::Argument`] when the scene is not valid, a position is beyond 2²³ or the version is another; [`Error::Io`]
 /// when the file cannot be written.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
-    scene.validate()?;
-    if !matches!(version, 2 | 3) {
-        return Err(Error::argument("SPZ version", version, "2 or 3"));
+    write_as(SceneFormat::Spz, path.as_ref(), scene, &WriteOptions { spz_version: version })
+}
+
+fn encoder<'a>(scene: &'a Scene, options: &WriteOptions) -> Result<Encoder<'a>> {
+    let version = options.spz_version;
+    if !matches!(version, 2..=4) {
+        return Err(Error::argument("SPZ version", version, "2, 3 or 4"));
     }
     let count = u32::try_from(scene.len())
         .map_err(|_| Error::argument("scene", format!("{} Gaussians", scene.len()), "fewer than 2^32 in an SPZ"))?;
     let layout = Layout { version, sh_degree: scene.sh_degree, fractional_bits: codec::fractional_bits(scene)? };
-    write_atomic(path.as_ref(), |out| {
-        let mut out = GzEncoder::new(out, Compression::default());
-        for word in [MAGIC, version, count] {
-            out.write_all(&word.to_le_bytes())?;
-        }
-        out.write_all(&[scene.sh_degree as u8, layout.fractional_bits as u8, 0, 0])?;
-        layout.encode(scene, |section| out.write_all(section))?;
-        out.finish().map(|_| ())
-    })
+    if version == 4 {
+        return Ok(Box::new(move |out| streams::write(&layout, scene, count, out)));
+    }
+    Ok(Box::new(move |out| {
+        let mut out = Gzip::begin(out)?;
+        let mut header = [MAGIC, version, count].map(u32::to_le_bytes).concat();
+        header.extend([scene.sh_degree as u8, layout.fractional_bits as u8, 0, 0]);
+        out.write(&header)?;
+        layout.encode(scene, |section| out.write(&section))?;
+        out.finish()
+    }))
 }
 
-/// Reads an SPZ of version 2 or 3 with spherical harmonics of degree 0 to 3.
+/// Reads an SPZ of version 2, 3 or 4 with spherical harmonics of degree 0 to 3.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is damaged, truncated, of another version or
-/// degree, or longer than its header says. Offsets count bytes of the inflated stream.
+/// degree, on axes other than those that an SPZ has, or longer than its header says. Offsets count bytes of the inflated
+/// stream, in version 4 those of the file.
 pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(path.as_ref())?.validated(path.as_ref())
+    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
 /// As [`read_spz`], with the values as they are.
-pub(super) fn read_unchecked(path: &Path) -> Result<Scene> {
-    let bytes = read_file(path)?;
-    decode(&bytes).map_err(|Fault { offset, reason }| Error::format(path, offset.map(|at| at as u64), reason))
+fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
+    let bytes = source.rest()?;
+    decode(&bytes).map_err(|Fault { offset, reason }| Error::format(source.name, offset.map(|at| at as u64), reason))
 }
 
-/// What is wrong and where in the inflated stream.
+impl Layout {
+    /// The layout that a header of any version states; its two bytes are at the same place in all.
+    fn of_header(version: u32, sh_degree: u8, fractional_bits: u8) -> std::result::Result<Self, Fault> {
+        let fault = |offset: usize, reason: String| Err(Fault { offset: Some(offset), reason });
+        if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
+            return fault(12, format!("found degree {sh_degree}, expected 0 to {}", Scene::MAX_SH_DEGREE));
+        }
+        if u32::from(fractional_bits) > codec::POSITION_BITS {
+            let most = codec::POSITION_BITS;
+            return fault(13, format!("found {fractional_bits} fractional bits, expected 0 to {most}"));
+        }
+        Ok(Self { version, sh_degree: sh_degree.into(), fractional_bits: fractional_bits.into() })
+    }
+}
+
+/// What is wrong and where, in the inflated stream or in a file of version 4.
 struct Fault {
     offset: Option<usize>,
     reason: String,
@@ -82,7 +109,7 @@ struct Fault {
 fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     let fault = |offset: usize, reason: String| Fault { offset: Some(offset), reason };
     if bytes.starts_with(&MAGIC.to_le_bytes()) {
-        return Err(fault(0, "found an SPZ that is not a gzip stream (version 4), expected version 2 or 3".into()));
+        return streams::decode(bytes);
     }
     let mut stream = GzDecoder::new(bytes);
     let gzip = |error: std::io::Error| Fault { offset: None, reason: format!("gzip: {error}") };
@@ -96,16 +123,7 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     if !matches!(word(1), 2 | 3) {
         return Err(fault(4, format!("found version {}, expected 2 or 3", word(1))));
     }
-    if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
-        return Err(fault(12, format!("found degree {sh_degree}, expected 0 to {}", Scene::MAX_SH_DEGREE)));
-    }
-    if u32::from(fractional_bits) > codec::POSITION_BITS {
-        return Err(fault(
-            13,
-            format!("found {fractional_bits} fractional bits, expected 0 to {}", codec::POSITION_BITS),
-        ));
-    }
-    let layout = Layout { version: word(1), sh_degree: sh_degree.into(), fractional_bits: fractional_bits.into() };
+    let layout = Layout::of_header(word(1), sh_degree, fractional_bits)?;
     let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
     // Before anything is allocated by the count.
     if expected > ALWAYS_INFLATED.max(MAX_INFLATION * bytes.len() as u64) {

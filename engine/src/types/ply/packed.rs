@@ -1,0 +1,158 @@
+//! The packed kind of PLY that SuperSplat and PlayCanvas write as `.compressed.ply`. Element `chunk` has the range of every
+//! 256 Gaussians, element `vertex` four words each: 11, 10 and 11 bits of a position and of a scale within the range, two bits
+//! that name a rotation's largest component and ten for each of the others, and 8 bits each of red, green, blue and opacity.
+//! Element `sh`, where there is one, has a byte a coefficient above degree 0.
+
+use std::f32::consts::{FRAC_1_PI, SQRT_2};
+
+use rayon::prelude::*;
+
+use super::super::Scene;
+use super::table::{Column, Parsed, Ply, Scalar, Table};
+
+/// Gaussians that share a range.
+const CHUNK: usize = 256;
+/// Coefficients reach from minus half of this to half of it.
+const SH_RANGE: f32 = 8.0;
+
+/// Whether a file is of this kind.
+pub(super) fn is(ply: &Ply<'_>) -> bool {
+    ply.has("vertex", "packed_position")
+}
+
+/// The scene of a whole file.
+pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
+    let vertices = ply.table("vertex")?;
+    let mut words = Vec::new();
+    for name in ["packed_position", "packed_rotation", "packed_scale", "packed_color"] {
+        words.push(vertices.typed(name, Scalar::U32)?);
+    }
+    let chunks = ply.table("chunk")?;
+    if chunks.count != vertices.count.div_ceil(CHUNK) {
+        let (found, count, expected) = (chunks.count, vertices.count, vertices.count.div_ceil(CHUNK));
+        return Err(
+            ply.fault(format!("found {found} chunks for {count} Gaussians, expected {expected}, each of {CHUNK}"))
+        );
+    }
+    let sh = if ply.has_element("sh") { Some(ply.table("sh")?) } else { None };
+    let (rest, sh_degree) = rest_columns(ply, sh.as_ref(), vertices.count)?;
+    let ranges = ranges(ply, &chunks)?;
+    let mut scene = Scene::zeroed(vertices.count, sh_degree);
+    ply.rows(&vertices, |start, rows| {
+        let gaussians = scene.rows_mut(start).zip(rows.par_chunks_exact(vertices.row_bytes)).enumerate();
+        gaussians.for_each(|(i, (gaussian, row))| {
+            let range = &ranges[(start + i) / CHUNK];
+            let [position, rotation, scale, color] = std::array::from_fn(|i| words[i].word(row));
+            *gaussian.mean = within(&range.means, thirds(position));
+            *gaussian.scale = within(&range.scales, thirds(scale)).map(f32::exp);
+            *gaussian.quat = quat(rotation);
+            let [opacity, blue, green, red] = color.to_le_bytes().map(|level| f32::from(level) / 255.0);
+            *gaussian.opacity = opacity;
+            let sh_constant = 0.5 * FRAC_1_PI.sqrt();
+            gaussian.sh[0] = within(&range.colors, [red, green, blue]).map(|value| (value - 0.5) / sh_constant);
+        });
+        Ok(())
+    })?;
+    if let Some(table) = sh.filter(|_| sh_degree > 0) {
+        ply.rows(&table, |start, rows| {
+            let gaussians = scene.rows_mut(start).zip(rows.par_chunks_exact(table.row_bytes));
+            gaussians.for_each(|(gaussian, row)| {
+                for (coeff, columns) in gaussian.sh[1..].iter_mut().zip(&rest) {
+                    *coeff = columns.map(|column| coefficient(column.read(row)));
+                }
+            });
+            Ok(())
+        })?;
+    }
+    Ok(scene)
+}
+
+/// The columns of each coefficient's red, green and blue above degree 0, and the degree.
+fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<[Column; 3]>, u32)> {
+    let Some(table) = sh else { return Ok((Vec::new(), 0)) };
+    if table.count != count {
+        return Err(ply.fault(format!("found {} rows of sh, expected one for each of {count} vertices", table.count)));
+    }
+    let found = table.names().filter(|name| name.starts_with("f_rest_")).count();
+    let Some(sh_degree) = (1..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == found as u32) else {
+        return Err(ply.fault(format!("{found} f_rest properties of sh, expected 9, 24 or 45 (degree 1 to 3)")));
+    };
+    let channel = found / 3;
+    let mut columns = Vec::new();
+    for k in 0..channel {
+        let column = |c: usize| table.typed(&format!("f_rest_{}", c * channel + k), Scalar::U8);
+        columns.push([column(0)?, column(1)?, column(2)?]);
+    }
+    Ok((columns, sh_degree))
+}
+
+/// The least and the greatest values of a chunk: positions, logarithms of scales, colours as they are seen at opacity 1.
+struct Range {
+    means: [[f32; 3]; 2],
+    scales: [[f32; 3]; 2],
+    colors: [[f32; 3]; 2],
+}
+
+fn ranges(ply: &mut Ply<'_>, table: &Table) -> Parsed<Vec<Range>> {
+    let columns = |prefix: &str, axes: [&str; 3]| -> Parsed<[[Column; 3]; 2]> {
+        let column = |end: &str, axis: &str| table.typed(&format!("{end}_{prefix}{axis}"), Scalar::F32);
+        let three = |end: &str| Ok([column(end, axes[0])?, column(end, axes[1])?, column(end, axes[2])?]);
+        Ok([three("min")?, three("max")?])
+    };
+    let (means, scales) = (columns("", ["x", "y", "z"])?, columns("scale_", ["x", "y", "z"])?);
+    // Old files have none and mean the whole range.
+    let colors = match table.names().any(|name| name == "min_r") {
+        true => Some(columns("", ["r", "g", "b"])?),
+        false => None,
+    };
+    let mut ranges = Vec::new();
+    ply.rows(table, |_, rows| {
+        ranges.extend(rows.chunks_exact(table.row_bytes).map(|row| {
+            let read = |columns: &[[Column; 3]; 2]| columns.map(|ends| super::read(&ends, row));
+            let colors = colors.as_ref().map_or([[0.0; 3], [1.0; 3]], read);
+            Range { means: read(&means), scales: read(&scales), colors }
+        }));
+        Ok(())
+    })?;
+    Ok(ranges)
+}
+
+/// Shares of a range as values in it; exactly its ends at 0 and 1.
+fn within([min, max]: &[[f32; 3]; 2], shares: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|axis| min[axis] * (1.0 - shares[axis]) + max[axis] * shares[axis])
+}
+
+/// The lowest `bits` of a word, as a share of the most that they hold.
+fn share(word: u32, bits: u32) -> f32 {
+    let most = (1 << bits) - 1;
+    (word & most) as f32 / most as f32
+}
+
+/// Three shares, of 11, 10 and 11 bits from the highest on.
+fn thirds(word: u32) -> [f32; 3] {
+    [share(word >> 21, 11), share(word >> 11, 10), share(word, 11)]
+}
+
+/// A rotation wxyz. The two highest bits are the place of the largest component, which is positive; the others follow in order.
+fn quat(word: u32) -> [f32; 4] {
+    let largest = (word >> 30) as usize;
+    let mut others = [20, 10, 0].map(|shift| (share(word >> shift, 10) - 0.5) * SQRT_2).into_iter();
+    let mut quat = [0.0; 4];
+    for (place, value) in quat.iter_mut().enumerate() {
+        if place != largest {
+            *value = others.next().expect("three of four");
+        }
+    }
+    quat[largest] = (1.0 - quat.iter().map(|q| q * q).sum::<f32>()).max(0.0).sqrt();
+    quat
+}
+
+/// A coefficient from its byte: the ends of the range, else the middle of one of 256 buckets.
+fn coefficient(level: f32) -> f32 {
+    let share = match level {
+        0.0 => 0.0,
+        255.0 => 1.0,
+        level => (level + 0.5) / 256.0,
+    };
+    (share - 0.5) * SH_RANGE
+}

@@ -1,0 +1,154 @@
+//! Photos and scenes from memory and to it, and where a failure's message is.
+
+use crate::{
+    calls::*,
+    installation::{Linking, installation, runner, success},
+};
+use std::{
+    ffi::{CStr, c_void},
+    ptr::{null, null_mut},
+};
+use zipsplat::{
+    ffi::{zs_status::*, *},
+    types::{Image, Scene, SceneFormat, WriteOptions, encode_scene, read_scene},
+};
+use zipsplat_tests::{compare::assert_same, scenes::random_scene};
+
+/// A message has one place a thread, so that no pointer to it dangles and each shows the newest.
+#[test]
+fn a_message_stays_where_it_is() {
+    let open = |path: &str| {
+        let path = c_string(path);
+        // SAFETY: a string, and where to put it.
+        unsafe { zs_scene_open(path.as_ptr(), &mut null_mut()) }
+    };
+    let before = zs_last_error();
+    fails(open("first.ply"), ZS_ERROR_IO, &["first.ply"]);
+    fails(open(&format!("second{}", "-".repeat(200))), ZS_ERROR_IO, &["second"]);
+    assert_eq!(before, zs_last_error());
+    // SAFETY: a message of this thread's.
+    let text = || unsafe { CStr::from_ptr(before) }.to_str().expect("UTF-8").to_owned();
+    assert!(text().contains("second"), "{}", text());
+    scene_of(&random_scene(3, 0, 0.1));
+    assert!(text().contains("second"), "{}", text());
+    let other = std::thread::spawn(|| zs_last_error() as usize).join().expect("no panic");
+    assert_ne!(other, before as usize);
+}
+
+/// Arguments of a C function are evaluated in any order.
+#[test]
+fn a_call_and_its_message_stand_in_one_expression() {
+    let program = r#"
+#include <stdio.h>
+#include <string.h>
+#include <zipsplat.h>
+int main(void) {
+    static const char *const paths[] = {"first.ply", "a second file, with a longer name.ply", "third.ply"};
+    char line[1000];
+    for (int i = 0; i < 3; i++) {
+        zs_scene *scene = NULL;
+        snprintf(line, sizeof line, "%s: %s", zs_status_name(zs_scene_open(paths[i], &scene)), zs_last_error());
+        if (!strstr(line, "ZS_ERROR_IO: ") || !strstr(line, paths[i])) {
+            fprintf(stderr, "%s\n", line);
+            return 1;
+        }
+    }
+    return 0;
+}
+"#;
+    success(runner(&installation().compile_text("expression.c", program, Linking::Sanitised)));
+}
+
+fn scene_of(scene: &Scene) -> Object<zs_scene> {
+    let array = arrays(scene);
+    // SAFETY: arrays of their lengths, and where to put it.
+    Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
+}
+
+fn from_memory(bytes: &[u8], format: Option<&str>, dropped: *mut u64) -> Result<Object<zs_scene>, zs_status> {
+    let format = format.map(c_string);
+    let format = format.as_ref().map_or(null(), |format| format.as_ptr());
+    let (data, size) = (bytes.as_ptr().cast(), bytes.len());
+    // SAFETY: bytes of that length, a string or NULL, and where to put count and scene.
+    Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_from_memory(data, size, format, dropped, out) })
+}
+
+#[test]
+fn scenes_go_to_memory_and_come_back() {
+    let truth = random_scene(50, 1, 0.1);
+    let scene = scene_of(&truth);
+    let folder = tempfile::tempdir().expect("a folder");
+    for extension in ["ply", "spz", "splat", "gltf", "glb"] {
+        let format = c_string(extension);
+        let encode = |out| {
+            // SAFETY: a live scene, a string, no options, and where to put it.
+            unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) }
+        };
+        let object = Object::new(zs_bytes_destroy, encode);
+        let (mut data, mut size): (*const c_void, usize) = (null(), 0);
+        // SAFETY: a live object, and where to put pointer and size; the bytes live as long as the object.
+        let bytes = unsafe {
+            ok(zs_bytes_get(object.handle, &mut data, &mut size));
+            std::slice::from_raw_parts(data.cast::<u8>(), size)
+        };
+        let path = folder.path().join(format!("scene.{extension}"));
+        let text = c_string(path.to_str().expect("UTF-8"));
+        // SAFETY: a live scene, a string, no options.
+        ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
+        assert!(std::fs::read(&path).expect("it was written") == bytes, "{extension}");
+        let back = read(&made(from_memory(bytes, Some(extension), null_mut())));
+        assert_same(extension, back.means.as_flattened(), read_scene(&path).expect("a scene").means.as_flattened());
+    }
+    let format = c_string("obj");
+    let mut bytes = null_mut();
+    // SAFETY: a live scene, a string, no options, and where to put it.
+    let refused = unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), &mut bytes) };
+    fails(refused, ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
+}
+
+#[test]
+fn scenes_in_memory_are_told_apart_and_checked() {
+    let mut truth = random_scene(4, 0, 0.1);
+    let ply = encode_scene(&truth, SceneFormat::Ply, &WriteOptions::default()).expect("a valid scene");
+    assert_eq!(read(&made(from_memory(&ply, None, null_mut()))).means, truth.means);
+    truth.means[1] = [f32::NAN; 3];
+    // A .splat, which no writer of ours writes with such values.
+    let row = |i: usize| {
+        let floats: [f32; 6] = std::array::from_fn(|j| if j < 3 { truth.means[i][j] } else { 0.1 });
+        [floats.map(f32::to_le_bytes).as_flattened(), &[9; 8]].concat()
+    };
+    let bytes: Vec<u8> = (0..4).flat_map(row).collect();
+    assert_eq!(from_memory(&bytes, None, null_mut()).err(), Some(ZS_ERROR_FORMAT));
+    assert_eq!(from_memory(&bytes, Some("obj"), null_mut()).err(), Some(ZS_ERROR_ARGUMENT));
+    assert_eq!(from_memory(&bytes, Some("splat"), null_mut()).err(), Some(ZS_ERROR_FORMAT));
+    assert!(message().contains("scene in memory") && message().contains("1 of 4"), "{}", message());
+    let mut dropped = 7;
+    let kept = read(&made(from_memory(&bytes, Some(".SPLAT"), &mut dropped))).means;
+    assert_eq!((dropped, kept), (1, vec![truth.means[0], truth.means[2], truth.means[3]]));
+}
+
+#[test]
+fn photos_come_from_memory() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("photo.png");
+    photos(1)[0].save_png(&path).expect("a photo can be written");
+    let bytes = std::fs::read(&path).expect("it was written");
+    let decode = |bytes: &[u8]| {
+        // SAFETY: bytes of that length, and where to put it.
+        Object::try_new(zs_photo_destroy, |out| unsafe {
+            zs_photo_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
+        })
+    };
+    let photo = made(decode(&bytes));
+    let mut image = zs_image { format: 0, width: 0, height: 0, pixels: null(), ..image_of(&photos(1)[0]) };
+    // SAFETY: a live photo and a structure of its size; pixels of the photo, which lives.
+    let rgb = unsafe {
+        ok(zs_photo_get_image(photo.handle, &mut image));
+        std::slice::from_raw_parts(image.pixels.cast::<u8>(), 3 * (image.width * image.height) as usize)
+    };
+    assert!(Image::open(&path).expect("a photo").rgb == rgb);
+    for bad in [&bytes[..bytes.len() / 2], b"no photo", b"", b"\0\0\0\x18ftypheic"] {
+        assert_eq!(decode(bad).err(), Some(ZS_ERROR_FORMAT));
+        assert!(message().contains("photo in memory"), "{}", message());
+    }
+}
