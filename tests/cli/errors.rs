@@ -36,7 +36,7 @@ fn photos() {
         ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], "a HEIC picture", "`heif-convert @/a.HEIC @/a.HEIC.jpg`"),
         ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", "a HEIC picture", "`heif-convert @/b.jpg @/b.jpg.jpg`"),
         ("c.avif", b"\0\0\0\x18ftypavif", "an AVIF picture", "`magick @/c.avif @/c.avif.png`"),
-        ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", "a video (MP4", "`ffmpeg -i @/d.mp4 -vf fps=2 @/%03d.jpg`"),
+        ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", "a video (MP4", "`ffmpeg -i @/d.mp4 -vf fps=2 '@/%03d.jpg'`"),
         ("e.mov", b"\0\0\0\x18ftypqt  \0\0\0\0", "a video (MP4", "`ffmpeg -i @/e.mov"),
         ("f.avi", b"RIFF\0\0\0\0AVI LIST", "a video (AVI)", "`ffmpeg -i @/f.avi"),
         ("g.mkv", b"\x1a\x45\xdf\xa3\0\0\0\0", "a video (Matroska", "`ffmpeg -i @/g.mkv"),
@@ -176,7 +176,7 @@ fn poses() {
     let place = folder.line("@/blender/./train/1");
     refused(
         &folder,
-        &format!("eval @/blender --views 2 {}", &MICRO[..34]),
+        "eval @/blender --views 2 --weights @/micro.safetensors --size 28x28",
         3,
         &["photos with cameras", "found 0", &place],
     );

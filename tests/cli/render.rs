@@ -69,10 +69,9 @@ fn colours_have_several_spellings() {
         folder.run(&format!("render @/scene.ply --cameras @/cameras.json --background {color} -o @/out")).success();
         contents(&folder, "out")
     };
-    let orange = draw("1,0.50196078,0");
-    assert_eq!(orange, draw("#ff8000"));
-    assert_ne!(orange, draw("white"));
-    assert_eq!(draw("#fff"), draw("White"));
+    let aqua = draw("0,1,1");
+    assert!(aqua == draw("#00ffff") && aqua == draw("aqua"), "the same colour");
+    assert!(aqua != draw("teal") && draw("#fff") == draw("White"), "the same colour");
     let line = "render @/scene.ply --orbit -o @/out --background";
     let refused = folder.run(&format!("{line} #ffff"));
     assert!(refused.code == 2 && refused.err.contains("'#ffffff'") && refused.err.contains("teal"), "{}", refused.err);

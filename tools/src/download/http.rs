@@ -46,10 +46,12 @@ pub struct Told {
 }
 
 impl Told {
-    /// Takes what the headers of one answer say; earlier answers count more.
-    fn hear(&mut self, headers: &HeaderMap) {
-        let linked_etag = text(headers, "x-linked-etag").or_else(|| text(headers, ETAG.as_str()));
-        let digest = linked_etag.map(|etag| etag.trim_start_matches("W/").trim_matches('"').to_lowercase());
+    /// Takes what the headers of one answer say; earlier answers count more. An ETag is a hash at the hub alone.
+    fn hear(&mut self, headers: &HeaderMap, is_hub: bool) {
+        let etag = || text(headers, ETAG.as_str()).filter(|_| is_hub);
+        let digest = text(headers, "x-linked-etag")
+            .or_else(etag)
+            .map(|etag| etag.trim_start_matches("W/").trim_matches('"').to_lowercase());
         self.sha256 = self.sha256.take().or(digest.filter(|digest| is_sha256(digest)));
         let size = text(headers, "x-linked-size").and_then(|size| size.parse().ok());
         self.size = self.size.or(size);
@@ -124,7 +126,7 @@ impl Client {
         let (mut at, mut told) = (url.to_owned(), Told::default());
         for _ in 0..HOPS {
             let response = self.send(head, &at, start).map_err(|error| failure(url, &error, self.patience))?;
-            told.hear(response.headers());
+            told.hear(response.headers(), origin(&at) == origin(&self.endpoint));
             if !response.status().is_redirection() {
                 check_status(url, response.status(), self.token.is_some())?;
                 return Ok((response, told));
@@ -242,11 +244,13 @@ mod tests {
         };
         let digest = |digit: &str| digit.repeat(64);
         let mut told = Told::default();
-        told.hear(&headers(&[("etag", "\"abc\"".into())]));
+        told.hear(&headers(&[("etag", "\"abc\"".into())]), true);
         assert_eq!(told, Told::default(), "an ETag that is no SHA-256");
+        told.hear(&headers(&[("etag", digest("c"))]), false);
+        assert_eq!(told, Told::default(), "the storage's own name for a file");
         let linked = [("x-linked-etag", format!("\"{}\"", digest("A"))), ("x-linked-size", "7".into())];
-        told.hear(&headers(&linked));
-        told.hear(&headers(&[("etag", format!("\"{}\"", digest("b")))]));
+        told.hear(&headers(&linked), true);
+        told.hear(&headers(&[("etag", format!("\"{}\"", digest("b")))]), true);
         assert_eq!(told, Told { sha256: Some(digest("a")), size: Some(7) });
     }
 }

@@ -132,10 +132,10 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
         return transforms::read(path);
     }
     let folder = if found.is_file() { path.parent().unwrap_or(path) } else { path };
-    if found.is_dir() {
-        if let Some(file) = TRANSFORMS.map(|name| path.join(name)).into_iter().find(|file| file.is_file()) {
-            return transforms::read(&file);
-        }
+    if found.is_dir()
+        && let Some(file) = TRANSFORMS.map(|name| path.join(name)).into_iter().find(|file| file.is_file())
+    {
+        return transforms::read(&file);
     }
     let model = ["", "0", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
     match model.into_iter().find(|model| colmap::is_model(model)) {
