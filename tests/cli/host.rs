@@ -8,7 +8,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
-/// What the storage does with one request for the file, in place of what it should.
+/// A fault of the storage at one request for the file.
 #[derive(Clone, Copy, Debug)]
 pub enum Act {
     /// Closes the connection after so many bytes.
@@ -25,7 +25,7 @@ pub enum Act {
     Status(u16),
 }
 
-/// What both know.
+/// The state that hub and storage share.
 pub struct State {
     pub file: Vec<u8>,
     /// SHA-256 and size as the hub says them.

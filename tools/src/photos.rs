@@ -69,7 +69,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
-/// What is in a folder, but for hidden files and folders. Those are no photos whatever they are called: macOS puts `._000.jpg`
+/// The files and folders of a folder, but for hidden ones. Those are no photos whatever they are called: macOS puts `._000.jpg`
 /// beside `000.jpg` on foreign disks.
 fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |error| Error::io(folder, error);

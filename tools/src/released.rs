@@ -10,7 +10,7 @@ pub struct Released {
     pub name: &'static str,
     pub what: &'static str,
     pub licence: &'static str,
-    /// What the licence means for a user.
+    /// The licence's meaning for a user.
     pub terms: &'static str,
     /// About how many bytes come over the network.
     pub bytes: u64,
@@ -29,7 +29,7 @@ pub const RELEASED: [Released; 1] = [Released {
     file: "zipsplat-da3g-252p.tar",
 }];
 
-/// How cached weights end, after the hash of the file that they were made from.
+/// The end of the names of cached weights, after the hash of the file that they were made from.
 const CONVERTED: &str = "-f16.safetensors";
 
 impl Released {
@@ -38,7 +38,7 @@ impl Released {
         RELEASED.iter().find(|released| released.name == name)
     }
 
-    /// Where the hub has them.
+    /// Their address at the hub.
     pub fn address(&self, client: &Client) -> String {
         client.address(self.repository, "main", self.file)
     }
@@ -48,12 +48,12 @@ impl Released {
         format!("zipsplat weights get {}", self.name)
     }
 
-    /// What is loaded, and what becomes of it, lie beside this path.
+    /// A path beside which the loaded file and its conversion lie.
     pub fn base(&self, folder: &Path) -> PathBuf {
         folder.join(self.file)
     }
 
-    /// Where the conversion of a loaded file lies, which has its hash in its name.
+    /// The path of the conversion of a loaded file, which has its hash in its name.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         loaded.with_file_name(format!("{stem}{CONVERTED}"))

@@ -24,7 +24,7 @@ use zipsplat::{
 
 /// What takes no longer than this shows no progress.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// How often a wait for an answer looks for Ctrl-C.
+/// The time after which a wait for an answer looks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 /// What `--device` calls no device.
 const NO_DEVICE: &str = "none";
@@ -220,7 +220,7 @@ pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
 }
 
-/// What a program can tell errors apart by.
+/// The name by which a program can tell errors apart.
 fn kind(error: &Error) -> &'static str {
     match error {
         Error::Argument { .. } => "argument",

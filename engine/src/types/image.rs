@@ -181,7 +181,8 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// What a camera, phone or scanner writes beside photos, by its first bytes, and the command that makes photos of it in its folder.
+/// The kind of a file that a camera, phone or scanner writes beside photos, by its first bytes, and the command that makes
+/// photos of it in its folder.
 fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     let quoted = |path: &Path| {
         let path = path.to_string_lossy();

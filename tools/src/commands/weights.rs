@@ -21,7 +21,7 @@ use zipsplat::{
 
 /// Weights that have a name: list them, get them, say where they are
 ///
-/// What `get` has got is kept as f16 safetensors in the cache folder, and every --weights takes its name.
+/// `get` keeps weights as f16 safetensors in the cache folder, and every --weights takes their name.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat weights list
@@ -218,7 +218,7 @@ impl Get {
     }
 }
 
-/// Whether the environment forbids the network, by the values that the hub's own client takes.
+/// True where the environment forbids the network, by the values that the hub's own client takes.
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())

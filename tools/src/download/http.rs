@@ -18,7 +18,7 @@ const HOPS: usize = 10;
 /// Variables that name a file of root certificates to trust in place of those that are built in.
 const ROOTS: [&str; 2] = ["SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
-/// Why a request gave nothing to go on with.
+/// The failure of a request, by whether another try may do better.
 #[derive(Debug)]
 pub enum Failure {
     /// Another try may do better: the connection broke or stalled, or the host is busy.
@@ -37,7 +37,7 @@ pub struct Client {
     pub patience: Duration,
 }
 
-/// What a hub says about a file before it redirects to its storage, which says neither.
+/// The hash and size of a file, which a hub says before it redirects to its storage, which says neither.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Told {
     /// Lowercase hexadecimal digits.
@@ -58,7 +58,7 @@ impl Told {
     }
 }
 
-/// Whether a text is a SHA-256 in hexadecimal digits.
+/// True for a SHA-256 in hexadecimal digits.
 pub fn is_sha256(text: &str) -> bool {
     text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
@@ -101,7 +101,7 @@ impl Client {
         format!("{}/{repository}/resolve/{revision}/{file}", self.endpoint)
     }
 
-    /// What the hub says about a file, without the file.
+    /// The hash and size that the hub says for a file, without the file.
     ///
     /// # Errors
     /// Where the hub cannot be asked, or has no such file.
@@ -177,7 +177,7 @@ fn origin(url: &str) -> Option<(String, String)> {
     Some((scheme.to_owned(), uri.authority()?.as_str().to_lowercase()))
 }
 
-/// Where a redirect leads; nowhere, where that would no longer be encrypted.
+/// The address that a redirect leads to; none, where that would no longer be encrypted.
 fn redirected(from: &str, location: &str) -> Option<String> {
     let (scheme, authority) = origin(from)?;
     let to = match location {
@@ -209,7 +209,7 @@ fn check_status(url: &str, status: StatusCode, has_token: bool) -> Result<(), Fa
     }
 }
 
-/// Why a request or the reading of its answer failed.
+/// The failure of a request, or of reading its answer, from the client's error.
 pub fn failure(url: &str, error: &ureq::Error, patience: Duration) -> Failure {
     match error {
         ureq::Error::Timeout(_) => Failure::Passing(format!("nothing came for {} s", patience.as_secs_f64())),

@@ -29,10 +29,10 @@ const RESTARTS: u32 = 3;
 /// Bytes that are handed on at once, and how many of these may wait for the disk.
 const CHUNK: usize = 1 << 18;
 const WAITING: usize = 16;
-/// How often a wait looks for Ctrl-C.
+/// The time after which a wait looks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// What the hub says about a file now; `sha256` stands in where the hub does not say it.
+/// The hub's promise of a file as it is now; `sha256` stands in where the hub does not say it.
 ///
 /// # Errors
 /// [`Error::Io`] where the hub cannot be asked; [`Error::Argument`] where it says no size or no hash, or another hash than
@@ -102,7 +102,7 @@ pub fn fetch(
     }
 }
 
-/// How often in a row nothing came.
+/// The number of tries in a row that brought nothing.
 #[derive(Default)]
 struct Tries(u32);
 
@@ -141,11 +141,11 @@ fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send +
     }
 }
 
-/// Why no more bytes come over one connection; the end of the file is a passing reason, too.
+/// The reason why no more bytes come over one connection; the end of the file is a passing reason, too.
 enum Stop {
     Passing(String),
     Lasting(Error),
-    /// What is there does not go with what the host has.
+    /// The bytes that are there do not fit those of the host.
     Restart(String),
 }
 
@@ -158,9 +158,9 @@ impl From<Failure> for Stop {
     }
 }
 
-/// What comes over one connection.
+/// An event of one connection.
 enum Event {
-    /// Where the next bytes belong.
+    /// The place in the file of the next bytes.
     From(u64),
     Bytes(Vec<u8>),
     End(Stop),
@@ -226,7 +226,7 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     }
 }
 
-/// Where the bytes of an answer belong, if they are of the file that was promised.
+/// The place in the file of an answer's bytes, if they are of the file that was promised.
 fn check_answer(
     promise: &Promise,
     told: &Told,

@@ -15,7 +15,7 @@ const BLOCK: usize = 1 << 20;
 /// Digits of a hash in the name of its file.
 pub const TAG: usize = 12;
 
-/// What a file will be when it is whole.
+/// A file as it will be when it is whole.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     /// Address that it comes from.
@@ -32,7 +32,7 @@ impl Promise {
         &self.sha256[..TAG]
     }
 
-    /// Where the whole file lies: beside `base`, with the tag in its name.
+    /// The path of the whole file: beside `base`, with the tag in its name.
     pub fn path(&self, base: &Path) -> PathBuf {
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
         base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))
@@ -58,7 +58,7 @@ fn paths(base: &Path) -> [PathBuf; 2] {
     })
 }
 
-/// How many bytes there are of the file that `base` names, and what it shall become.
+/// The number of bytes that are there of the file that `base` names, and its promise.
 pub fn kept(base: &Path) -> Option<(u64, Promise)> {
     let [path, promise] = paths(base);
     Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))

@@ -26,7 +26,7 @@ pub struct Poses {
     pub points: Option<PathBuf>,
     /// What was ignored or left out, in words for the user.
     pub notes: Vec<String>,
-    /// Where the photos were looked for of the frames that were left out, as the file does not say how large pictures are.
+    /// The places where photos were looked for to learn their size, of the frames that were left out without one.
     pub sizeless: Vec<PathBuf>,
 }
 
@@ -88,7 +88,7 @@ impl Poses {
         Ok(frames)
     }
 
-    /// Why a photo has no camera.
+    /// The error of a photo without a camera, with the reason.
     fn lacks(&self, photo: &Path) -> Error {
         let what = format!("camera of {}", photo.display());
         let is_same = |place: &&PathBuf| [photo.file_name(), photo.file_stem()].contains(&place.file_name());
@@ -116,11 +116,12 @@ fn common_folders(a: &Path, b: &Path) -> usize {
     a.components().rev().zip(b.components().rev()).take_while(|(a, b)| a == b).count()
 }
 
-/// What a capture's folder calls its `transforms.json`; the second is that of NeRF's synthetic scenes, of the photos to learn from.
+/// The names of camera files in a capture's folder; the second is that of the training photos of NeRF's synthetic scenes.
 const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
 /// Reads a `transforms.json`, or a COLMAP model: a folder with `cameras` and `images` as `.bin` or `.txt`, or a capture's
-/// folder that has one of these, directly or under `sparse/0`. Without a `transforms.json` a folder's `transforms_train.json` is read.
+/// folder that has one of these, directly or under `sparse/0`. In a folder without `transforms.json`, `transforms_train.json`
+/// is read.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read, [`Error::Format`] naming file, frame and field when it is malformed,

@@ -61,7 +61,7 @@ struct Bench<'a> {
     renderer: Renderer,
     truth: Truth<'a>,
     sweep: Sweep,
-    /// How many points there will be.
+    /// The number of points of the whole sweep.
     points: usize,
 }
 
@@ -93,8 +93,8 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures every combination, and what is measured until the command should stop. The other value is how many points there
-/// would have been, where it was stopped before all.
+/// Measures every combination, or as many as there is time for until the command should stop. In that case the other value is
+/// the number of points of the whole sweep.
 ///
 /// # Errors
 /// Where a reconstruction or a picture fails; [`Error::Cancelled`] where there is no point yet.
