@@ -66,6 +66,28 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     }
 }
 
+/// Cancelled after twice as long each time, until something was measured: of far more points than that takes.
+#[test]
+fn a_sweep_that_is_cancelled_writes_what_it_measured() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
+    let line = folder.line(
+        "bench tradeoff @/place --weights @/micro.safetensors --size 28x28 --views 1,2,3 --repeats 100 -o @/report",
+    );
+    let mut delay = Duration::from_millis(100);
+    let outcome = loop {
+        let outcome = cancelled_after(delay, &line);
+        if folder.path("report").exists() {
+            break outcome;
+        }
+        outcome.fails(130, &["cancelled"]);
+        delay *= 2;
+    };
+    assert!(outcome.err.contains("points that were measured"), "{}", outcome.err);
+    outcome.fails(130, &["cancelled"]);
+    assert_eq!(check_whole(&folder.path("report")), 2);
+}
+
 /// Photos that would take minutes.
 #[test]
 fn taking_photos_of_a_place_can_be_cancelled() {

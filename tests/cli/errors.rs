@@ -32,24 +32,53 @@ fn photos() {
     let many = vec!["@/photos"; 97].join(" ");
     refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192", "--views N"]);
     std::fs::create_dir(folder.path("phone")).expect("an empty folder");
-    for (name, start, words) in [
-        ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], ["a HEIC picture", "heif-convert a.HEIC"]),
-        ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", ["a HEIC picture", "heif-convert b.jpg"]),
-        ("c.avif", b"\0\0\0\x18ftypavif", ["an AVIF picture", "magick c.avif"]),
-        ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", ["a video (MP4", "ffmpeg -i d.mp4 -vf fps=2"]),
-        ("e.mov", b"\0\0\0\x18ftypqt  \0\0\0\0", ["a video (MP4", "ffmpeg -i e.mov"]),
-        ("f.avi", b"RIFF\0\0\0\0AVI LIST", ["a video (AVI)", "ffmpeg -i f.avi"]),
-        ("g.mkv", b"\x1a\x45\xdf\xa3\0\0\0\0", ["a video (Matroska", "ffmpeg -i g.mkv"]),
+    for (name, start, kind, advice) in [
+        ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], "a HEIC picture", "`heif-convert @/a.HEIC @/a.HEIC.jpg`"),
+        ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", "a HEIC picture", "`heif-convert @/b.jpg @/b.jpg.jpg`"),
+        ("c.avif", b"\0\0\0\x18ftypavif", "an AVIF picture", "`magick @/c.avif @/c.avif.png`"),
+        ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", "a video (MP4", "`ffmpeg -i @/d.mp4 -vf fps=2 '@/%03d.jpg'`"),
+        ("e.mov", b"\0\0\0\x18ftypqt  \0\0\0\0", "a video (MP4", "`ffmpeg -i @/e.mov"),
+        ("f.avi", b"RIFF\0\0\0\0AVI LIST", "a video (AVI)", "`ffmpeg -i @/f.avi"),
+        ("g.mkv", b"\x1a\x45\xdf\xa3\0\0\0\0", "a video (Matroska", "`ffmpeg -i @/g.mkv"),
+        ("h.bmp", b"BM\x46\0\0\0\0\0\0\0\x36\0", "a BMP picture", "`magick @/h.bmp @/h.bmp.png`"),
+        ("i.tif", b"II*\0\x08\0\0\0\0\0\0\0", "a TIFF or", "`magick @/i.tif @/i.tif.png`"),
+        ("j.tiff", b"MM\0*\0\0\0\x08\0\0\0\0", "a TIFF or", "`magick @/j.tiff @/j.tiff.png`"),
+        ("k.gif", b"GIF89a\x01\0\x01\0\0\0", "a GIF picture", "`magick '@/k.gif[0]' @/k.gif.png`"),
     ] {
         std::fs::write(folder.path(name), start).expect("a file");
-        refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[&[name][..], &words].concat());
-        // A folder of nothing else says the same.
+        let advice = folder.line(advice);
+        refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
+        // A folder of nothing else says the same, with the command for the file where it is.
         std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
         if name != "b.jpg" {
-            refused(&folder, &format!("reconstruct @/phone {MICRO}"), 3, &[&[name][..], &words].concat());
+            let below = advice.replace(&folder.line("@/"), &folder.line("@/phone/"));
+            refused(&folder, &format!("reconstruct @/phone {MICRO}"), 3, &[name, kind, &below]);
         }
-        std::fs::remove_file(folder.path(&format!("phone/{name}"))).expect("it was written above");
+        for name in [name.to_owned(), format!("phone/{name}")] {
+            std::fs::remove_file(folder.path(&name)).expect("it was written above");
+        }
     }
+}
+
+#[test]
+fn json_has_errors_as_objects() {
+    let folder = Folder::new();
+    let error = |line: &str, code: u8| -> serde_json::Value {
+        let outcome = folder.run(line);
+        assert_eq!((outcome.code, outcome.out.as_str(), outcome.err.lines().count()), (code, "", 1), "{}", outcome.err);
+        let json: serde_json::Value = serde_json::from_str(&outcome.err).expect("JSON");
+        assert_eq!(json["exit_code"], code);
+        json
+    };
+    let json = error("info @/absent.ply --json", 3);
+    assert_eq!(json["kind"], "io");
+    assert!(json["error"].as_str().is_some_and(|text| text.contains("absent.ply: No such file")), "{json}");
+    assert_eq!(error("--json info @/photos/1.png", 3)["kind"], "argument");
+    assert_eq!(error("doctor --device nonesuch --json", 4)["kind"], "no_device");
+    let json = error("render --json", 2);
+    assert_eq!(json["kind"], "usage");
+    assert!(json["error"].as_str().is_some_and(|text| text.contains("Usage: ")), "{json}");
+    assert!(folder.run("render --json --help").success().contains("exit_code"));
 }
 
 #[test]
@@ -130,6 +159,27 @@ fn poses() {
     refused(&folder, "render @/scene.ply --cameras @/none.json -o @/out", 3, &["cameras of", "at least one"]);
     let elsewhere = "render @/scene.ply --cameras @/one.json --relative-to 7.png -o @/out";
     refused(&folder, elsewhere, 3, &["7.png"]);
+    // No size, and the photos are not where the file says.
+    let camera = r#"{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "file_path": "./train/1"}"#;
+    let text = format!("{{\"camera_angle_x\": 0.7, \"frames\": [{camera}]}}");
+    std::fs::write(folder.path("nerf.json"), text).expect("a file");
+    let place = folder.line("@/./train/1");
+    refused(
+        &folder,
+        &format!("reconstruct @/photos/1.png --poses @/nerf.json {MICRO}"),
+        3,
+        &["camera of", "no w and h", &place],
+    );
+    refused(&folder, "render @/scene.ply --cameras @/nerf.json -o @/out", 3, &["cameras of", "no w and h", &place]);
+    std::fs::create_dir(folder.path("blender")).expect("an empty folder");
+    std::fs::rename(folder.path("nerf.json"), folder.path("blender/transforms_train.json")).expect("renamed");
+    let place = folder.line("@/blender/./train/1");
+    refused(
+        &folder,
+        "eval @/blender --views 2 --weights @/micro.safetensors --size 28x28",
+        3,
+        &["photos with cameras", "found 0", &place],
+    );
     refused(&folder, "render @/scene.ply --orbit --fov 180 -o @/out", 3, &["field of view", "180"]);
     refused(&folder, "render @/scene.ply --orbit --size 0x9 -o @/out", 3, &["camera 0", "size"]);
     let line = "render @/scene.ply --cameras @/one.json --size";

@@ -1,7 +1,7 @@
 //! `zipsplat info`.
 
 use crate::Folder;
-use zipsplat::types::write_ply;
+use zipsplat::types::{Scene, write_ply, write_ply_with_origin};
 use zipsplat_tests::scenes;
 
 #[test]
@@ -31,6 +31,36 @@ fn files_are_told_apart_by_content() {
     let (parameters, bytes) = (checkpoint["parameters"].as_u64(), checkpoint["bytes"].as_u64());
     assert_eq!(parameters.map(|count| 4 * count), bytes);
     assert!(folder.run("info seeded:vitg").success().contains("vitg"));
+}
+
+#[test]
+fn a_scene_is_told_by_its_ranges() {
+    let folder = Folder::new();
+    let scene = Scene {
+        means: vec![[1.0, -2.0, 3.0], [-4.0, 5.0, 6.0]],
+        scales: vec![[0.5, 0.25, 0.125], [0.5, 2.0, 1.0]],
+        opacities: vec![0.25, 0.75],
+        ..scenes::random_scene(2, 1, 0.1)
+    };
+    write_ply_with_origin(&scene, folder.path("a.ply"), "images/7.png").expect("a scene can be written");
+    write_ply(&scene, folder.path("b.ply")).expect("a scene can be written");
+    let text = folder.run("info @/a.ply").success();
+    for words in
+        ["2 Gaussians", "degree 1", " B", "-4.000000", "6.000000", "scale", "2.000000", "opacity", "images/7.png"]
+    {
+        assert!(text.contains(words), "'{words}' is not in: {text}");
+    }
+    let json = folder.run("info @/a.ply --json").json();
+    assert_eq!(json["bounds"], serde_json::json!([[-4.0, -2.0, 3.0], [1.0, 5.0, 6.0]]));
+    let near = |key: &str, range: [f64; 2]| {
+        let found = [0, 1].map(|i| json[key][i].as_f64().unwrap_or(f64::NAN));
+        assert!((0..2).all(|i| (found[i] - range[i]).abs() < 1e-6), "{key}: {found:?}");
+    };
+    near("scales", [0.125, 2.0]);
+    near("opacities", [0.25, 0.75]);
+    assert_eq!(json["bytes"].as_u64(), Some(folder.path("a.ply").metadata().expect("a file").len()));
+    assert_eq!(json["origin"], "images/7.png");
+    assert!(folder.run("info @/b.ply --json").json()["origin"].is_null());
 }
 
 #[test]

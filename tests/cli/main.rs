@@ -4,11 +4,13 @@ mod cancel;
 mod convert;
 mod errors;
 mod eval;
+mod host;
 mod info;
 mod measure;
 mod reconstruct;
 mod render;
 mod trajectories;
+mod weights;
 
 use std::{
     ffi::OsString,

@@ -85,6 +85,38 @@ fn what_is_no_photo_is_left_out_and_named() {
 }
 
 #[test]
+fn photos_in_folders_below_are_hinted_at() {
+    let folder = Folder::new();
+    let line = "--weights @/micro.safetensors --size 56x42 -o @/s.ply";
+    let below = folder.line("@/photos/");
+    folder
+        .run(&format!("reconstruct @/ {line}"))
+        .fails(3, &["photos in", "found none", "the folder that has them", &below]);
+    std::fs::create_dir(folder.path("photos/left")).expect("an empty folder");
+    let quiet = folder.run(&format!("reconstruct @/photos {line}"));
+    assert_eq!(quiet.err, "", "a folder without photos is none to hint at");
+    std::fs::copy(folder.path("photos/1.png"), folder.path("photos/left/1.png")).expect("copied");
+    let noted = folder.run(&format!("reconstruct @/photos {line}"));
+    assert_eq!(noted.err, folder.line("note: more photos lie in @/photos/left/: name it, too, to take them\n"));
+    assert!(noted.success().contains("from 2 views"));
+}
+
+#[test]
+fn cameras_to_learn_from_are_cameras() {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("place")).expect("an empty folder");
+    let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
+    let names = ["train/1.png", "train/10.png"];
+    write_transforms(folder.path("place/transforms_train.json"), &cameras, &names).expect("cameras");
+    let run =
+        || folder.run("reconstruct @/photos --weights @/micro.safetensors --size 28x28 --poses @/place -o @/s.ply");
+    run().success();
+    // The other name comes first.
+    write_transforms(folder.path("place/transforms.json"), &cameras[..1], &names[..1]).expect("cameras");
+    run().fails(3, &["10.png", "the poses (1): train/1.png"]);
+}
+
+#[test]
 fn some_of_many_photos_are_spread() {
     let folder = Folder::new();
     (2..10).for_each(|i| crate::photo(40, 30, i).save_png(folder.path(&format!("photos/{i}.png"))).expect("a photo"));
@@ -179,6 +211,13 @@ fn cameras_are_poses() {
 fn help_has_examples_for_every_command() {
     for command in ["", "reconstruct ", "render ", "info ", "convert ", "bench "] {
         assert!(zipsplat(&format!("{command}--help")).success().contains("Examples:\n  zipsplat "), "{command}");
+    }
+}
+
+#[test]
+fn help_is_a_command_too() {
+    for command in ["render", "bench tradeoff", "weights get"] {
+        assert_eq!(zipsplat(&format!("help {command}")).success(), zipsplat(&format!("{command} --help")).success());
     }
 }
 

@@ -63,6 +63,21 @@ fn depth_and_alpha_are_what_the_renderer_gives() {
 }
 
 #[test]
+fn colours_have_several_spellings() {
+    let folder = folder();
+    let draw = |color: &str| {
+        folder.run(&format!("render @/scene.ply --cameras @/cameras.json --background {color} -o @/out")).success();
+        contents(&folder, "out")
+    };
+    let aqua = draw("0,1,1");
+    assert!(aqua == draw("#00ffff") && aqua == draw("aqua"), "the same colour");
+    assert!(aqua != draw("teal") && draw("#fff") == draw("White"), "the same colour");
+    let line = "render @/scene.ply --orbit -o @/out --background";
+    let refused = folder.run(&format!("{line} #ffff"));
+    assert!(refused.code == 2 && refused.err.contains("'#ffffff'") && refused.err.contains("teal"), "{}", refused.err);
+}
+
+#[test]
 fn paths_have_as_many_pictures_as_asked() {
     let folder = folder();
     for path in ["--orbit", "--wiggle"] {

@@ -169,7 +169,8 @@ impl CameraArgs {
     ) -> Result<(Vec<Camera>, Vec<String>)> {
         let mut poses = read_cameras(path, lens)?;
         let Some(first) = poses.frames.first() else {
-            return Err(Error::argument(format!("cameras of {}", path.display()), 0, "at least one"));
+            let found = poses.notes.first().map_or("none".into(), |why| format!("none: {why}"));
+            return Err(Error::argument(format!("cameras of {}", path.display()), found, "at least one"));
         };
         let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
         let size = self.size.or(alike.then_some(own));

@@ -68,7 +68,9 @@ impl Choice {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
             let expected = format!("more than --views {views}, to have some to compare with");
-            return Err(Error::argument(format!("photos with cameras in {}", folder.display()), found.len(), expected));
+            let why = if poses.sizeless.is_empty() { String::new() } else { format!(" ({})", poses.notes.join("; ")) };
+            let found = format!("{}{why}", found.len());
+            return Err(Error::argument(format!("photos with cameras in {}", folder.display()), found, expected));
         }
         let centres: Vec<DVec3> = found.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
         let chosen = farthest_points(&centres, views);

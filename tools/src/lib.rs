@@ -6,8 +6,10 @@ pub mod align;
 mod animation;
 mod cameras;
 mod capture;
+mod color;
 mod commands;
 pub mod doctor;
+mod download;
 mod explain;
 pub mod metrics;
 mod noise;
@@ -17,6 +19,7 @@ mod photos;
 mod pictures;
 mod plot;
 pub mod procedural;
+mod released;
 mod session;
 mod signals;
 mod table;
@@ -47,13 +50,19 @@ pub struct Terminal<'a> {
 /// argument that cannot be used, 4 no device, a lost one or too little memory, 5 a device that computes wrongly, 130
 /// cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
-    let options::Cli { global, command } = match options::Cli::try_parse_from(args) {
+    let args: Vec<OsString> = args.into_iter().collect();
+    let options::Cli { global, command } = match options::Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
-            let stream = if error.use_stderr() { terminal.err } else { terminal.out };
+            let (stream, code) =
+                (if error.use_stderr() { terminal.err } else { terminal.out }, error.exit_code() as u8);
+            let mut text = error.to_string();
+            if code != 0 && args.iter().take_while(|arg| *arg != "--").any(|arg| arg == "--json") {
+                text = session::error_as_json(text.trim_start_matches("error: ").trim_end(), "usage", code) + "\n";
+            }
             // Nobody is left to tell where the stream is closed.
-            let _ = write!(stream, "{error}");
-            return error.exit_code() as u8;
+            let _ = stream.write_all(text.as_bytes());
+            return code;
         }
     };
     let mut session = Session::new(global, terminal);
@@ -62,7 +71,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
         Err(error) => {
             let code = exit_code(&error);
             if code != 0 {
-                session.complain(&error);
+                session.complain(&error, code);
             }
             code
         }

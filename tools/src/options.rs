@@ -1,6 +1,6 @@
 //! The command line: global options, and those that several commands share.
 
-use crate::{commands::Command, session::Session};
+use crate::{commands::Command, released, session::Session};
 use clap::{Args, Parser, ValueEnum};
 use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
@@ -17,12 +17,13 @@ use zipsplat::{
 #[command(
     name = "zipsplat",
     version,
-    disable_help_subcommand = true,
     after_help = "Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat info
   zipsplat doctor
+  zipsplat weights get zipsplat
+  zipsplat help render
 
 Exit codes:
   0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
@@ -46,7 +47,8 @@ pub struct Global {
     /// [default: all of it]
     #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub memory: Option<u64>,
-    /// Print the result as JSON
+    /// Print the result as JSON to standard output, and an error as one line of JSON to standard error: {"error", "kind",
+    /// "exit_code"}
     #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
     /// Print neither result nor notes nor progress, only errors; --json still prints
@@ -57,8 +59,9 @@ pub struct Global {
 /// Which weights.
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint (safetensors or PyTorch), or seeded:VARIANT[:KEY] for random numbers [default: the model that is built in]
-    #[arg(long, value_name = "PATH|seeded:VARIANT[:KEY]")]
+    /// Checkpoint (safetensors or PyTorch), a name of `zipsplat weights list`, or seeded:VARIANT[:KEY] for random numbers
+    /// [default: the model that is built in]
+    #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
     /// the reference's recipes da3s, da3b, da3l; what else the file leaves open follows, as in
@@ -105,6 +108,9 @@ pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)"
 /// Opens a checkpoint; what is none by its first bytes is refused with what it is, where that is known, and what was
 /// `expected`.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
+    if let Some(path) = released::find(text)? {
+        return Checkpoint::open(path, variant);
+    }
     let mut start = [0; 9];
     let read = open_file(text).is_ok_and(|mut file| file.read_exact(&mut start).is_ok());
     // A zip archive, or a length and the JSON object behind it. What cannot be read is left to the reader's complaint.

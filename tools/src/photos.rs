@@ -21,7 +21,7 @@ use zipsplat::{
 
 /// Extensions of the files of a folder that are taken for photos.
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-/// Files left out that a note names.
+/// Files or folders that a message names.
 const NAMED: usize = 5;
 /// Share of the photos' area that may be cropped away without a word.
 const CROPPED: f64 = 0.1;
@@ -44,42 +44,71 @@ pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>
 }
 
 fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |error| Error::io(folder, error);
-    let is_photo = |path: &Path| {
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
-    };
-    // Hidden ones are no photos whatever they are called: macOS puts `._000.jpg` beside `000.jpg` on foreign disks.
-    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-    let mut files = Vec::new();
-    for entry in folder.read_dir().map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        if path.is_file() && !is_hidden(&path) {
-            files.push(path);
-        }
-    }
+    let entries = visible(folder)?;
+    let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) =
+        entries.into_iter().filter(|path| path.is_dir() || path.is_file()).partition(|path| path.is_dir());
     files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b)));
     let (photos, others): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|path| is_photo(path));
+    let below = folders_of_photos(folders);
     if photos.is_empty() {
+        let what = format!("photos in {}", folder.display());
+        if !below.is_empty() {
+            return Err(Error::argument(what, "none", format!("files there, or the folder that has them: {below}")));
+        }
         // What it is, and how it is converted, says more than that it is not what was looked for.
         others.first().map_or(Ok((0, 0)), Image::size)?;
         let expected = format!("files that end in {}", EXTENSIONS.join(", "));
-        return Err(Error::argument(format!("photos in {}", folder.display()), "none", expected));
+        return Err(Error::argument(what, "none", expected));
     }
     if !others.is_empty() {
         session.note(left_out(&others));
     }
+    if !below.is_empty() {
+        session.note(format!("more photos lie in {below}: name it, too, to take them"));
+    }
     Ok(photos)
+}
+
+/// The files and folders of a folder, but for hidden ones. Those are no photos whatever they are called: macOS puts `._000.jpg`
+/// beside `000.jpg` on foreign disks.
+fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
+    let failed = |error| Error::io(folder, error);
+    let mut found = Vec::new();
+    for entry in folder.read_dir().map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        if !entry.file_name().to_string_lossy().starts_with('.') {
+            found.push(entry.path());
+        }
+    }
+    Ok(found)
+}
+
+fn is_photo(path: &Path) -> bool {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
+}
+
+/// Those of some folders that have photos directly in them, for messages.
+fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
+    let has_photos = |folder: &PathBuf| visible(folder).is_ok_and(|files| files.iter().any(|file| is_photo(file)));
+    folders.retain(has_photos);
+    folders.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    named(&folders, |folder| folder.join("").display().to_string())
+}
+
+/// The first few of some paths, by what `name` calls them.
+fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
+    let mut names: Vec<String> = paths.iter().take(NAMED).map(name).collect();
+    if paths.len() > NAMED {
+        names.push("...".into());
+    }
+    names.join(", ")
 }
 
 /// Which files are not taken for photos.
 fn left_out(files: &[PathBuf]) -> String {
-    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let mut names: Vec<String> = files.iter().take(NAMED).map(name).collect();
-    if files.len() > NAMED {
-        names.push("...".into());
-    }
-    format!("{} left out, not PNG, JPEG or WebP: {}", counted(files.len(), "file"), names.join(", "))
+    let names = named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned());
+    format!("{} left out, not PNG, JPEG or WebP: {names}", counted(files.len(), "file"))
 }
 
 /// `count` of the photos at most, evenly spread, the first and the last among them.

@@ -24,6 +24,8 @@ use zipsplat::{
 
 /// What takes no longer than this shows no progress.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// The time after which a wait for an answer looks for Ctrl-C.
+const POLL: Duration = Duration::from_millis(50);
 /// What `--device` calls no device.
 const NO_DEVICE: &str = "none";
 /// Steps of a progress bar.
@@ -178,14 +180,59 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Prints an error as one line.
-    pub fn complain(&mut self, error: &Error) {
+    /// Asks on standard error and waits for a line of standard input.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`]; [`Error::Io`] where nobody can be asked.
+    pub fn ask(&mut self, question: &str) -> Result<String> {
+        let asked = write!(self.terminal.err, "{question}").and_then(|()| self.terminal.err.flush());
+        asked.map_err(|error| Error::io("standard error", error))?;
+        let (send, answer) = channel();
+        // A read goes on through signals: a thread waits for it, which is left behind where the command should stop.
+        std::thread::spawn(move || {
+            let mut line = String::new();
+            let _ = send.send(std::io::stdin().read_line(&mut line).map(|_| line));
+        });
+        loop {
+            match answer.recv_timeout(POLL) {
+                Ok(line) => return line.map_err(|error| Error::io("standard input", error)),
+                Err(_) if self.terminal.cancelled.load(Ordering::Relaxed) => return Err(Error::Cancelled),
+                Err(_) => {}
+            }
+        }
+    }
+
+    /// Prints an error as one line, with `--json` as an object.
+    pub fn complain(&mut self, error: &Error, code: u8) {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let (Error::Memory { .. }, Some(memory)) = (error, self.global.memory) {
             lines.push(format!("--memory leaves this command {memory} bytes of the device's"));
         }
+        let text = lines.join("; ");
+        let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };
         // The exit code says it all the same.
-        let _ = writeln!(self.terminal.err, "error: {}", lines.join("; "));
+        let _ = writeln!(self.terminal.err, "{line}");
+    }
+}
+
+/// An error as `--json` has it: an object in one line.
+pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
+    serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
+}
+
+/// The name by which a program can tell errors apart.
+fn kind(error: &Error) -> &'static str {
+    match error {
+        Error::Argument { .. } => "argument",
+        Error::Io { .. } => "io",
+        Error::Format { .. } => "format",
+        Error::Weights { .. } => "weights",
+        Error::NoDevice(_) => "no_device",
+        Error::Memory { .. } => "memory",
+        Error::DeviceLost => "device_lost",
+        Error::Driver { .. } => "driver",
+        Error::Cancelled => "cancelled",
+        _ => "other",
     }
 }
 

@@ -9,14 +9,20 @@ use std::{
     path::PathBuf,
 };
 
-/// The file of a `kind` of findings about a device.
-pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
+/// The folder in which this program may keep what it can find or get again: `ZIPSPLAT_CACHE`, or `zipsplat` in the user's
+/// cache; none, where the environment names neither.
+pub fn cache_folder() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
     let folder = |name: &str, below: &str| set(name).map(|value| PathBuf::from(value).join(below));
-    let cache = folder("ZIPSPLAT_CACHE", "")
+    folder("ZIPSPLAT_CACHE", "")
         .or_else(|| folder("XDG_CACHE_HOME", "zipsplat"))
         .or_else(|| folder("LOCALAPPDATA", "zipsplat"))
-        .or_else(|| folder("HOME", ".cache/zipsplat"))?;
+        .or_else(|| folder("HOME", ".cache/zipsplat"))
+}
+
+/// The file of a `kind` of findings about a device.
+pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
+    let cache = cache_folder()?;
     let mut kernels = DefaultHasher::new();
     let is_fast = |needs: Needs| needs.half_storage || needs.matrices.is_some();
     MODULES.iter().filter(|module| is_fast(module.needs)).for_each(|module| module.hash(&mut kernels));

@@ -23,6 +23,7 @@ pub use arithmetic::{Arithmetic, Precision, Units};
 pub use attention::{Attention, AttentionKernel, Heads, Part};
 pub use attention_tile::AttentionTile;
 pub use block::{Block, Sequences};
+pub use cache::cache_folder;
 pub use chosen::Chosen;
 pub use cross_block::CrossBlock;
 pub use linear::{Activation, Epilogue, Linear, LinearKernel};

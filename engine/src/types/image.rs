@@ -50,8 +50,8 @@ impl Image {
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Format`] with the decoder's reason when it is none of these
-    /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB; of HEIC, AVIF and videos
-    /// with the command that makes photos of them.
+    /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB; of HEIC, AVIF, TIFF, BMP,
+    /// GIF and videos with the command that makes photos of them.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let (mut decoded, orientation) = decode(path.as_ref())?;
         decoded.apply_orientation(orientation);
@@ -193,27 +193,48 @@ fn read(path: &Path) -> Result<Vec<u8>> {
 
 /// Refuses what is known to be no photo by its first bytes.
 fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
-    let Some((kind, command)) = other_kind(start) else { return Ok(()) };
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let reason = format!("found {kind}, expected PNG, JPEG or WebP: {}", command.replace('@', &name));
-    Err(Error::format(path, None, reason))
+    let Some((kind, advice)) = other_kind(start, path) else { return Ok(()) };
+    Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
 }
 
-/// What a camera or phone writes beside photos, by its first bytes, and the command that makes photos of a file `@`.
-fn other_kind(start: &[u8]) -> Option<(&'static str, &'static str)> {
-    const TO_PHOTO: &str = "`magick @ @.png` converts it";
-    const TO_PHOTOS: &str = "`ffmpeg -i @ -vf fps=2 %03d.jpg` takes two photos a second from it";
+/// The kind of a file that a camera, phone or scanner writes beside photos, by its first bytes, and the command that makes
+/// photos of it in its folder.
+fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
+    let quoted = |path: &Path| {
+        let path = path.to_string_lossy();
+        shlex::try_quote(&path).map_or_else(|_| path.clone().into_owned(), |quoted| quoted.into_owned())
+    };
+    let ending = |ending: &str| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(ending);
+        quoted(Path::new(&name))
+    };
+    let photo =
+        |program: &str, input: &str, new: &str| format!("`{program} {} {}` converts it", ending(input), ending(new));
+    let photos = || {
+        let frames = quoted(&path.with_file_name("%03d.jpg"));
+        format!("`ffmpeg -i {} -vf fps=2 {frames}` takes two photos a second from it", quoted(path))
+    };
     // The brands of ISO/IEC 14496-12 files; whatever has none of the pictures' is a film.
     match (start.get(4..8), start.get(8..12)) {
-        (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", TO_PHOTO)),
+        (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", photo("magick", "", ".png"))),
         (Some(b"ftyp"), Some(b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"hevx" | b"mif1" | b"msf1")) => {
-            Some(("a HEIC picture", "`heif-convert @ @.jpg` converts it"))
+            Some(("a HEIC picture", photo("heif-convert", "", ".jpg")))
         }
         // Canon's raw pictures.
         (Some(b"ftyp"), Some(b"crx ")) => None,
-        (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", TO_PHOTOS)),
-        (_, Some(b"AVI ")) if start.starts_with(b"RIFF") => Some(("a video (AVI)", TO_PHOTOS)),
-        _ if start.starts_with(&[0x1a, 0x45, 0xdf, 0xa3]) => Some(("a video (Matroska or WebM)", TO_PHOTOS)),
+        (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", photos())),
+        (_, Some(b"AVI ")) if start.starts_with(b"RIFF") => Some(("a video (AVI)", photos())),
+        _ if start.starts_with(&[0x1a, 0x45, 0xdf, 0xa3]) => Some(("a video (Matroska or WebM)", photos())),
+        _ if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") => {
+            Some(("a TIFF or a camera's raw picture", photo("magick", "", ".png")))
+        }
+        // Of an animation the first picture.
+        _ if start.starts_with(b"GIF8") => Some(("a GIF picture", photo("magick", "[0]", ".png"))),
+        // Four reserved bytes follow the mark and the size.
+        _ if start.starts_with(b"BM") && start.get(6..10) == Some(&[0; 4]) => {
+            Some(("a BMP picture", photo("magick", "", ".png")))
+        }
         _ => None,
     }
 }

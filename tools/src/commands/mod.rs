@@ -9,6 +9,7 @@ mod reconstruct;
 mod render;
 mod scene;
 mod tune;
+mod weights;
 
 use crate::session::Session;
 use clap::Subcommand;
@@ -26,6 +27,7 @@ pub enum Command {
     Doctor(doctor::Doctor),
     Scene(scene::Scene),
     Tune(tune::Tune),
+    Weights(weights::Weights),
 }
 
 impl Command {
@@ -47,6 +49,7 @@ impl Command {
             Command::Doctor(command) => command.run(session),
             Command::Scene(command) => command.run(session),
             Command::Tune(command) => command.run(session),
+            Command::Weights(command) => command.run(session),
         }
     }
 }

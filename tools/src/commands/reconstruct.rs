@@ -25,7 +25,7 @@ use zipsplat::{
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
-  zipsplat reconstruct a.jpg b.jpg --weights zipsplat.pt --variant vitg --ratio auto -o scene.ply
+  zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
 seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
@@ -78,7 +78,7 @@ impl Reconstruct {
         if self.weights.is_embedded() && self.poses.is_none() && photos.len() > 1 {
             session.note(
                 "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
-                 one photo, or known cameras, gives more",
+                 one photo, or known cameras, gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
         let size = self.quality.size_for(&checkpoint);

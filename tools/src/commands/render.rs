@@ -3,6 +3,7 @@
 use crate::{
     animation::{self, Animation},
     cameras::CameraArgs,
+    color,
     explain::Explanation,
     options::SceneInput,
     outputs::{self, DEPTH_LEVELS},
@@ -32,7 +33,7 @@ use zipsplat::{
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
     after_help = "Examples:
   zipsplat render scene.ply --wiggle -o out/
-  zipsplat render scene.ply --orbit --frames 120 --size 1280x720 --background 1,1,1 --video out.mp4
+  zipsplat render scene.ply --orbit --frames 120 --size 1280x720 --background white --video out.mp4
   zipsplat render scene.ply --spline transforms.json --relative-to images/000.jpg --loop --video out.gif
   zipsplat render scene.ply --cameras transforms.json --relative-to images/000.jpg --depth --alpha -o out/
   zipsplat render scene.ply --dolly --dolly-zoom -o - | ffplay -f rawvideo -pixel_format rgb24 -video_size 252x252 -"
@@ -44,8 +45,8 @@ pub struct Render {
     input: SceneInput,
     #[command(flatten)]
     path: CameraArgs,
-    /// Colour behind the scene, each 0 to 1
-    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", value_parser = parse_color)]
+    /// Colour behind the scene: red, green and blue from 0 to 1, '#rrggbb', or a basic colour of CSS such as white
+    #[arg(long, value_name = "COLOUR", default_value = "0,0,0", value_parser = color::parse)]
     background: [f32; 3],
     /// Make what is thinner than a pixel fainter, as Mip-Splatting does
     #[arg(long)]
@@ -92,13 +93,6 @@ enum DepthKind {
     Expected,
     /// Depth times weight, added up
     Accumulated,
-}
-
-fn parse_color(text: &str) -> Result<[f32; 3], String> {
-    let values: Option<Vec<f32>> = text.split(',').map(|value| value.trim().parse().ok()).collect();
-    let inside = |color: &[f32; 3]| color.iter().all(|c| (0.0..=1.0).contains(c));
-    let color = values.and_then(|values| values.try_into().ok()).filter(inside);
-    color.ok_or_else(|| "expected red, green and blue from 0 to 1, such as 1,1,1".into())
 }
 
 impl Render {

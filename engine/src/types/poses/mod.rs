@@ -27,6 +27,8 @@ pub struct Poses {
     pub points: Option<PathBuf>,
     /// What was ignored or left out, in words for the user.
     pub notes: Vec<String>,
+    /// The places where photos were looked for to learn their size, of the frames that were left out without one.
+    pub sizeless: Vec<PathBuf>,
 }
 
 /// One posed photo.
@@ -66,7 +68,7 @@ impl Poses {
             let most = named.iter().map(|frame| common(frame)).max();
             match named.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
                 [frame] => Ok(*frame),
-                [] => Err(Error::argument(format!("camera of {}", photo.display()), "none", self.names())),
+                [] => Err(self.lacks(photo)),
                 [first, second, ..] => {
                     let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
                     Err(Error::argument("photo", found, "a path that tells the poses' frames apart"))
@@ -87,6 +89,19 @@ impl Poses {
         Ok(frames)
     }
 
+    /// The error of a photo without a camera, with the reason.
+    fn lacks(&self, photo: &Path) -> Error {
+        let what = format!("camera of {}", photo.display());
+        let is_same = |place: &&PathBuf| [photo.file_name(), photo.file_stem()].contains(&place.file_name());
+        match self.sizeless.iter().find(is_same) {
+            Some(place) => {
+                let found = format!("no w and h beside it, and no photo to take them from at {}", place.display());
+                Error::argument(what, found, "w and h in the cameras' file, or the photo where that file says it is")
+            }
+            None => Error::argument(what, "none", self.names()),
+        }
+    }
+
     /// What photos have cameras, for messages.
     fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
@@ -102,8 +117,12 @@ fn common_folders(a: &Path, b: &Path) -> usize {
     a.components().rev().zip(b.components().rev()).take_while(|(a, b)| a == b).count()
 }
 
+/// The names of camera files in a capture's folder; the second is that of the training photos of NeRF's synthetic scenes.
+const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
+
 /// Reads a `transforms.json`, or a COLMAP model: a folder with `cameras` and `images` as `.bin` or `.txt`, or a capture's
-/// folder that has one of these, directly or under `sparse/0`.
+/// folder that has one of these, directly or under `sparse/0`. In a folder without `transforms.json`, `transforms_train.json`
+/// is read.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read, [`Error::Format`] naming file, frame and field when it is malformed,
@@ -115,8 +134,10 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
         return transforms::read(path);
     }
     let folder = if found.is_file() { path.parent().unwrap_or(path) } else { path };
-    if found.is_dir() && path.join("transforms.json").is_file() {
-        return transforms::read(&path.join("transforms.json"));
+    if found.is_dir()
+        && let Some(file) = TRANSFORMS.map(|name| path.join(name)).into_iter().find(|file| file.is_file())
+    {
+        return transforms::read(&file);
     }
     let model = ["", "0", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
     match model.into_iter().find(|model| colmap::is_model(model)) {

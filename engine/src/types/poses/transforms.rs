@@ -32,13 +32,13 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     let cloud = shared.get("ply_file_path").and_then(Value::as_str).unwrap_or("points.ply");
     let cloud = Some(folder.join(cloud)).filter(|path| path.is_file());
     let mut poses = Poses { points: cloud, ..Poses::default() };
-    let (mut distorted, mut lost) = (0, 0);
+    let mut distorted = 0;
     for (i, frame) in frames.iter().enumerate() {
         let fields = Fields { frame, shared, label: format!("frames[{i}]") };
         let name = fields.get("file_path").and_then(Value::as_str).ok_or_else(|| fields.lacks("file_path"))?;
         let photo = find_photo(folder, name);
         let Some((width, height)) = fields.size(photo.as_deref())? else {
-            lost += 1;
+            poses.sizeless.push(folder.join(name));
             continue;
         };
         fields.check_perspective()?;
@@ -50,8 +50,9 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     if distorted > 0 {
         poses.notes.push(format!("lens distortion of {distorted} frames is ignored: undistort the photos"));
     }
-    if lost > 0 {
-        poses.notes.push(format!("{lost} frames left out: no w and h, and no photo to take them from"));
+    if let Some(place) = poses.sizeless.first() {
+        let why = format!("no w and h, and no photo to take them from, such as {}", place.display());
+        poses.notes.push(format!("{} frames left out: {why}", poses.sizeless.len()));
     }
     Ok(poses)
 }

@@ -14,7 +14,7 @@ use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
     gpu::{Limits, Matrices, MatrixShape, list_devices},
-    types::{Scene, SceneFormat},
+    types::{SceneFormat, read_ply_origin},
     weights::Checkpoint,
 };
 
@@ -165,23 +165,41 @@ fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> 
 }
 
 fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()> {
-    let (scene, dropped) = input.read(session, Path::new(path))?;
-    let (bounds, count) = (bounds(&scene), scene.len());
+    let file = Path::new(path);
+    let (scene, dropped) = input.read(session, file)?;
+    let size = file.metadata().map_err(|error| Error::io(file, error))?.len();
+    let (count, degree, origin) = (scene.len(), scene.sh_degree, read_ply_origin(file)?);
+    let bounds = ranges(scene.means.iter().copied());
+    let [scales] = ranges(scene.scales.as_flattened().iter().map(|scale| [*scale]));
+    let [opacities] = ranges(scene.opacities.iter().map(|opacity| [*opacity]));
+    // The least of every axis, and the greatest.
+    let corners = || Some([0, 1].map(|end| bounds.map(|range| range.map_or(f32::NAN, |range| range[end]))));
     let json = json!({
-        "path": path, "gaussians": count, "dropped": dropped, "sh_degree": scene.sh_degree, "bounds": bounds,
+        "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "bounds": bounds[0].and_then(|_| corners()),
+        "scales": scales, "opacities": opacities, "origin": origin, "bytes": size,
     });
     let mut text =
-        format!("{path}: {}, spherical harmonics of degree {}\n", counted(scene.len(), "Gaussian"), scene.sh_degree);
-    if let Some([low, high]) = bounds {
-        text += &format!("centres from {low:?} to {high:?}");
+        format!("{path}: {}, spherical harmonics of degree {degree}, {}\n", counted(count, "Gaussian"), bytes(size));
+    let mut table = Table::new(1, &["", "least", "greatest"]);
+    let [x, y, z] = bounds;
+    for (name, range) in [("x", x), ("y", y), ("z", z), ("scale", scales), ("opacity", opacities)] {
+        if let Some([least, greatest]) = range {
+            table.row([name.into(), format!("{least:.6}"), format!("{greatest:.6}")]);
+        }
+    }
+    text += &table.to_string();
+    if let Some(photo) = origin {
+        text += &format!("world: the camera of {photo}");
     }
     session.report(&json, text)
 }
 
-/// Least and greatest coordinates of the centres.
-fn bounds(scene: &Scene) -> Option<[[f32; 3]; 2]> {
-    let pick = |f: fn(f32, f32) -> f32| {
-        scene.means.iter().copied().reduce(|a, b| std::array::from_fn(|axis| f(a[axis], b[axis])))
-    };
-    Some([pick(f32::min)?, pick(f32::max)?])
+/// The least and the greatest value of each column; none of no row.
+fn ranges<const N: usize>(rows: impl Iterator<Item = [f32; N]>) -> [Option<[f32; 2]>; N] {
+    rows.fold([None; N], |ranges: [Option<[f32; 2]>; N], row| {
+        std::array::from_fn(|i| {
+            let [least, greatest] = ranges[i].unwrap_or([row[i]; 2]);
+            Some([least.min(row[i]), greatest.max(row[i])])
+        })
+    })
 }

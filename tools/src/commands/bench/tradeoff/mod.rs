@@ -16,7 +16,7 @@ use crate::{
 use clap::Args;
 use std::path::PathBuf;
 use zipsplat::{
-    Result,
+    Error, Result,
     gpu::Device,
     ops::{Arithmetic, Chosen, Precision},
     reconstruct::{Ratio, Selection},
@@ -32,7 +32,7 @@ use zipsplat::{
   zipsplat bench tradeoff capture/ -o report/
   zipsplat bench tradeoff capture/ --views 4,8,16,24 --ratio 1,0.5,auto -o report/
 
-Writes tradeoff.html, one file that needs no other, and tradeoff.csv.
+Writes tradeoff.html, one file that needs no other, and tradeoff.csv. Ctrl-C ends the sweep and writes what was measured.
 
 Reconstructions of at most 20 GFLOP are also computed in f64 on the CPU: of each stage's output the table has the rms of the
 difference over that of the truth, for the tokens that the first precision chose, and the PSNR of pictures of both.")]
@@ -93,13 +93,21 @@ impl Tradeoff {
             .collect::<Result<_>>()?;
         captures.iter().flat_map(|capture| &capture.cropping).take(1).for_each(|note| session.note(note));
         let arithmetics = self.arithmetics(session, &device)?;
-        let sweep = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
+        let (sweep, stopped_of) = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
 
         outputs::make_folder(&self.output)?;
         let (html, csv) = (self.output.join("tradeoff.html"), self.output.join("tradeoff.csv"));
         let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;
         write_atomic(&html, |out| out.write_all(page.as_bytes()))?;
         outputs::save_csv(&csv, &sweep.points)?;
+        if let Some(all) = stopped_of {
+            session.note(format!(
+                "{} has the {} of {all} points that were measured",
+                html.display(),
+                sweep.points.len()
+            ));
+            return Err(Error::Cancelled);
+        }
         let front = point::front(&sweep.points).len();
         let text = format!(
             "{}: {} points, {front} of them on the front of time and PSNR\n{}: the same as a table",

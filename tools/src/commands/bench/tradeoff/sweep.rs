@@ -61,6 +61,8 @@ struct Bench<'a> {
     renderer: Renderer,
     truth: Truth<'a>,
     sweep: Sweep,
+    /// The number of points of the whole sweep.
+    points: usize,
 }
 
 /// What a reconstruction gave.
@@ -91,10 +93,11 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures every combination.
+/// Measures every combination, or as many as there is time for until the command should stop. In that case the other value is
+/// the number of points of the whole sweep.
 ///
 /// # Errors
-/// Where a reconstruction or a picture fails.
+/// Where a reconstruction or a picture fails; [`Error::Cancelled`] where there is no point yet.
 pub fn run(
     args: &Tradeoff,
     session: &Session<'_>,
@@ -102,7 +105,7 @@ pub fn run(
     checkpoint: &Checkpoint,
     arithmetics: &[(Precision, Arithmetic)],
     captures: &[Capture],
-) -> Result<Sweep> {
+) -> Result<(Sweep, Option<usize>)> {
     let all = checkpoint.architecture().gaussians_per_token;
     let mut bench = Bench {
         args,
@@ -110,20 +113,29 @@ pub fn run(
         renderer: Renderer::new(device),
         truth: Truth::new(checkpoint),
         sweep: Sweep::default(),
+        points: 0,
     };
-    for (precision, arithmetic) in arithmetics {
-        let (model, _) = session.load_model(device, checkpoint, *arithmetic)?;
-        let cases = cases(args, &model, precision.name(), captures)?;
-        for case in &cases {
-            let label = format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings);
-            session.stage(&label, |stage| {
-                let points = cases.len() * bench.keep.len() * arithmetics.len();
-                stage.reach(bench.sweep.points.len() as f64 / points as f64)?;
-                bench.measure(&model, case, stage)
+    let stopped = session.stage("sweep", |stage| {
+        for (precision, arithmetic) in arithmetics {
+            stage.name("load weights");
+            let model = Model::load_with(device, checkpoint, *arithmetic, |_| match stage.check() {
+                Ok(()) => ControlFlow::Continue(()),
+                Err(_) => ControlFlow::Break(()),
             })?;
+            let cases = cases(args, &model, precision.name(), captures)?;
+            bench.points = cases.len() * bench.keep.len() * arithmetics.len();
+            for case in &cases {
+                stage.name(&format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings));
+                bench.measure(&model, case, stage)?;
+            }
         }
+        Ok(())
+    });
+    match stopped {
+        Ok(_) => Ok((bench.sweep, None)),
+        Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, Some(bench.points))),
+        Err(error) => Err(error),
     }
-    Ok(bench.sweep)
 }
 
 /// The combinations, without those that differ only in what does not matter.
@@ -160,6 +172,8 @@ impl Bench<'_> {
             stage.check()?;
             let point = self.point(model, case, &forward, keep)?;
             self.sweep.points.push(point);
+            // Stopping is heard before the next: this one counts.
+            let _ = stage.at(self.sweep.points.len() as f64 / self.points as f64);
         }
         Ok(())
     }

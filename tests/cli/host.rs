@@ -1,0 +1,167 @@
+//! A model hub and its storage on this machine, which break where a test says so.
+
+use sha2::{Digest, Sha256};
+use std::{
+    collections::VecDeque,
+    io::{BufRead, BufReader, Read, Write},
+    net::{TcpListener, TcpStream},
+    sync::{Arc, Mutex, MutexGuard},
+};
+
+/// A fault of the storage at one request for the file.
+#[derive(Clone, Copy, Debug)]
+pub enum Act {
+    /// Closes the connection after so many bytes.
+    Cut(usize),
+    /// Sends so many bytes and then nothing.
+    Stall(usize),
+    /// Closes the connection after so many bytes, and the hub has another file from then on.
+    Swap(usize),
+    /// Sends everything, whatever was asked for.
+    Ignore,
+    /// Says that the bytes are others than those asked for.
+    Shift,
+    /// Answers with this status.
+    Status(u16),
+}
+
+/// The state that hub and storage share.
+pub struct State {
+    pub file: Vec<u8>,
+    /// SHA-256 and size as the hub says them.
+    pub etag: Option<String>,
+    pub acts: VecDeque<Act>,
+    /// Answer of the hub in place of the redirect.
+    pub refuses: Option<u16>,
+    /// Method, path, range and whether there was a token, of each request.
+    pub requests: Vec<[String; 4]>,
+    storage: u16,
+}
+
+/// A hub and its storage, which serve until the process ends.
+pub struct Host {
+    pub port: u16,
+    state: Arc<Mutex<State>>,
+}
+
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+impl Host {
+    /// Serves a file whose requests go as `acts` say, those behind as they should.
+    pub fn new(file: Vec<u8>, acts: &[Act]) -> Self {
+        let [hub, storage] = [0, 1].map(|_| TcpListener::bind("127.0.0.1:0").expect("a port"));
+        let port = |listener: &TcpListener| listener.local_addr().expect("an address").port();
+        let state = State {
+            etag: Some(sha256(&file)),
+            file,
+            acts: acts.iter().copied().collect(),
+            refuses: None,
+            requests: Vec::new(),
+            storage: port(&storage),
+        };
+        let host = Self { port: port(&hub), state: Arc::new(Mutex::new(state)) };
+        for listener in [hub, storage] {
+            let state = host.state.clone();
+            std::thread::spawn(move || {
+                for stream in listener.incoming().flatten() {
+                    let state = state.clone();
+                    // A client that goes away is no failure of the server.
+                    std::thread::spawn(move || drop(serve(stream, &state)));
+                }
+            });
+        }
+        host
+    }
+
+    pub fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().expect("no server panicked")
+    }
+
+    /// The ranges of the requests that the storage got; empty for the whole.
+    pub fn ranges(&self) -> Vec<String> {
+        let state = self.state();
+        state.requests.iter().filter(|request| request[1] == "/blob").map(|request| request[2].clone()).collect()
+    }
+}
+
+fn serve(stream: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
+    let mut reader = BufReader::new(stream);
+    let (mut line, mut range, mut token) = (String::new(), String::new(), false);
+    reader.read_line(&mut line)?;
+    loop {
+        let mut header = String::new();
+        reader.read_line(&mut header)?;
+        match header.trim().split_once(": ").map(|(name, value)| (name.to_lowercase(), value)) {
+            Some((name, value)) if name == "range" => range = value.to_owned(),
+            Some((name, value)) if name == "authorization" => token = value == "Bearer secret",
+            Some(_) => {}
+            None => break,
+        }
+    }
+    let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+    let [method, path] = [words[0].clone(), words[1].clone()];
+    state.lock().unwrap().requests.push([method.clone(), path.clone(), range.clone(), token.to_string()]);
+    if method == "CONNECT" {
+        reader.get_mut().write_all(b"HTTP/1.1 200 OK\r\n\r\n")?;
+        return serve(reader.into_inner(), state);
+    }
+    let head = if path == "/blob" { None } else { Some(hub(&path, &state.lock().unwrap())) };
+    match head {
+        Some(head) => reader.get_mut().write_all(head.as_bytes()),
+        None => blob(reader.get_mut(), range.strip_prefix("bytes=").and_then(|range| range.strip_suffix('-')), state),
+    }
+}
+
+/// The hub first redirects within itself, as it does for repositories that were renamed.
+fn hub(path: &str, state: &State) -> String {
+    let end = "Content-Length: 0\r\nConnection: close\r\n\r\n";
+    if let Some(status) = state.refuses {
+        return format!("HTTP/1.1 {status} No\r\n{end}");
+    }
+    match path {
+        "/veichta/zipsplat/resolve/main/zipsplat-da3g-252p.tar" => {
+            format!("HTTP/1.1 307 Moved\r\nLocation: /renamed/zipsplat.tar\r\n{end}")
+        }
+        "/renamed/zipsplat.tar" => {
+            let etag = state.etag.as_ref().map(|etag| format!("X-Linked-Etag: \"{etag}\"\r\n")).unwrap_or_default();
+            let size = state.file.len();
+            let place = format!("http://127.0.0.1:{}/blob", state.storage);
+            format!("HTTP/1.1 302 Found\r\n{etag}X-Linked-Size: {size}\r\nLocation: {place}\r\n{end}")
+        }
+        _ => format!("HTTP/1.1 404 Not Found\r\n{end}"),
+    }
+}
+
+/// Neither ETag nor Last-Modified, as the storage behind the hub.
+fn blob(stream: &mut TcpStream, start: Option<&str>, state: &Mutex<State>) -> std::io::Result<()> {
+    let (act, file) = {
+        let mut state = state.lock().unwrap();
+        (state.acts.pop_front(), state.file.clone())
+    };
+    if let Some(Act::Status(status)) = act {
+        return write!(stream, "HTTP/1.1 {status} No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+    }
+    let start = start.filter(|_| !matches!(act, Some(Act::Ignore))).map(|start| start.parse().expect("a number"));
+    let bytes = &file[start.unwrap_or(0)..];
+    let said = start.map(|start: usize| if matches!(act, Some(Act::Shift)) { start - 1 } else { start });
+    let (status, range) = match said {
+        Some(said) => ("206 Partial", format!("Content-Range: bytes {said}-{}/{}\r\n", file.len() - 1, file.len())),
+        None => ("200 OK", String::new()),
+    };
+    write!(stream, "HTTP/1.1 {status}\r\n{range}Content-Length: {}\r\nConnection: close\r\n\r\n", bytes.len())?;
+    match act {
+        Some(Act::Cut(count)) => stream.write_all(&bytes[..count]),
+        Some(Act::Swap(count)) => {
+            state.lock().unwrap().etag = Some("0".repeat(64));
+            stream.write_all(&bytes[..count])
+        }
+        Some(Act::Stall(count)) => {
+            stream.write_all(&bytes[..count])?;
+            // Until the client gives up.
+            stream.read(&mut [0]).map(drop)
+        }
+        _ => stream.write_all(bytes),
+    }
+}

@@ -1,0 +1,258 @@
+//! `zipsplat weights`, against a hub on this machine.
+
+use crate::{
+    Folder, Outcome, command,
+    host::{Act, Host, sha256},
+};
+use serde_json::{Value, json};
+use std::{
+    path::PathBuf,
+    process::{Child, Command, Stdio},
+    sync::atomic::AtomicBool,
+    time::Duration,
+};
+use zipsplat::weights::Checkpoint;
+use zipsplat_cli::cancelled_by_signals;
+use zipsplat_tests::processes::{assert_succeeds, child, target};
+
+const GET: &str = "weights get zipsplat --yes --timeout 0.3";
+const PART: &str = "zipsplat-da3g-252p.tar.part";
+
+#[test]
+#[ignore = "child of the other tests"]
+fn runs_a_line() {
+    let Some(folder) = target() else { return };
+    let line = std::fs::read_to_string(folder.join("line")).expect("a line");
+    // Without signals for a line that nobody stops, so that it has none to inherit.
+    let never = AtomicBool::new(false);
+    let Outcome { code, out, err } =
+        command(&line, if folder.join("stoppable").exists() { cancelled_by_signals() } else { &never });
+    std::fs::write(folder.join("outcome"), json!([code, out, err]).to_string()).expect("written");
+}
+
+/// A folder, its cache (`@/cache`) and the processes that use them.
+struct Place {
+    folder: Folder,
+    environment: Vec<(&'static str, String)>,
+}
+
+impl Place {
+    fn new(host: &Host) -> Self {
+        let folder = Folder::new();
+        let environment =
+            vec![("HF_ENDPOINT", format!("http://127.0.0.1:{}/", host.port)), ("HF_TOKEN", "secret".into())];
+        Self { folder, environment }
+    }
+
+    fn process(&self, line: &str) -> Command {
+        std::fs::write(self.folder.path("line"), self.folder.line(line)).expect("written");
+        let mut process = child("weights::runs_a_line", &self.folder.path(""), "set -- env --default-signal \"$@\"");
+        for name in ["ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY"] {
+            process.env_remove(name).env_remove(name.to_lowercase());
+        }
+        process.env_remove("HF_HUB_OFFLINE").env("ZIPSPLAT_CACHE", self.folder.path("cache")).stdin(Stdio::null());
+        process.envs(self.environment.iter().map(|(name, value)| (name, value)));
+        process
+    }
+
+    fn outcome(&self) -> Outcome {
+        let text = std::fs::read(self.folder.path("outcome")).expect("an outcome");
+        let (code, out, err) = serde_json::from_slice(&text).expect("an outcome");
+        Outcome { code, out, err }
+    }
+
+    fn run(&self, line: &str) -> Outcome {
+        assert_succeeds(self.process(line));
+        self.outcome()
+    }
+
+    fn cached(&self) -> Vec<String> {
+        let folder = self.folder.path("cache/weights");
+        if folder.exists() { crate::names(&folder) } else { Vec::new() }
+    }
+
+    fn part(&self) -> PathBuf {
+        self.folder.path("cache/weights").join(PART)
+    }
+}
+
+/// The weights that the hub has: not those of the paper, but as whole.
+fn weights() -> Vec<u8> {
+    std::fs::read(Folder::new().path("micro.safetensors")).expect("weights")
+}
+
+/// The name of the conversion of a file.
+fn converted(file: &[u8]) -> String {
+    format!("zipsplat-da3g-252p-{}-f16.safetensors", &sha256(file)[..12])
+}
+
+#[test]
+fn named_weights_are_got_checked_converted_and_found() {
+    let file = weights();
+    let host = Host::new(file.clone(), &[]);
+    let place = Place::new(&host);
+    place
+        .run("info --plan --views 2 --weights zipsplat")
+        .fails(3, &["weights zipsplat", "`zipsplat weights get zipsplat`"]);
+    let list = |state: &str| {
+        let rows = place.run("weights list --json").json();
+        assert_eq!((&rows[1]["name"], &rows[1]["state"]), (&"zipsplat".into(), &state.into()), "{rows}");
+        assert_eq!(rows[0]["state"], "built in");
+    };
+    list("to get");
+    let got = place.run(&format!("{GET} --json"));
+    assert!(got.err.contains("CC BY-NC") && got.err.contains("no commercial use"), "{}", got.err);
+    let json = got.json();
+    assert_eq!(place.cached(), [converted(&file)]);
+    let path = json["path"].as_str().expect("a path").to_owned();
+    assert!(path.ends_with(&converted(&file)), "{path}");
+    let opened = Checkpoint::open(&path, None).expect("it names itself");
+    assert_eq!(
+        (opened.architecture().name.as_str(), json["bytes"].as_u64() < Some(file.len() as u64)),
+        ("micro", true)
+    );
+    list("cached");
+    assert_eq!(place.run("weights path zipsplat").success().trim(), path);
+    assert!(place.run("info --plan --views 2 --weights zipsplat").success().contains("MiB"));
+    // The token is the hub's alone, not that of where it redirects to.
+    let requests = host.state().requests.clone();
+    assert!(requests.iter().all(|[_, path, _, token]| (token == "true") == (path != "/blob")), "{requests:?}");
+    assert_eq!(host.ranges(), [""]);
+    // Again, and without a network, nothing is loaded.
+    place.run(GET).success();
+    place.run("weights get zipsplat --offline").success();
+    assert_eq!(host.ranges().len(), 1);
+    // A file that has changed is noticed.
+    host.state().etag = Some("0".repeat(64));
+    let newer = place.run("weights get zipsplat");
+    assert!(newer.err.contains("newer weights than"), "{}", newer.err);
+    newer.fails(3, &["--yes"]);
+}
+
+#[test]
+fn a_network_that_breaks_costs_no_bytes_that_came() {
+    let file = weights();
+    let (third, from) = (file.len() / 3, |start: usize| format!("bytes={start}-"));
+    let whole = String::new;
+    for (acts, ranges) in [
+        (vec![Act::Cut(third), Act::Cut(third)], vec![whole(), from(third), from(2 * third)]),
+        (vec![Act::Stall(third)], vec![whole(), from(third)]),
+        (vec![Act::Cut(third), Act::Ignore], vec![whole(), from(third)]),
+        (vec![Act::Cut(third), Act::Shift], vec![whole(), from(third), whole()]),
+        (vec![Act::Cut(third), Act::Status(416)], vec![whole(), from(third), whole()]),
+        (vec![Act::Cut(third), Act::Status(503), Act::Cut(0)], vec![whole(), from(third), from(third), from(third)]),
+    ] {
+        let host = Host::new(file.clone(), &acts);
+        let place = Place::new(&host);
+        place.run(GET).success();
+        assert_eq!(host.ranges(), ranges, "{acts:?}");
+        assert_eq!(place.cached(), [converted(&file)], "{acts:?}");
+    }
+}
+
+#[test]
+fn another_run_goes_on_and_notices_another_file() {
+    let file = weights();
+    let third = file.len() / 3;
+    let broken = [&[Act::Cut(third)][..], &[Act::Status(503); 5]].concat();
+    let host = Host::new(file.clone(), &broken);
+    let place = Place::new(&host);
+    let outcome = place.run(GET);
+    assert!(outcome.err.contains("are kept: `zipsplat weights get zipsplat` goes on"), "{}", outcome.err);
+    outcome.fails(1, &["HTTP 503", "5 times in a row"]);
+    assert_eq!(place.part().metadata().expect("a part").len(), third as u64);
+    let rows = place.run("weights list --json").json();
+    assert_eq!((&rows[1]["state"], rows[1]["bytes"].as_u64()), (&"begun".into(), Some(file.len() as u64)));
+    place.run("weights path zipsplat").fails(3, &["none in"]);
+    let asked = host.ranges().len();
+    place.run(GET).success();
+    assert_eq!(host.ranges()[asked..], [format!("bytes={third}-")]);
+
+    // What there is of a file that the host no longer has is of no use.
+    let other: Vec<u8> = std::fs::read(place.folder.path("cache/weights").join(converted(&file))).expect("f16");
+    let host = Host::new(file, &broken);
+    let place = Place::new(&host);
+    assert_eq!(place.run(GET).code, 1);
+    host.state().etag = Some(sha256(&other));
+    host.state().file = other.clone();
+    let asked = host.ranges().len();
+    place.run(&format!("{GET} --keep")).success();
+    assert_eq!(host.ranges()[asked..], [""]);
+    let archive = format!("zipsplat-da3g-252p-{}.tar", &sha256(&other)[..12]);
+    assert_eq!(place.cached(), [converted(&other), archive]);
+    // A loaded file is converted again without a network.
+    std::fs::remove_file(place.folder.path("cache/weights").join(converted(&other))).expect("removed");
+    place.run("weights get zipsplat --offline").success();
+    assert_eq!(place.cached(), [converted(&other)]);
+}
+
+#[test]
+fn stopping_keeps_what_came() {
+    let file = weights();
+    let third = file.len() / 3;
+    let host = Host::new(file.clone(), &[Act::Stall(third)]);
+    let place = Place::new(&host);
+    std::fs::write(place.folder.path("stoppable"), "").expect("written");
+    let mut child: Child = place.process("weights get zipsplat --yes --timeout 600").spawn().expect("bash");
+    while !place.part().metadata().is_ok_and(|found| found.len() == third as u64) {
+        assert!(child.try_wait().expect("a child").is_none(), "it ended before it loaded anything");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(sent.expect("kill").success() && child.wait().expect("it ends").success());
+    let outcome = place.outcome();
+    assert!(outcome.err.contains("are kept: `zipsplat weights get zipsplat` goes on"), "{}", outcome.err);
+    outcome.fails(130, &["cancelled"]);
+    place.run(GET).success();
+    assert_eq!(host.ranges(), ["".to_owned(), format!("bytes={third}-")]);
+}
+
+#[test]
+fn what_cannot_be_got_is_refused() {
+    let file = weights();
+    let spoiled = |spoil: &dyn Fn(&Host)| {
+        let host = Host::new(file.clone(), &[]);
+        spoil(&host);
+        (Place::new(&host), host)
+    };
+    let (place, host) = spoiled(&|host| host.state().etag = Some("0".repeat(64)));
+    place.run(GET).fails(3, &["SHA-256: found", &sha256(&file), "expected 0000", "get it again"]);
+    assert!(place.cached().is_empty() && host.ranges().len() == 1, "{:?}", place.cached());
+    let (place, _) = spoiled(&|host| host.state().etag = None);
+    place.run(GET).fails(3, &["SHA-256 of http", "none in the host's answer", "--sha256"]);
+    place.run(&format!("{GET} --sha256 {}", sha256(&file))).success();
+    let (place, host) = spoiled(&|host| host.state().acts.push_back(Act::Swap(100)));
+    place.run(GET).fails(3, &["the host has another file since", "run the command again"]);
+    assert_eq!((host.ranges().len(), place.part().exists()), (2, true));
+    let (place, host) = spoiled(&|_| ());
+    place.run(&format!("{GET} --sha256 {}", "1".repeat(64))).fails(3, &["--sha256: found 111", "which the host says"]);
+    place.run("weights get zipsplat").fails(3, &["no --yes, and no terminal to ask on", "CC BY-NC"]);
+    place.run("weights get zipsplat --offline").fails(3, &["no network by --offline"]);
+    place.run("weights get brush").fails(3, &["name of weights: found brush, expected zipsplat"]);
+    assert!(host.ranges().is_empty() && place.cached().is_empty());
+    for (status, code, words) in [(404, 3, "HTTP 404"), (401, 3, "HF_TOKEN"), (500, 1, "5 times in a row")] {
+        let (place, _) = spoiled(&|host| host.state().refuses = Some(status));
+        place.run(GET).fails(code, &[words, "zipsplat-da3g-252p.tar: "]);
+    }
+    let (mut place, host) = spoiled(&|_| ());
+    place.environment.push(("HF_HUB_OFFLINE", "1".into()));
+    place.run(GET).fails(3, &["no network by HF_HUB_OFFLINE"]);
+    place.environment = vec![("HF_ENDPOINT", "hub".into())];
+    place.run(GET).fails(3, &["HF_ENDPOINT: found hub"]);
+    // Nobody listens there.
+    place.environment = vec![("HF_ENDPOINT", "http://127.0.0.1:1".into())];
+    place.run(GET).fails(1, &["refused", "5 times in a row"]);
+    assert!(host.state().requests.is_empty());
+    assert_eq!(crate::zipsplat("weights get zipsplat --sha256 12").code, 2);
+}
+
+#[test]
+fn a_proxy_is_used() {
+    let host = Host::new(weights(), &[]);
+    let mut place = Place::new(&host);
+    let proxy = format!("http://127.0.0.1:{}", host.port);
+    place.environment = vec![("HF_ENDPOINT", "http://hub.invalid".into()), ("ALL_PROXY", proxy)];
+    place.run(GET).success();
+    let requests: Vec<Value> = host.state().requests.iter().map(|request| json!(request[..2])).collect();
+    assert!(requests.contains(&json!(["CONNECT", "hub.invalid:80"])), "{requests:?}");
+}

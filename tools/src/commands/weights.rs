@@ -1,0 +1,268 @@
+//! `zipsplat weights`: weights that have a name, and getting them.
+
+use crate::{
+    download::{Client, Promise, fetch, is_sha256, kept, promise},
+    released::{self, RELEASED, Released},
+    session::Session,
+    table::{Table, bytes},
+};
+use clap::{Args, Subcommand};
+use indicatif::HumanCount;
+use serde_json::json;
+use std::{
+    io::{IsTerminal, stdin},
+    path::Path,
+    time::Duration,
+};
+use zipsplat::{
+    Error, Result,
+    weights::{Checkpoint, Dtype},
+};
+
+/// Weights that have a name: list them, get them, say where they are
+///
+/// `get` keeps weights as f16 safetensors in the cache folder, and every --weights takes their name.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat weights list
+  zipsplat weights get zipsplat
+  zipsplat reconstruct photos/ --weights zipsplat -o scene.ply
+  zipsplat convert $(zipsplat weights path zipsplat) zipsplat-bf16.safetensors --dtype bf16")]
+pub struct Weights {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    Get(Get),
+    List(List),
+    Path(Where),
+}
+
+impl Weights {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match &self.what {
+            What::Get(get) => get.run(session),
+            What::List(_) => list(session),
+            What::Path(Where { name }) => {
+                let path = released::find(name)?.ok_or_else(|| unknown(name))?;
+                session.report(&json!({ "name": name, "path": path }), path.display())
+            }
+        }
+    }
+}
+
+/// The weights that there are: built in, cached, and what can be got, with size and licence
+#[derive(Args)]
+struct List {}
+
+/// The path of weights in the cache
+#[derive(Args)]
+struct Where {
+    /// Name, such as zipsplat
+    name: String,
+}
+
+/// Load weights, check their SHA-256, and convert them to f16 safetensors in the cache folder
+///
+/// Size and licence are shown, and nothing is loaded before a yes. Where the network breaks, the same command goes on from
+/// there, also after Ctrl-C. Where the weights are there already, the host is only asked whether it has newer ones.
+#[derive(Args)]
+#[command(after_help = "Environment:
+  HF_ENDPOINT     a mirror in place of https://huggingface.co
+  HF_TOKEN        a token for the host; storage that it redirects to does not get it
+  HF_HUB_OFFLINE  1: as --offline
+  HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE  as other programs take them
+  ZIPSPLAT_CACHE  the cache folder [default: zipsplat in the user's cache]")]
+struct Get {
+    /// Name, such as zipsplat
+    name: String,
+    /// Accept the licence and the size without being asked
+    #[arg(long, short)]
+    yes: bool,
+    /// Use no network: what is loaded already is taken or converted
+    #[arg(long)]
+    offline: bool,
+    /// Keep the file that was loaded beside what it is converted to
+    #[arg(long)]
+    keep: bool,
+    /// Give up a connection on which nothing comes for so long, and go on over another
+    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = parse_seconds)]
+    timeout: Duration,
+    /// SHA-256 that the file must have, for mirrors that do not say it
+    #[arg(long, value_name = "HEX", value_parser = parse_sha256)]
+    sha256: Option<String>,
+}
+
+fn parse_seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.001..=86400.0).contains(seconds));
+    seconds.map(Duration::from_secs_f64).ok_or_else(|| "expected a number of seconds, up to 86400".into())
+}
+
+fn parse_sha256(text: &str) -> Result<String, String> {
+    if is_sha256(text) { Ok(text.to_lowercase()) } else { Err("expected 64 hexadecimal digits".into()) }
+}
+
+fn unknown(name: &str) -> Error {
+    let names: Vec<&str> = RELEASED.iter().map(|released| released.name).collect();
+    Error::argument("name of weights", name, names.join(", "))
+}
+
+impl Get {
+    fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let released = Released::named(&self.name).ok_or_else(|| unknown(&self.name))?;
+        let folder = released::folder()?;
+        let cached = released.cached(&folder).into_iter().next();
+        if let Some(by) = self.offline.then_some("--offline").or(is_offline().then_some("HF_HUB_OFFLINE")) {
+            return match (cached, released.loaded(&folder).into_iter().next()) {
+                (Some(path), _) => report(session, released, &path),
+                (None, Some(archive)) => self.convert(session, released, &archive),
+                (None, None) => {
+                    let found = format!("none in {}, and no network by {by}", folder.display());
+                    let expected = format!("`{}` with a network, once", released.command());
+                    Err(Error::argument(format!("weights {}", self.name), found, expected))
+                }
+            };
+        }
+        let client = Client::from_environment(self.timeout)?;
+        let url = released.address(&client);
+        let asked = session.stage("ask the host", |stage| promise(&client, &url, self.sha256.as_deref(), stage));
+        let promise = match (asked, cached) {
+            (Ok((promise, _)), _) => promise,
+            (Err(error @ Error::Io { .. }), Some(path)) => {
+                session.note(format!("{error}: whether there are newer weights is not known"));
+                return report(session, released, &path);
+            }
+            (Err(error), _) => return Err(error),
+        };
+        let loaded = promise.path(&released.base(&folder));
+        let converted = released.converted(&loaded);
+        if converted.is_file() {
+            return report(session, released, &converted);
+        }
+        if !loaded.metadata().is_ok_and(|found| found.len() == promise.size) {
+            self.load(session, released, &client, &promise, &folder)?;
+        }
+        self.convert(session, released, &loaded)
+    }
+
+    /// Loads the file, after a yes.
+    fn load(
+        &self,
+        session: &mut Session<'_>,
+        released: &Released,
+        client: &Client,
+        promise: &Promise,
+        folder: &Path,
+    ) -> Result<()> {
+        let base = released.base(folder);
+        self.consent(session, released, promise, &base, folder)?;
+        std::fs::create_dir_all(folder).map_err(|error| Error::io(folder, error))?;
+        let mut notes = Vec::new();
+        let fetched = session.stage("load", |stage| fetch(client, promise, &base, stage, &mut notes));
+        notes.iter().for_each(|note| session.note(note));
+        if let (Err(_), Some((there, _))) = (&fetched, kept(&base)) {
+            let command = released.command();
+            session.note(format!(
+                "{} of {} are kept: `{command}` goes on from there",
+                bytes(there),
+                bytes(promise.size)
+            ));
+        }
+        fetched.map(drop)
+    }
+
+    /// Shows what will be loaded under which licence, and asks.
+    fn consent(
+        &self,
+        session: &mut Session<'_>,
+        released: &Released,
+        promise: &Promise,
+        base: &Path,
+        folder: &Path,
+    ) -> Result<()> {
+        let there = match kept(base) {
+            Some((there, known)) if known.sha256 == promise.sha256 => format!(" ({} are there)", bytes(there)),
+            Some(_) => " (what is there is of an older file and is dropped)".into(),
+            None => String::new(),
+        };
+        if let Some(older) = released.cached(folder).first() {
+            session.note(format!("the host has newer weights than {}, which stays where it is", older.display()));
+        }
+        let Released { name, what, licence, terms, .. } = released;
+        let size = bytes(promise.size);
+        let offer = format!("{name}: {what}; {size} from {}{there}; licence {licence}: {terms}", promise.url);
+        if self.yes {
+            session.note(offer);
+            return Ok(());
+        }
+        if !stdin().is_terminal() {
+            let expected = format!("--yes, which accepts the licence {licence} ({terms}) and loads {size}");
+            return Err(Error::argument("consent", "no --yes, and no terminal to ask on", expected));
+        }
+        let answer = session.ask(&format!("{offer}\nLoad it to {}? [y/N] ", folder.display()))?;
+        let agrees = ["y", "yes"].contains(&answer.trim().to_lowercase().as_str());
+        if agrees { Ok(()) } else { Err(Error::Cancelled) }
+    }
+
+    fn convert(&self, session: &mut Session<'_>, released: &Released, archive: &Path) -> Result<()> {
+        let converted = released.converted(archive);
+        let checkpoint = Checkpoint::open(archive, None)?;
+        session.stage("convert", |stage| checkpoint.save_with(&converted, Dtype::F16, |done| stage.at(done)))?;
+        drop(checkpoint);
+        if !self.keep {
+            std::fs::remove_file(archive).map_err(|error| Error::io(archive, error))?;
+        }
+        report(session, released, &converted)
+    }
+}
+
+/// True where the environment forbids the network, by the values that the hub's own client takes.
+fn is_offline() -> bool {
+    let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
+    ["1", "true", "yes", "on"].contains(&value.as_str())
+}
+
+fn size_of(path: &Path) -> Result<u64> {
+    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
+}
+
+fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result<()> {
+    let Released { name, licence, .. } = released;
+    let size = size_of(path)?;
+    let json = json!({ "name": name, "path": path, "bytes": size, "licence": licence });
+    session.report(&json, format!("{}: {}, f16; --weights {name} takes it", path.display(), bytes(size)))
+}
+
+fn list(session: &mut Session<'_>) -> Result<()> {
+    let folder = released::folder()?;
+    let mut table = Table::new(4, &["weights", "size", "licence", "where", "what"]);
+    let mut rows = Vec::new();
+    if let Ok(embedded) = Checkpoint::embedded() {
+        let what =
+            format!("{} parameters, a demonstration", HumanCount(embedded.architecture().parameter_count() as u64));
+        table.row(["(default)".into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
+        rows.push(json!({
+            "name": null, "state": "built in", "bytes": embedded.bytes(), "licence": "Apache-2.0", "path": null, "what": what,
+        }));
+    }
+    for released in &RELEASED {
+        let Released { name, what, licence, .. } = released;
+        let cached = released.cached(&folder).into_iter().next();
+        let (state, size, place) = match (&cached, kept(&released.base(&folder))) {
+            (Some(path), _) => ("cached", size_of(path)?, path.display().to_string()),
+            (None, Some((there, promise))) => {
+                let place = format!("{} of it; `{}` goes on", bytes(there), released.command());
+                ("begun", promise.size, place)
+            }
+            (None, None) => ("to get", released.bytes, format!("`{}`", released.command())),
+        };
+        table.row([(*name).into(), bytes(size), (*licence).into(), place, (*what).into()]);
+        rows.push(json!({
+            "name": name, "state": state, "bytes": size, "licence": licence, "path": cached, "what": what,
+            "command": released.command(),
+        }));
+    }
+    session.report(&rows, table)
+}

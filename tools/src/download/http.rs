@@ -1,0 +1,256 @@
+//! Requests to a model hub and to the storage that it redirects to.
+
+use std::{env, io, path::PathBuf, time::Duration};
+use ureq::{
+    Agent, Body,
+    http::{
+        HeaderMap, Response, StatusCode, Uri,
+        header::{ACCEPT_ENCODING, AUTHORIZATION, CONTENT_LENGTH, ETAG, LOCATION, RANGE},
+    },
+    tls::{PemItem, RootCerts, TlsConfig, parse_pem},
+};
+use zipsplat::{Error, Result};
+
+/// The hub that has the released weights.
+const HUB: &str = "https://huggingface.co";
+/// Most redirects from one address.
+const HOPS: usize = 10;
+/// Variables that name a file of root certificates to trust in place of those that are built in.
+const ROOTS: [&str; 2] = ["SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
+
+/// The failure of a request, by whether another try may do better.
+#[derive(Debug)]
+pub enum Failure {
+    /// Another try may do better: the connection broke or stalled, or the host is busy.
+    Passing(String),
+    /// Another try would fail in the same way.
+    Lasting(Error),
+}
+
+/// A client of one hub.
+#[derive(Clone)]
+pub struct Client {
+    agent: Agent,
+    endpoint: String,
+    token: Option<String>,
+    /// A connection on which nothing comes for so long is given up.
+    pub patience: Duration,
+}
+
+/// The hash and size of a file, which a hub says before it redirects to its storage, which says neither.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Told {
+    /// Lowercase hexadecimal digits.
+    pub sha256: Option<String>,
+    pub size: Option<u64>,
+}
+
+impl Told {
+    /// Takes what the headers of one answer say; earlier answers count more. An ETag is a hash at the hub alone.
+    fn hear(&mut self, headers: &HeaderMap, is_hub: bool) {
+        let etag = || text(headers, ETAG.as_str()).filter(|_| is_hub);
+        let digest = text(headers, "x-linked-etag")
+            .or_else(etag)
+            .map(|etag| etag.trim_start_matches("W/").trim_matches('"').to_lowercase());
+        self.sha256 = self.sha256.take().or(digest.filter(|digest| is_sha256(digest)));
+        let size = text(headers, "x-linked-size").and_then(|size| size.parse().ok());
+        self.size = self.size.or(size);
+    }
+}
+
+/// True for a SHA-256 in hexadecimal digits.
+pub fn is_sha256(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    headers.get(name)?.to_str().ok()
+}
+
+impl Client {
+    /// A client as the environment asks for: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token that is sent to the hub and to
+    /// nobody else, `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root certificates.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the endpoint is no address; those of reading the certificates.
+    pub fn from_environment(patience: Duration) -> Result<Self> {
+        let set = |name: &str| env::var(name).ok().filter(|value| !value.trim().is_empty());
+        let endpoint = set("HF_ENDPOINT").map_or(HUB.into(), |mirror| mirror.trim().trim_end_matches('/').to_owned());
+        if origin(&endpoint).is_none() {
+            return Err(Error::argument("HF_ENDPOINT", endpoint, format!("an address such as {HUB}")));
+        }
+        let roots = ROOTS.iter().find_map(|name| set(name)).map(|path| root_certificates(PathBuf::from(path)));
+        let config = Agent::config_builder()
+            .user_agent(concat!("zipsplat/", env!("CARGO_PKG_VERSION")))
+            // The hash and size that the hub tells would be lost, and the token would have to be held back.
+            .max_redirects(0)
+            .max_redirects_will_error(false)
+            .http_status_as_error(false)
+            .tls_config(TlsConfig::builder().root_certs(roots.transpose()?.unwrap_or(RootCerts::WebPki)).build())
+            .timeout_resolve(Some(patience))
+            .timeout_connect(Some(patience))
+            // Of a body of gigabytes the time in total says nothing.
+            .timeout_per_read(Some(patience))
+            .timeout_per_write(Some(patience))
+            .build();
+        Ok(Self { agent: config.into(), endpoint, token: set("HF_TOKEN"), patience })
+    }
+
+    /// The address of a file in a repository of the hub.
+    pub fn address(&self, repository: &str, revision: &str, file: &str) -> String {
+        format!("{}/{repository}/resolve/{revision}/{file}", self.endpoint)
+    }
+
+    /// The hash and size that the hub says for a file, without the file.
+    ///
+    /// # Errors
+    /// Where the hub cannot be asked, or has no such file.
+    pub fn ask(&self, url: &str) -> Result<Told, Failure> {
+        let (response, mut told) = self.follow(true, url, 0)?;
+        if told.size.is_none() && response.status() == StatusCode::OK {
+            told.size = text(response.headers(), CONTENT_LENGTH.as_str()).and_then(|length| length.parse().ok());
+        }
+        Ok(told)
+    }
+
+    /// The answer that has a file's bytes from `start` on, wherever the hub redirects to, and what the hub said on the way. Its
+    /// status is 200, 206 or 416.
+    ///
+    /// # Errors
+    /// As [`Client::ask`].
+    pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
+        self.follow(false, url, start)
+    }
+
+    fn follow(&self, head: bool, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
+        let (mut at, mut told) = (url.to_owned(), Told::default());
+        for _ in 0..HOPS {
+            let response = self.send(head, &at, start).map_err(|error| failure(url, &error, self.patience))?;
+            told.hear(response.headers(), origin(&at) == origin(&self.endpoint));
+            if !response.status().is_redirection() {
+                check_status(url, response.status(), self.token.is_some())?;
+                return Ok((response, told));
+            }
+            if head && told.sha256.is_some() && told.size.is_some() {
+                return Ok((response, told));
+            }
+            let location = text(response.headers(), LOCATION.as_str()).unwrap_or_default();
+            at = redirected(&at, location).ok_or_else(|| {
+                lasting(url, io::ErrorKind::Other, format!("redirects to '{location}', expected an https address"))
+            })?;
+        }
+        Err(lasting(url, io::ErrorKind::Other, format!("more than {HOPS} redirects")))
+    }
+
+    fn send(&self, head: bool, url: &str, start: u64) -> std::result::Result<Response<Body>, ureq::Error> {
+        let mut request = if head { self.agent.head(url) } else { self.agent.get(url) };
+        request = request.header(ACCEPT_ENCODING, "identity");
+        if start > 0 {
+            request = request.header(RANGE, format!("bytes={start}-"));
+        }
+        match &self.token {
+            Some(token) if origin(url) == origin(&self.endpoint) => {
+                request.header(AUTHORIZATION, format!("Bearer {token}")).call()
+            }
+            _ => request.call(),
+        }
+    }
+}
+
+/// The certificates of a PEM file.
+fn root_certificates(path: PathBuf) -> Result<RootCerts> {
+    let pem = std::fs::read(&path).map_err(|error| Error::io(&path, error))?;
+    let mut certificates = Vec::new();
+    for item in parse_pem(&pem) {
+        match item.map_err(|error| Error::format(&path, None, error.to_string()))? {
+            PemItem::Certificate(certificate) => certificates.push(certificate),
+            _ => continue,
+        }
+    }
+    Ok(RootCerts::new_with_certs(&certificates))
+}
+
+/// Scheme, host and port of an address.
+fn origin(url: &str) -> Option<(String, String)> {
+    let uri: Uri = url.parse().ok()?;
+    let scheme = uri.scheme_str().filter(|scheme| ["http", "https"].contains(scheme))?;
+    Some((scheme.to_owned(), uri.authority()?.as_str().to_lowercase()))
+}
+
+/// The address that a redirect leads to; none, where that would no longer be encrypted.
+fn redirected(from: &str, location: &str) -> Option<String> {
+    let (scheme, authority) = origin(from)?;
+    let to = match location {
+        absolute if origin(absolute).is_some() => absolute.to_owned(),
+        path if path.starts_with('/') && !path.starts_with("//") => format!("{scheme}://{authority}{path}"),
+        _ => return None,
+    };
+    let (new_scheme, _) = origin(&to)?;
+    (scheme == "http" || new_scheme == "https").then_some(to)
+}
+
+fn lasting(url: &str, kind: io::ErrorKind, reason: String) -> Failure {
+    Failure::Lasting(Error::io(url, io::Error::new(kind, reason)))
+}
+
+fn check_status(url: &str, status: StatusCode, has_token: bool) -> Result<(), Failure> {
+    match status.as_u16() {
+        200 | 206 | 416 => Ok(()),
+        code @ (401 | 403) => {
+            let token =
+                if has_token { "the token in HF_TOKEN may not read it" } else { "it may want a token in HF_TOKEN" };
+            Err(lasting(url, io::ErrorKind::PermissionDenied, format!("the host refuses it (HTTP {code}): {token}")))
+        }
+        404 => Err(lasting(url, io::ErrorKind::NotFound, "the host has no such file (HTTP 404)".into())),
+        code @ (408 | 425 | 429 | 500..) => {
+            Err(Failure::Passing(format!("the host cannot serve it now (HTTP {code})")))
+        }
+        code => Err(lasting(url, io::ErrorKind::Other, format!("found HTTP {code}, expected the file"))),
+    }
+}
+
+/// The failure of a request, or of reading its answer, from the client's error.
+pub fn failure(url: &str, error: &ureq::Error, patience: Duration) -> Failure {
+    match error {
+        ureq::Error::Timeout(_) => Failure::Passing(format!("nothing came for {} s", patience.as_secs_f64())),
+        ureq::Error::HostNotFound => Failure::Passing("the host's name cannot be resolved".into()),
+        ureq::Error::Io(error) => Failure::Passing(error.to_string()),
+        ureq::Error::ConnectionFailed | ureq::Error::ConnectProxyFailed(_) | ureq::Error::Protocol(_) => {
+            Failure::Passing(error.to_string())
+        }
+        _ => lasting(url, io::ErrorKind::Other, error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn redirects_stay_encrypted() {
+        let hub = "https://hub.example/a/b";
+        assert_eq!(redirected(hub, "/c?d").as_deref(), Some("https://hub.example/c?d"));
+        assert_eq!(redirected(hub, "https://cdn.example/x").as_deref(), Some("https://cdn.example/x"));
+        for location in ["http://cdn.example/x", "//cdn.example/x", "ftp://cdn.example/x", "x", ""] {
+            assert_eq!(redirected(hub, location), None, "{location}");
+        }
+        assert_eq!(redirected("http://127.0.0.1:1/a", "/b").as_deref(), Some("http://127.0.0.1:1/b"));
+    }
+
+    #[test]
+    fn hashes_are_heard_from_the_hub_first() {
+        let headers = |pairs: &[(&'static str, String)]| {
+            pairs.iter().map(|(name, value)| (name.parse().unwrap(), value.parse().unwrap())).collect::<HeaderMap>()
+        };
+        let digest = |digit: &str| digit.repeat(64);
+        let mut told = Told::default();
+        told.hear(&headers(&[("etag", "\"abc\"".into())]), true);
+        assert_eq!(told, Told::default(), "an ETag that is no SHA-256");
+        told.hear(&headers(&[("etag", digest("c"))]), false);
+        assert_eq!(told, Told::default(), "the storage's own name for a file");
+        let linked = [("x-linked-etag", format!("\"{}\"", digest("A"))), ("x-linked-size", "7".into())];
+        told.hear(&headers(&linked), true);
+        told.hear(&headers(&[("etag", format!("\"{}\"", digest("b")))]), true);
+        assert_eq!(told, Told { sha256: Some(digest("a")), size: Some(7) });
+    }
+}

@@ -1,0 +1,263 @@
+//! Large files from a model hub: loaded in as many pieces as the network breaks them into, and checked before they count.
+
+mod http;
+mod partial;
+
+use crate::{session::Stage, table::bytes};
+use std::{
+    io::{self, Read},
+    path::Path,
+    sync::mpsc::{RecvTimeoutError, SyncSender, channel, sync_channel},
+    time::{Duration, Instant},
+};
+use ureq::http::{
+    HeaderMap, StatusCode,
+    header::{CONTENT_LENGTH, CONTENT_RANGE},
+};
+use zipsplat::{Error, Result};
+
+pub use http::{Client, is_sha256};
+pub use partial::{Promise, TAG, kept};
+
+use http::{Failure, Told, failure};
+use partial::Partial;
+
+/// Tries in a row that bring nothing before a download is given up.
+const TRIES: u32 = 5;
+/// Times that a file is begun again.
+const RESTARTS: u32 = 3;
+/// Bytes that are handed on at once, and how many of these may wait for the disk.
+const CHUNK: usize = 1 << 18;
+const WAITING: usize = 16;
+/// The time after which a wait looks for Ctrl-C.
+const POLL: Duration = Duration::from_millis(50);
+
+/// The hub's promise of a file as it is now; `sha256` stands in where the hub does not say it.
+///
+/// # Errors
+/// [`Error::Io`] where the hub cannot be asked; [`Error::Argument`] where it says no size or no hash, or another hash than
+/// `sha256`; [`Error::Cancelled`].
+pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'_>) -> Result<Promise> {
+    let mut tries = Tries::default();
+    let told = loop {
+        let (asking, address) = (client.clone(), url.to_owned());
+        match apart(stage, move || asking.ask(&address))? {
+            Ok(told) => break told,
+            Err(Failure::Lasting(error)) => return Err(error),
+            Err(Failure::Passing(reason)) => tries.failed(url, &reason, client.patience, stage)?,
+        }
+    };
+    let sha256 = match (told.sha256, sha256.map(str::to_lowercase)) {
+        (Some(told), Some(given)) if told != given => {
+            return Err(Error::argument("--sha256", given, format!("{told}, which the host says")));
+        }
+        (told, given) => told.or(given),
+    };
+    let nothing = |what: &str, expected: &str| {
+        Err(Error::argument(format!("{what} of {url}"), "none in the host's answer", expected))
+    };
+    match (sha256, told.size) {
+        (Some(sha256), Some(size)) => Ok(Promise { url: url.to_owned(), size, sha256 }),
+        (None, _) => nothing("SHA-256", "x-linked-etag, or --sha256 with the hash from a source that you trust"),
+        (_, None) => nothing("size", "x-linked-size or a length"),
+    }
+}
+
+/// Loads the file that `promise` is about, checks it, and only then gives it its name, [`Promise::path`]. Where the network
+/// fails, what came is kept, and another call goes on from there. `notes` gets what a user should know.
+///
+/// # Errors
+/// [`Error::Io`] of the disk, or of a network that brought nothing several times; [`Error::Format`] where the bytes are not those
+/// that the host promised, or it now has others; [`Error::Cancelled`].
+pub fn fetch(
+    client: &Client,
+    promise: &Promise,
+    base: &Path,
+    stage: &Stage<'_>,
+    notes: &mut Vec<String>,
+) -> Result<()> {
+    let mut partial = Partial::open(base, promise)?;
+    let (mut tries, mut restarts) = (Tries::default(), 0);
+    loop {
+        let before = partial.length()?;
+        if before > promise.size {
+            partial.clear()?;
+        } else if before == promise.size {
+            stage.name("check");
+            return partial.finish(stage);
+        }
+        let stopped = load(client, promise, &mut partial, stage)?;
+        let progress = partial.length()? > before;
+        match stopped {
+            Stop::Passing(_) if progress => tries = Tries::default(),
+            Stop::Passing(reason) => tries.failed(&promise.url, &reason, client.patience, stage)?,
+            Stop::Lasting(error) => return Err(error),
+            Stop::Restart(reason) if restarts < RESTARTS => {
+                restarts += 1;
+                notes.push(format!("{}: {reason}: it is loaded from its beginning again", promise.url));
+                partial.clear()?;
+            }
+            Stop::Restart(reason) => return Err(Error::io(&promise.url, io::Error::other(reason))),
+        }
+    }
+}
+
+/// The number of tries in a row that brought nothing.
+#[derive(Default)]
+struct Tries(u32);
+
+impl Tries {
+    /// Counts a try that brought nothing and waits before the next, each time twice as long, but no longer than for an answer.
+    ///
+    /// # Errors
+    /// [`Error::Io`] with the reason where that was the last; [`Error::Cancelled`].
+    fn failed(&mut self, url: &str, reason: &str, patience: Duration, stage: &Stage<'_>) -> Result<()> {
+        self.0 += 1;
+        if self.0 == TRIES {
+            return Err(Error::io(url, io::Error::other(format!("{reason}, {TRIES} times in a row"))));
+        }
+        let until = Instant::now() + patience.min(Duration::from_secs(1 << (self.0 - 1)));
+        while Instant::now() < until {
+            stage.check()?;
+            std::thread::sleep(POLL.min(patience));
+        }
+        Ok(())
+    }
+}
+
+/// Runs `work` in a thread of its own, which is left behind where the command should stop.
+fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
+    let (send, done) = channel();
+    std::thread::spawn(move || {
+        // Nobody waits for it where the command was stopped.
+        let _ = send.send(work());
+    });
+    loop {
+        match done.recv_timeout(POLL) {
+            Ok(value) => return Ok(value),
+            Err(RecvTimeoutError::Timeout) => stage.check()?,
+            Err(RecvTimeoutError::Disconnected) => panic!("a request panicked"),
+        }
+    }
+}
+
+/// The reason why no more bytes come over one connection; the end of the file is a passing reason, too.
+enum Stop {
+    Passing(String),
+    Lasting(Error),
+    /// The bytes that are there do not fit those of the host.
+    Restart(String),
+}
+
+impl From<Failure> for Stop {
+    fn from(failure: Failure) -> Self {
+        match failure {
+            Failure::Passing(reason) => Self::Passing(reason),
+            Failure::Lasting(error) => Self::Lasting(error),
+        }
+    }
+}
+
+/// An event of one connection.
+enum Event {
+    /// The place in the file of the next bytes.
+    From(u64),
+    Bytes(Vec<u8>),
+    End(Stop),
+}
+
+/// Loads over one connection, until that ends, what is still missing.
+fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage<'_>) -> Result<Stop> {
+    let (send, events) = sync_channel(WAITING);
+    let (client, wanted, start) = (client.clone(), promise.clone(), partial.length()?);
+    std::thread::spawn(move || {
+        let stop = stream(&client, &wanted, start, &send);
+        let _ = send.send(Event::End(stop));
+    });
+    let (mut at, began) = (start, Instant::now());
+    loop {
+        match events.recv_timeout(POLL) {
+            Ok(Event::From(0)) if at > 0 => {
+                partial.clear()?;
+                at = 0;
+            }
+            Ok(Event::From(from)) => at = from,
+            Ok(Event::Bytes(block)) => {
+                partial.write(at, &block)?;
+                at += block.len() as u64;
+                let rate = at.saturating_sub(start) as f64 / began.elapsed().as_secs_f64().max(1e-3);
+                stage.name(&format!("{} of {}, {}/s", bytes(at), bytes(promise.size), bytes(rate as u64)));
+                stage.reach(at as f64 / promise.size as f64)?;
+            }
+            Ok(Event::End(stop)) => return Ok(stop),
+            Err(RecvTimeoutError::Timeout) => stage.check()?,
+            Err(RecvTimeoutError::Disconnected) => panic!("a request panicked"),
+        }
+    }
+}
+
+/// Sends what comes over one connection; ends early where nobody listens any more.
+fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Stop {
+    let (response, told) = match client.get(&promise.url, start) {
+        Ok(answer) => answer,
+        Err(failure) => return failure.into(),
+    };
+    let from = match check_answer(promise, &told, response.status(), response.headers(), start) {
+        Ok(from) => from,
+        Err(stop) => return stop,
+    };
+    let left = || Stop::Passing("stopped".into());
+    if send.send(Event::From(from)).is_err() {
+        return left();
+    }
+    let mut body = response.into_body().into_reader().take(promise.size - from);
+    loop {
+        let mut block = vec![0; CHUNK];
+        match body.read(&mut block) {
+            Ok(0) => return Stop::Passing("the connection ended before the file".into()),
+            Ok(read) => {
+                block.truncate(read);
+                if send.send(Event::Bytes(block)).is_err() {
+                    return left();
+                }
+            }
+            Err(error) => return failure(&promise.url, &ureq::Error::from(error), client.patience).into(),
+        }
+    }
+}
+
+/// The place in the file of an answer's bytes, if they are of the file that was promised.
+fn check_answer(
+    promise: &Promise,
+    told: &Told,
+    status: StatusCode,
+    headers: &HeaderMap,
+    start: u64,
+) -> Result<u64, Stop> {
+    if let Some(other) = told.sha256.as_ref().filter(|sha256| **sha256 != promise.sha256) {
+        let reason = format!("the host has another file since (SHA-256 {other}): run the command again");
+        return Err(Stop::Lasting(Error::format(&promise.url, None, reason)));
+    }
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    let size = promise.size;
+    match status {
+        StatusCode::PARTIAL_CONTENT => {
+            let found = text(CONTENT_RANGE).unwrap_or("none");
+            let expected = format!("bytes {start}-{}/{size}", size - 1);
+            if found.replace("/*", &format!("/{size}")) == expected {
+                return Ok(start);
+            }
+            Err(Stop::Restart(format!("Content-Range: found {found}, expected {expected}")))
+        }
+        StatusCode::RANGE_NOT_SATISFIABLE => {
+            Err(Stop::Restart(format!("the host has no bytes from {start} on (HTTP 416)")))
+        }
+        _ => match text(CONTENT_LENGTH).and_then(|length| length.parse::<u64>().ok()) {
+            Some(length) if length != size => {
+                Err(Stop::Restart(format!("Content-Length: found {length}, expected {size}")))
+            }
+            // It may ignore that not all was asked for.
+            _ => Ok(0),
+        },
+    }
+}

@@ -1,0 +1,143 @@
+//! A file that is on its way: its bytes so far, and beside them what it shall become.
+
+use crate::session::Stage;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::{
+    fs::{File, OpenOptions},
+    io::{Read, Seek, SeekFrom, Write},
+    path::{Path, PathBuf},
+};
+use zipsplat::{Error, Result, types::write_atomic};
+
+/// Bytes that are hashed at once.
+const BLOCK: usize = 1 << 20;
+/// Digits of a hash in the name of its file.
+pub const TAG: usize = 12;
+
+/// A file as it will be when it is whole.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Promise {
+    /// Address that it comes from.
+    pub url: String,
+    /// Bytes.
+    pub size: u64,
+    /// Lowercase hexadecimal digits.
+    pub sha256: String,
+}
+
+impl Promise {
+    /// The digits of the hash that stand in the names of files.
+    pub fn tag(&self) -> &str {
+        &self.sha256[..TAG]
+    }
+
+    /// The path of the whole file: beside `base`, with the tag in its name.
+    pub fn path(&self, base: &Path) -> PathBuf {
+        let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+        base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))
+    }
+}
+
+/// The bytes so far (`BASE.part`) and the [`Promise`] (`BASE.part.json`) of a file that gets its own name when it is whole and
+/// its hash is right.
+pub struct Partial {
+    path: PathBuf,
+    promise_path: PathBuf,
+    base: PathBuf,
+    file: File,
+    promise: Promise,
+}
+
+/// The paths of the bytes so far and of the promise.
+fn paths(base: &Path) -> [PathBuf; 2] {
+    [".part", ".part.json"].map(|ending| {
+        let mut name = base.as_os_str().to_owned();
+        name.push(ending);
+        name.into()
+    })
+}
+
+/// The number of bytes that are there of the file that `base` names, and its promise.
+pub fn kept(base: &Path) -> Option<(u64, Promise)> {
+    let [path, promise] = paths(base);
+    Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))
+}
+
+impl Partial {
+    /// Goes on with what there is of a file, or begins it. Bytes that belong to another promise are dropped.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn open(base: &Path, promise: &Promise) -> Result<Self> {
+        let [path, promise_path] = paths(base);
+        let goes_on =
+            kept(base).is_some_and(|(_, known)| (known.size, known.sha256) == (promise.size, promise.sha256.clone()));
+        let file = OpenOptions::new().create(true).truncate(!goes_on).read(true).write(true).open(&path);
+        let file = file.map_err(|error| Error::io(&path, error))?;
+        write_atomic(&promise_path, |out| Ok(serde_json::to_writer_pretty(out, promise)?))?;
+        Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
+    }
+
+    /// Bytes that are there, from the first on.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn length(&self) -> Result<u64> {
+        self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
+    }
+
+    /// Writes bytes that belong at `start`, which is no further than what is there. Two processes that load the same file
+    /// write the same bytes to the same places.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write(&mut self, start: u64, bytes: &[u8]) -> Result<()> {
+        let written = self.file.seek(SeekFrom::Start(start)).and_then(|_| self.file.write_all(bytes));
+        written.map_err(|error| Error::io(&self.path, error))
+    }
+
+    /// Drops what is there.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn clear(&mut self) -> Result<()> {
+        self.file.set_len(0).map_err(|error| Error::io(&self.path, error))
+    }
+
+    /// Gives the file its own name, [`Promise::path`], where its hash is the promised one; else removes it.
+    ///
+    /// # Errors
+    /// [`Error::Format`] where the hash is another, [`Error::Cancelled`], [`Error::Io`].
+    pub fn finish(mut self, stage: &Stage<'_>) -> Result<()> {
+        let found = self.hash(stage)?;
+        let Self { path, promise_path, base, file, promise } = self;
+        let failed = |error| Error::io(&path, error);
+        if found != promise.sha256 {
+            std::fs::remove_file(&path).map_err(failed)?;
+            let _ = std::fs::remove_file(promise_path);
+            let reason =
+                format!("SHA-256: found {found}, expected {}; what came is removed, get it again", promise.sha256);
+            return Err(Error::format(&promise.url, None, reason));
+        }
+        file.sync_all().map_err(failed)?;
+        std::fs::rename(&path, promise.path(&base)).map_err(failed)?;
+        // Without its file it means nothing.
+        let _ = std::fs::remove_file(promise_path);
+        Ok(())
+    }
+
+    fn hash(&mut self, stage: &Stage<'_>) -> Result<String> {
+        let (mut hasher, mut block, mut done) = (Sha256::new(), vec![0; BLOCK], 0);
+        self.file.seek(SeekFrom::Start(0)).map_err(|error| Error::io(&self.path, error))?;
+        loop {
+            let read = self.file.read(&mut block).map_err(|error| Error::io(&self.path, error))?;
+            if read == 0 {
+                return Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect());
+            }
+            hasher.update(&block[..read]);
+            done += read as u64;
+            stage.reach(done as f64 / self.promise.size.max(1) as f64)?;
+        }
+    }
+}
