@@ -6,6 +6,7 @@ mod errors;
 mod eval;
 mod info;
 mod measure;
+mod outputs;
 mod reconstruct;
 mod render;
 mod trajectories;

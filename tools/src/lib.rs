@@ -20,6 +20,7 @@ pub mod procedural;
 mod session;
 mod signals;
 mod table;
+mod unit;
 
 use clap::Parser;
 use session::Session;

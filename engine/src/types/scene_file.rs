@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Scene, gltf, ply, splat, spz};
+use super::{Scene, World, gltf, ply, splat, spz};
 use crate::{Error, Result};
 
 /// What a scene file is.
@@ -75,6 +75,11 @@ impl SceneFormat {
     pub fn keeps_view_dependence(self) -> bool {
         self != Self::Splat
     }
+
+    /// Whether it has room for the world that a scene is in.
+    pub fn keeps_world(self) -> bool {
+        self != Self::Splat
+    }
 }
 
 /// Reads a scene of any format, told apart as [`SceneFormat::of_file`] does. Whatever axes the format has, the scene has
@@ -109,13 +114,27 @@ pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
 /// [`Error::Argument`] when the extension is no scene's, the scene is not valid or the format cannot hold it;
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
+    write_scene_in(path, scene, options, None)
+}
+
+/// As [`write_scene`], with the world that the scene is in, where that is known and [`SceneFormat::keeps_world`]: for
+/// [`read_world`](super::read_world).
+///
+/// # Errors
+/// As [`write_scene`].
+pub fn write_scene_in(
+    path: impl AsRef<Path>,
+    scene: &Scene,
+    options: &WriteOptions,
+    world: Option<&World>,
+) -> Result<()> {
     let path = path.as_ref();
     match SceneFormat::of_extension(path) {
-        Some(SceneFormat::Ply) => ply::write_ply(scene, path),
-        Some(SceneFormat::Spz) => spz::write_spz(scene, path, options.spz_version),
+        Some(SceneFormat::Ply) => ply::write(scene, path, world),
+        Some(SceneFormat::Spz) => spz::write(scene, path, options.spz_version, world),
         Some(SceneFormat::Splat) => splat::write_splat(scene, path),
-        Some(SceneFormat::Gltf) => gltf::write_gltf(scene, path, false),
-        Some(SceneFormat::Glb) => gltf::write_gltf(scene, path, true),
+        Some(SceneFormat::Gltf) => gltf::write(scene, path, false, world),
+        Some(SceneFormat::Glb) => gltf::write(scene, path, true, world),
         None => Err(Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS)),
     }
 }

@@ -6,7 +6,9 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::types::{Scene, axes::HalfTurn::AboutZ, camera::unit_quaternion, file::write_atomic};
+use crate::types::{
+    Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, file::write_atomic, world::MADE_BY,
+};
 use crate::{Error, Result};
 
 const FLOAT: u32 = 5126;
@@ -41,6 +43,11 @@ impl Attributes {
 /// [`Error::Argument`] when the scene is not valid or empty, which glTF does not know, or longer than the 4 GiB of a `.glb`;
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
+    write(scene, path.as_ref(), binary, None)
+}
+
+/// As [`write_gltf`], with the world in the asset's extras.
+pub(in crate::types) fn write(scene: &Scene, path: &Path, binary: bool, world: Option<&World>) -> Result<()> {
     scene.validate()?;
     if scene.is_empty() {
         return Err(Error::argument("scene", "no Gaussians", "at least one in a glTF"));
@@ -54,8 +61,9 @@ pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective",
         "sortingMethod": "cameraDistance",
     });
+    let extras = json!({ MADE_BY: World::line(world) });
     let document = json!({
-        "asset": { "version": "2.0", "generator": concat!("zipsplat ", env!("CARGO_PKG_VERSION")) },
+        "asset": { "version": "2.0", "generator": concat!("zipsplat ", env!("CARGO_PKG_VERSION")), "extras": extras },
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
@@ -67,13 +75,13 @@ pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result
     });
     let mut json = document.to_string().into_bytes();
     if !binary {
-        return write_atomic(path.as_ref(), |out| out.write_all(&json));
+        return write_atomic(path, |out| out.write_all(&json));
     }
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() + 8 + data.len();
     let length = u32::try_from(total)
         .map_err(|_| Error::argument("scene", format!("{total} bytes"), "fewer than 2^32, the most of a .glb"))?;
-    write_atomic(path.as_ref(), |out| {
+    write_atomic(path, |out| {
         out.write_all(b"glTF")?;
         out.write_all(&2u32.to_le_bytes())?;
         out.write_all(&length.to_le_bytes())?;

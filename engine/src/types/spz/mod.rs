@@ -3,12 +3,13 @@
 
 mod codec;
 
+use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
 
-use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use flate2::{Compression, GzBuilder, read::GzDecoder};
 
-use super::{Scene, file::write_atomic};
+use super::{Scene, World, file::write_atomic};
 use crate::{Error, Result};
 use codec::Layout;
 
@@ -31,6 +32,18 @@ const MAX_INFLATION: u64 = 1032;
 /// [`Error::Argument`] when the scene is not valid, a position is beyond 2²³ or the version is another; [`Error::Io`]
 /// when the file cannot be written.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
+    write(scene, path.as_ref(), version, None)
+}
+
+/// The line of [`World::line`] in the comment of an SPZ's gzip stream, where it has one.
+pub(super) fn read_line(path: &Path) -> Result<Option<String>> {
+    let file = File::open(path).map_err(|source| Error::io(path, source))?;
+    let decoder = GzDecoder::new(file);
+    Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
+}
+
+/// As [`write_spz`], with the world in the comment that gzip has room for.
+pub(super) fn write(scene: &Scene, path: &Path, version: u32, world: Option<&World>) -> Result<()> {
     scene.validate()?;
     if !matches!(version, 2 | 3) {
         return Err(Error::argument("SPZ version", version, "2 or 3"));
@@ -38,8 +51,8 @@ pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<
     let count = u32::try_from(scene.len())
         .map_err(|_| Error::argument("scene", format!("{} Gaussians", scene.len()), "fewer than 2^32 in an SPZ"))?;
     let layout = Layout { version, sh_degree: scene.sh_degree, fractional_bits: codec::fractional_bits(scene)? };
-    write_atomic(path.as_ref(), |out| {
-        let mut out = GzEncoder::new(out, Compression::default());
+    write_atomic(path, |out| {
+        let mut out = GzBuilder::new().comment(World::line(world)).write(out, Compression::default());
         for word in [MAGIC, version, count] {
             out.write_all(&word.to_le_bytes())?;
         }
