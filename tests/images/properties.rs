@@ -109,7 +109,8 @@ fn the_world_of_a_scene_does_not_show() {
     let request = RenderRequest { depth: None, normals: false, ..ALL };
     let truth = render(&scene, &[camera], &request).remove(0).rgb.unwrap();
     let drawn = render(&placed, &[Camera { pose, ..camera }], &request).remove(0).rgb.unwrap();
-    let unstable = rasterise::render(&reference_gaussians(&scene), &reference_camera(&camera), false, [0.0; 3]).unstable;
+    let unstable =
+        rasterise::render(&reference_gaussians(&scene), &reference_camera(&camera), false, [0.0; 3]).unstable;
     let picture = Picture { values: &drawn, width: 64, channels: 3 };
     let tolerance = ImageTolerance { absolute: 1e-3, psnr: 60.0, ..ImageTolerance::RGB };
     assert_images_close("placed", picture, &truth, &unstable, tolerance);

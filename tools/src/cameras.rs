@@ -172,7 +172,8 @@ impl CameraArgs {
             Some(World::Cameras(_)) => (None, None),
             Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
                 Ok(pose) => {
-                    let note = format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
+                    let note =
+                        format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
                     (Some(pose), Some(note))
                 }
                 Err(_) => {

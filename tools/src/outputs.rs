@@ -96,7 +96,8 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     for entry in folder.read_dir().map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let digits = name.split('.').next().filter(|digits| digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit()));
+        let digits =
+            name.split('.').next().filter(|digits| digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit()));
         let number = digits.and_then(|digits| digits.parse::<usize>().ok());
         if number.is_some_and(|number| number >= count) && is_file(&path) && own(&path) {
             std::fs::remove_file(&path).map_err(|error| Error::io(&path, error))?;
@@ -139,7 +140,9 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Opt
     Ok(match world {
         Some(World::Photo(photo)) if !keeps => {
             let path = path.display();
-            Some(format!("{path} cannot say that its world is the camera of {photo}: `render` needs --relative-to {photo}"))
+            Some(format!(
+                "{path} cannot say that its world is the camera of {photo}: `render` needs --relative-to {photo}"
+            ))
         }
         _ => None,
     })

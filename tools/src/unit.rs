@@ -187,7 +187,8 @@ mod tests {
 
     fn poses(poses: Vec<Pose>) -> Poses {
         let lens = Intrinsics::from_fov(64, 48, 1.0, 0.8);
-        let frame = |pose| Frame { name: "x".into(), photo: None, camera: Camera { intrinsics: lens, pose }, lens: None };
+        let frame =
+            |pose| Frame { name: "x".into(), photo: None, camera: Camera { intrinsics: lens, pose }, lens: None };
         Poses { frames: poses.into_iter().map(frame).collect(), ..Poses::default() }
     }
 

@@ -101,7 +101,8 @@ impl Scene {
         self.sh_coeffs.par_chunks_exact_mut(k).for_each(|coeffs| {
             let before = coeffs.to_vec();
             for (coeff, row) in coeffs.iter_mut().zip(&harmonics) {
-                let sum = |c: usize| before.iter().zip(row).map(|(rgb, factor)| factor * f64::from(rgb[c])).sum::<f64>();
+                let sum =
+                    |c: usize| before.iter().zip(row).map(|(rgb, factor)| factor * f64::from(rgb[c])).sum::<f64>();
                 *coeff = std::array::from_fn(|c| sum(c) as f32);
             }
         });

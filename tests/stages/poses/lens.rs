@@ -24,10 +24,7 @@ fn opencv([x, y]: [f64; 2]) -> [f64; 2] {
     let (k1, k2, p1, p2) = (-0.21, 0.06, 0.004, -0.006);
     let r2 = x * x + y * y;
     let radial = 1.0 + k1 * r2 + k2 * r2.powi(2);
-    [
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-    ]
+    [x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y]
 }
 
 fn fisheye([x, y]: [f64; 2]) -> [f64; 2] {

@@ -66,6 +66,9 @@ pub struct Reconstruct {
     explain: bool,
 }
 
+/// Steps of positions that show: over how far away the scene is.
+const COARSE: f64 = 1e-3;
+
 /// The world that a scene is in.
 #[derive(Clone, Copy, ValueEnum)]
 enum WorldName {
@@ -123,8 +126,7 @@ impl Reconstruct {
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
-        let (views, load_photos) =
-            session.stage("load photos", |stage| photos::load(&photos, &frames, size, stage))?;
+        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, &frames, size, stage))?;
         if let Some(note) = photos::cropping(&views, size) {
             session.note(note);
         }
@@ -147,6 +149,13 @@ impl Reconstruct {
         result.scene.scale(length as f32);
         if let Some(World::Cameras(first)) = &world {
             result.scene.place(1.0, first);
+            // Positions are f32.
+            let step = first.translation.length() * f64::from(f32::EPSILON);
+            if step > COARSE * length {
+                let world = "the world of the cameras begins far from them";
+                session
+                    .note(format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away"));
+            }
         }
         let (scene, options) = (&result.scene, WriteOptions::default());
         let save = || outputs::save_scene(&self.output, scene, &options, world.as_ref());
@@ -163,7 +172,8 @@ impl Reconstruct {
         let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
-            "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source), "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
+            "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
+            "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
             "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,
         });

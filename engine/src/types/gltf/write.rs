@@ -6,9 +6,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::types::{
-    Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, file::write_atomic, world::MADE_BY,
-};
+use crate::types::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, file::write_atomic, world::MADE_BY};
 use crate::{Error, Result};
 
 const FLOAT: u32 = 5126;

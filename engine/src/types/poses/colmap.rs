@@ -24,8 +24,7 @@ const MODELS: [(i32, &str, usize); 9] = [
     (8, "SIMPLE_RADIAL_FISHEYE", 4),
     (9, "RADIAL_FISHEYE", 5),
 ];
-const ONE_FOCAL: [&str; 5] =
-    ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"];
+const ONE_FOCAL: [&str; 5] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"];
 
 /// Bytes of one 2D point in `images.bin`: x and y as f64 and the 3D point's id.
 const POINT_BYTES: u64 = 24;
