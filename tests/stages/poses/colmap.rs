@@ -147,8 +147,8 @@ fn malformed_colmap_models_are_refused() {
     }
     binary("images.bin", &|bytes| bytes[12..44].fill(0));
     assert_format_error(path, &["006.png", "rotation"]);
-    binary("cameras.bin", &|bytes| bytes[12..16].copy_from_slice(&5i32.to_le_bytes()));
-    assert_format_error(path, &["camera model 5"]);
+    binary("cameras.bin", &|bytes| bytes[12..16].copy_from_slice(&7i32.to_le_bytes()));
+    assert_format_error(path, &["camera model 7"]);
     let len = fs::read(path.join("images.bin")).unwrap().len();
     for kept in (0..len).step_by(11) {
         binary("images.bin", &|bytes| bytes.truncate(kept));

@@ -24,6 +24,7 @@ pub use points::{read_points, write_points};
 const BATCH: usize = 1 << 16;
 /// Opacities are kept this far from 0 and 1, where their logit is infinite.
 const OPACITY_MARGIN: f32 = 1e-6;
+const START: &str = "ply\nformat binary_little_endian 1.0\n";
 const COMMENT: &str = "comment ";
 /// Smallest scale that is written: the logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-6;
@@ -33,7 +34,7 @@ const MIN_SCALE: f32 = 1e-6;
 /// # Errors
 /// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    write(scene, path.as_ref(), None)
+    write_after(scene, path.as_ref(), START)
 }
 
 /// The line of [`World::line`] in a PLY's header, where it has one.
@@ -46,11 +47,15 @@ pub(super) fn read_line(path: &Path) -> Result<Option<String>> {
     Ok(comments.find(|comment| comment.starts_with(MADE_BY)).map(str::to_owned))
 }
 
-/// As [`write_ply`], with a comment that says which world the scene is in.
+/// As [`write_ply`], with a comment that says what wrote the file and which world the scene is in.
 pub(super) fn write(scene: &Scene, path: &Path, world: Option<&World>) -> Result<()> {
+    write_after(scene, path, &start(world))
+}
+
+fn write_after(scene: &Scene, path: &Path, start: &str) -> Result<()> {
     scene.validate()?;
     let names = property_names(scene.sh_coeffs_per_gaussian());
-    let mut header = format!("{}element vertex {}\n", start(world), scene.len());
+    let mut header = format!("{start}element vertex {}\n", scene.len());
     for name in &names {
         header += &format!("property float {name}\n");
     }
@@ -68,9 +73,9 @@ pub(super) fn write(scene: &Scene, path: &Path, world: Option<&World>) -> Result
     })
 }
 
-/// A header up to its elements.
+/// A header up to its elements, with what the file says of itself.
 fn start(world: Option<&World>) -> String {
-    format!("ply\nformat binary_little_endian 1.0\n{COMMENT}{}\n", World::line(world))
+    format!("{START}{COMMENT}{}\n", World::line(world))
 }
 
 fn property_names(coeffs: usize) -> Vec<String> {
