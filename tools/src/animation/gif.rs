@@ -33,7 +33,7 @@ impl Gif {
         let mut encoder = gif::Encoder::new(file.writer()?, width, height, &[]).map_err(fail)?;
         encoder.set_repeat(Repeat::Infinite).map_err(fail)?;
         let comment = gif::AnyExtension::from(gif::Extension::Comment);
-        encoder.write_raw_extension(comment, &[MADE_BY.as_bytes()]).map_err(|error| fail(error.into()))?;
+        encoder.write_raw_extension(comment, &[MADE_BY.as_bytes()]).map_err(fail)?;
         Ok(Self { path: path.into(), file, encoder, fps, pushed: 0 })
     }
 }
