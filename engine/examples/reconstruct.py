@@ -47,7 +47,7 @@ class Gaussians(Sized):
 
 
 class ReconstructOptions(Sized):
-    _fields_ = fields(reserved=u32, ratio=f64, unit=f64, selection=i32, width=u32, height=u32, camera_count=u32,
+    _fields_ = fields(world=i32, ratio=f64, unit=f64, selection=i32, width=u32, height=u32, camera_count=u32,
                       seed=u64, cameras=pointer, progress=pointer, user_data=pointer)
 
 

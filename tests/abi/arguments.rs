@@ -292,7 +292,8 @@ fn what_cannot_be_reconstructed_is_refused() {
     for (width, height) in [(14, 0), (15, 14), (u32::MAX, 14), (1 << 31, 1 << 31), (14 * 4096, 14 * 4096)] {
         refused(&[image], 1, &zs_reconstruct_options { width, height, ..options }, &["size of the views"]);
     }
-    refused(&[image], 1, &zs_reconstruct_options { reserved: 1, ..options }, &["zs_reconstruct_options", "reserved"]);
+    refused(&[image], 1, &zs_reconstruct_options { world: 1, ..options }, &["world", "cameras"]);
+    refused(&[image], 1, &zs_reconstruct_options { world: 2, ..options }, &["world", "zs_world"]);
     refused(&[image], 1, &zs_reconstruct_options { selection: -1, ..options }, &["selection"]);
     refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
     let cameras = [camera(SIDE, SIDE, f64::NAN); 2];

@@ -12,8 +12,15 @@ pub fn root() -> PathBuf {
 }
 
 /// Enumerations that structures hold as plain numbers, which the header names all the same.
-const ENUMERATIONS: [&str; 6] =
-    ["zs_device_kind", "zs_pixel_format", "zs_precision", "zs_selection", "zs_depth", "zs_requirement_kind"];
+const ENUMERATIONS: [&str; 7] = [
+    "zs_device_kind",
+    "zs_pixel_format",
+    "zs_precision",
+    "zs_selection",
+    "zs_world",
+    "zs_depth",
+    "zs_requirement_kind",
+];
 
 fn generate() -> String {
     let ffi = root().join("engine/src/ffi");

@@ -36,7 +36,7 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes, notes
         }
         zs_reconstruct_options {
-            struct_size, reserved, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data
+            struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
@@ -66,6 +66,7 @@ fn constants() -> Vec<(String, usize)> {
             ZS_PRECISION_BEST, ZS_PRECISION_EXACT, ZS_PRECISION_FAST, ZS_PRECISION_FAST_BF16, ZS_PRECISION_TURBO
         }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
+        zs_world { ZS_WORLD_FIRST_CAMERA, ZS_WORLD_CAMERAS }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
         zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
     };

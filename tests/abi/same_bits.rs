@@ -123,6 +123,11 @@ fn options_and_cameras_give_rusts_scene() {
     let mut expected = read(&reconstruct(&model, &images, &options(&c_cameras, 1.0)));
     expected.scale(4.0);
     assert_same("unit", &bits(&read(&reconstruct(&model, &images, &options(&far, 4.0)))), &bits(&expected));
+    // In the world of the cameras, in their unit.
+    let first = cameras[0].pose;
+    expected.place(1.0, &Pose { translation: 4.0 * first.translation, ..first });
+    let own = zs_reconstruct_options { world: zs_world::ZS_WORLD_CAMERAS as i32, ..options(&far, 4.0) };
+    assert_same("world", &bits(&read(&reconstruct(&model, &images, &own))), &bits(&expected));
 }
 
 fn rust_camera(camera: &zs_camera) -> Camera {

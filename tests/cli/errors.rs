@@ -149,7 +149,7 @@ fn poses() {
     let reconstruct = |poses: &str| format!("reconstruct @/photos --poses {poses} {MICRO}");
     refused(
         &folder,
-        &reconstruct("@/one.json"),
+        &format!("reconstruct @/photos/10.png --poses @/one.json {MICRO}"),
         3,
         &["camera of", "photos/10.png", "found none", "the poses (1): photos/1.png"],
     );

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use zipsplat::{
     Error,
     stages::render::{RenderRequest, Renderer},
-    types::{Camera, Image, Intrinsics, Pose, read_ply},
+    types::{Camera, Image, Intrinsics, Pose, quaternion_from_matrix, read_ply},
 };
 use zipsplat_cli::{
     align::align,
@@ -109,6 +109,49 @@ fn the_unit_of_the_cameras_does_not_matter() {
     assert!((before - wrong).abs() > 1e-3, "{before} dB and {wrong} dB");
 }
 
+/// Where there is no point cloud, the cameras tell how far away the scene is, in any unit, to both commands.
+#[test]
+fn without_points_the_unit_is_that_of_the_cameras() {
+    let folder = place();
+    let options = "--weights @/micro.safetensors --size 28x28 --json";
+    let eval = format!("eval @/place --views 3 {options}");
+    let with_points = folder.run(&eval).json();
+    assert_eq!(with_points["unit_from"], "points");
+    std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
+    let outcome = folder.run(&eval);
+    assert!(outcome.err.contains("no point cloud") && outcome.err.contains("--unit"), "{}", outcome.err);
+    let json = outcome.json();
+    let unit = json["unit"].as_f64().expect("a number");
+    let share = unit / with_points["unit"].as_f64().expect("a number");
+    assert!((0.4..2.5).contains(&share) && unit != 1.0, "{unit}, {share} of that of the points");
+    assert!(["axes", "spread"].contains(&json["unit_from"].as_str().expect("a word")), "{json}");
+    let line = format!("reconstruct {} --poses @/place {options} -o @/scene.ply", inputs(&json));
+    let outcome = folder.run(&line);
+    assert!(outcome.err.contains("no point cloud"), "{}", outcome.err);
+    let found = outcome.json();
+    assert_eq!((&found["unit"], &found["unit_from"]), (&json["unit"], &json["unit_from"]));
+    // A COLMAP model whose points are missing, and one whose points are empty.
+    let poses = zipsplat::types::poses::read_poses(folder.path("place")).expect("cameras");
+    let (mut cameras, mut images) = (String::new(), String::new());
+    for (i, frame) in poses.frames.iter().enumerate() {
+        let (lens, pose) = (&frame.camera.intrinsics, frame.camera.pose.inverse());
+        let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation);
+        cameras += &format!("{i} PINHOLE 42 28 {} {} {} {}\n", lens.fx, lens.fy, lens.cx, lens.cy);
+        let name = frame.name.trim_start_matches("images/");
+        images += &format!("{i} {w} {x} {y} {z} {} {} {} {i} {name}\n\n", t.x, t.y, t.z);
+    }
+    std::fs::remove_file(folder.path("place/transforms.json")).expect("removed");
+    std::fs::create_dir_all(folder.path("place/sparse/0")).expect("a folder");
+    std::fs::write(folder.path("place/sparse/0/cameras.txt"), cameras).expect("written");
+    std::fs::write(folder.path("place/sparse/0/images.txt"), images).expect("written");
+    let missing = folder.run(&line).json();
+    std::fs::write(folder.path("place/sparse/0/points3D.txt"), "# no points\n").expect("written");
+    let empty = folder.run(&line).json();
+    for json in [missing, empty] {
+        assert!((json["unit"].as_f64().expect("a number") / unit - 1.0).abs() < 1e-6, "{}", json["unit"]);
+    }
+}
+
 #[test]
 fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
     let folder = place();
@@ -169,9 +212,9 @@ fn what_cannot_be_compared_is_refused() {
     folder.run("eval @/photos --weights @/micro.safetensors").fails(3, &["poses", "transforms.json"]);
     folder.run("eval @/place --csv @/missing/x.csv").fails(3, &["output folder"]);
     assert_eq!(zipsplat("eval place --unit -1").code, 2);
-    std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
+    std::fs::write(folder.path("place/points.ply"), "no point cloud").expect("written");
     folder
         .run("eval @/place --views 2 --weights @/micro.safetensors --size 28x28 --csv @/s.csv")
-        .fails(3, &["point cloud", "--unit"]);
+        .fails(3, &["points.ply"]);
     assert!(!folder.path("s.csv").exists());
 }

@@ -1,7 +1,7 @@
 //! `zipsplat info`.
 
 use crate::Folder;
-use zipsplat::types::{Scene, write_ply, write_ply_with_origin};
+use zipsplat::types::{Scene, World, WriteOptions, write_ply, write_scene_in};
 use zipsplat_tests::scenes;
 
 #[test]
@@ -42,7 +42,9 @@ fn a_scene_is_told_by_its_ranges() {
         opacities: vec![0.25, 0.75],
         ..scenes::random_scene(2, 1, 0.1)
     };
-    write_ply_with_origin(&scene, folder.path("a.ply"), "images/7.png").expect("a scene can be written");
+    let world = World::Photo("images/7.png".into());
+    write_scene_in(folder.path("a.ply"), &scene, &WriteOptions::default(), Some(&world))
+        .expect("a scene can be written");
     write_ply(&scene, folder.path("b.ply")).expect("a scene can be written");
     let text = folder.run("info @/a.ply").success();
     for words in
@@ -59,8 +61,8 @@ fn a_scene_is_told_by_its_ranges() {
     near("scales", [0.125, 2.0]);
     near("opacities", [0.25, 0.75]);
     assert_eq!(json["bytes"].as_u64(), Some(folder.path("a.ply").metadata().expect("a file").len()));
-    assert_eq!(json["origin"], "images/7.png");
-    assert!(folder.run("info @/b.ply --json").json()["origin"].is_null());
+    assert_eq!(json["world"], "the camera of images/7.png");
+    assert!(folder.run("info @/b.ply --json").json()["world"].is_null());
 }
 
 #[test]

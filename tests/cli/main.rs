@@ -7,6 +7,7 @@ mod eval;
 mod host;
 mod info;
 mod measure;
+mod outputs;
 mod reconstruct;
 mod render;
 mod trajectories;

@@ -195,6 +195,27 @@ fn photos_with_cameras_are_taken_as_stored() {
     }
 }
 
+/// Structure from motion seldom places every photo.
+#[test]
+fn photos_without_cameras_are_left_out_and_named() {
+    let folder = Folder::new();
+    (2..8).for_each(|i| crate::photo(40, 30, i).save_png(folder.path(&format!("photos/{i}.png"))).expect("a photo"));
+    let cameras = [zipsplat_tests::scenes::camera(40, 30); 3];
+    write_transforms(folder.path("c.json"), &cameras, &["photos/3.png", "photos/5.png", "gone.png"]).expect("cameras");
+    let line = "--weights @/micro.safetensors --size 42x28 --json -o @/s.ply --poses @/c.json";
+    let outcome = folder.run(&format!("reconstruct @/photos {line}"));
+    let note = "note: 6 photos left out, not among the cameras: 1.png, 2.png, 4.png, 6.png, 7.png, ...\n";
+    assert!(outcome.err.contains(note), "{}", outcome.err);
+    assert_eq!(outcome.json()["views"], 2);
+    let scene = || std::fs::read(folder.path("s.ply")).expect("a scene");
+    let left = scene();
+    folder.run(&format!("reconstruct @/photos/3.png @/photos/5.png {line}")).success();
+    assert!(scene() == left, "the same photos");
+    // They are left out before some of many are chosen.
+    assert_eq!(folder.run(&format!("reconstruct @/photos {line} --views 2")).json()["views"], 2);
+    folder.run(&format!("reconstruct @/photos/1.png {line}")).fails(3, &["camera of", "1.png", "3.png"]);
+}
+
 #[test]
 fn cameras_are_poses() {
     let folder = Folder::new();

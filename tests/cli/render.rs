@@ -1,6 +1,7 @@
 //! `zipsplat render`.
 
 use crate::{Folder, names};
+use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;
 use zipsplat::types::{Camera, Image, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
@@ -123,12 +124,68 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     found.success();
     folder.run("render @/posed.ply --cameras @/place --relative-to 000.png -o @/named").success();
     assert_eq!(contents(&folder, "found"), contents(&folder, "named"));
-    // No SPZ says what its world is: all black, and said so.
-    folder.run("convert @/posed.ply @/posed.spz").success();
-    let lost = folder.run("render @/posed.spz --cameras @/place -o @/lost");
+    // All formats say what their world is but .splat: all black, and said so.
+    for format in ["spz", "glb", "gltf"] {
+        folder.run(&format!("convert @/posed.ply @/posed.{format}")).success();
+        assert!(!says_empty(&folder, &format!("render @/posed.{format} --cameras @/place -o @/{format}")), "{format}");
+    }
+    let noted = folder.run("convert @/posed.ply @/posed.splat");
+    assert!(noted.err.contains("--relative-to images/000.png"), "{}", noted.err);
+    let lost = folder.run("render @/posed.splat --cameras @/place -o @/lost");
+    assert!(lost.err.contains("does not say which world"), "{}", lost.err);
     assert!(lost.err.contains("but the background") && lost.err.contains("--relative-to PHOTO"), "{}", lost.err);
     lost.success();
-    assert!(!says_empty(&folder, "render @/posed.spz --cameras @/place --relative-to 000.png -o @/again"));
+    assert!(!says_empty(&folder, "render @/posed.splat --cameras @/place --relative-to 000.png -o @/again"));
+    // Cameras of another file, without that photo.
+    let text = std::fs::read_to_string(&path).expect("cameras").replace("000.png", "zero.png");
+    std::fs::write(folder.path("other.json"), text).expect("written");
+    let other = folder.run("render @/posed.ply --cameras @/other.json -o @/other");
+    assert!(other.err.contains("images/000.png, which") && other.err.contains("--world cameras"), "{}", other.err);
+}
+
+/// A turned, moved world in another unit: what fits there fits as it is.
+#[test]
+fn a_scene_can_be_in_the_world_of_its_cameras() {
+    let folder = folder();
+    folder.run("scene --seed 4 --views 3 --size 28x28 -o @/place").success();
+    let path = folder.path("place/transforms.json");
+    let poses = zipsplat::types::poses::read_poses(&path).expect("cameras");
+    let turn = DMat3::from_rotation_x(1.2) * DMat3::from_rotation_z(-0.6);
+    let world = Pose { rotation: turn, translation: DVec3::new(-40.0, 7.0, 90.0) };
+    let moved = |camera: Camera| {
+        let pose = Pose { translation: 4.0 * camera.pose.translation, ..camera.pose };
+        Camera { pose: world.compose(&pose), ..camera }
+    };
+    let cameras: Vec<Camera> = poses.frames.iter().map(|frame| moved(frame.camera)).collect();
+    let names: Vec<&str> = poses.frames.iter().map(|frame| frame.name.as_str()).collect();
+    write_transforms(&path, &cameras, &names).expect("cameras");
+    let draw = |name: &str, options: &str, path: &str| {
+        let scene = format!("@/{name}.ply");
+        folder.run(&format!("reconstruct @/place/images --poses @/place --unit 4 {options} -o {scene}")).success();
+        let outcome = folder.run(&format!("render {scene} {path} -o @/{name}"));
+        assert!(!outcome.err.contains("but the background"), "{}", outcome.err);
+        let (err, _) = (outcome.err.clone(), outcome.success());
+        (err, contents(&folder, name).into_keys().map(|file| picture(&folder, &format!("{name}/{file}"))).collect())
+    };
+    let close = |a: &[Image], b: &[Image]| {
+        let differences = a.iter().zip(b).flat_map(|(a, b)| a.rgb.iter().zip(&b.rgb)).map(|(a, b)| a.abs_diff(*b));
+        assert_eq!(a.len(), b.len());
+        assert!(differences.clone().max() < Some(8), "{:?}", differences.max());
+    };
+    let (_, first): (_, Vec<Image>) = draw("first", "", "--cameras @/place");
+    let (said, own) = draw("own", "--world cameras", "--cameras @/place");
+    assert_eq!(said, "", "there is nothing to say where all fits");
+    close(&first, &own);
+    // Paths around the scene begin at its first photo whatever the world is.
+    for path in ["--wiggle", "--orbit", "--dolly"] {
+        let path = format!("{path} --frames 3 --size 28x28");
+        close(&draw("first", "", &path).1, &draw("own", "--world cameras", &path).1);
+    }
+    assert_eq!(folder.run("reconstruct @/place/images --world cameras -o @/x.ply").code, 2);
+}
+
+fn picture(folder: &Folder, name: &str) -> Image {
+    Image::open(folder.path(name)).expect("a picture")
 }
 
 /// Whether a line that succeeds says that its pictures are empty.

@@ -151,8 +151,9 @@ fn mp4_is_piped_to_ffmpeg() {
     script("broken", "");
     std::fs::write(folder.path("broken"), "#!/bin/sh\nexit 3\n").expect("a script");
 
+    // What these write does not say that it is ours.
     let line = |program: &str| {
-        format!("{RENDER} --orbit --frames 20 --size 37x23 --fps 24 --ffmpeg @/{program} --video @/out.mp4")
+        format!("{RENDER} --orbit --frames 20 --size 37x23 --fps 24 --ffmpeg @/{program} --video @/out.mp4 --overwrite")
     };
     folder.run(&format!("{RENDER} --orbit --frames 20 --size 37x23 -o @/out")).success();
     folder.run(&line("copies")).success();
@@ -160,6 +161,7 @@ fn mp4_is_piped_to_ffmpeg() {
     assert_eq!(piped, pictures(&folder, "out").concat());
     let args = std::fs::read_to_string(folder.path("copies.args")).expect("arguments");
     assert!(args.contains("-f rawvideo -pix_fmt rgb24 -s 37x23 -framerate 24 -i -"), "{args}");
+    assert!(args.contains("-metadata comment=zipsplat"), "{args}");
 
     script("sleeps", "cat >/dev/null\nexec sleep 60");
     cancelled_under_way(&folder, &line("sleeps"));

@@ -98,6 +98,24 @@ fn the_scale_of_the_world_cancels() {
     }
 }
 
+/// Rotations and spherical harmonics of every degree turn with a scene that is placed elsewhere.
+#[test]
+fn the_world_of_a_scene_does_not_show() {
+    let (scene, camera) = (random_scene(800, 3, 0.15), camera(64, 48));
+    let turn = DMat3::from_rotation_z(2.4) * DMat3::from_rotation_x(-1.1) * DMat3::from_rotation_y(0.7);
+    let pose = Pose { rotation: turn, translation: DVec3::new(3.0, -2.0, 5.0) };
+    let mut placed = scene.clone();
+    placed.place(2.0, &pose);
+    let request = RenderRequest { depth: None, normals: false, ..ALL };
+    let truth = render(&scene, &[camera], &request).remove(0).rgb.unwrap();
+    let drawn = render(&placed, &[Camera { pose, ..camera }], &request).remove(0).rgb.unwrap();
+    let unstable =
+        rasterise::render(&reference_gaussians(&scene), &reference_camera(&camera), false, [0.0; 3]).unstable;
+    let picture = Picture { values: &drawn, width: 64, channels: 3 };
+    let tolerance = ImageTolerance { absolute: 1e-3, psnr: 60.0, ..ImageTolerance::RGB };
+    assert_images_close("placed", picture, &truth, &unstable, tolerance);
+}
+
 #[test]
 fn alpha_is_the_sum_of_weights_within_bounds() {
     for (mut scene, camera) in cases() {

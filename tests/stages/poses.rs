@@ -1,6 +1,7 @@
 //! Camera files: transforms.json and COLMAP models.
 
 mod colmap;
+mod lens;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -130,13 +131,13 @@ fn intrinsics_come_from_angles_frames_and_photos() {
     let poses = read_poses(&path).unwrap();
     assert_eq!(poses.frames[2].camera.intrinsics, Intrinsics { fx: 80.0, width: 65, ..LENS });
     assert_eq!(poses.frames[3].camera.intrinsics, LENS);
-    assert!(poses.notes[0].contains("distortion of 1 frames"), "{:?}", poses.notes);
+    assert!(poses.notes[0].contains("distortion of 1 frames is undone"), "{:?}", poses.notes);
 }
 
 #[test]
 fn malformed_transforms_name_the_file_the_frame_and_the_field() {
     type Spoil = fn(&mut Value);
-    let spoils: [(&[&str], Spoil); 14] = [
+    let spoils: [(&[&str], Spoil); 15] = [
         (&["frames"], |json| json["frames"] = json!(3)),
         (&["frames[1]", "file_path"], |json| json["frames"][1]["file_path"] = json!(7)),
         (&["frames[1]", "transform_matrix"], |json| json["frames"][1]["transform_matrix"] = json!("eye")),
@@ -151,7 +152,8 @@ fn malformed_transforms_name_the_file_the_frame_and_the_field() {
         (&["frames[0]", "fl_x", "camera_angle_x"], |json| {
             json.as_object_mut().unwrap().retain(|key, _| !key.starts_with("fl_"));
         }),
-        (&["frames[0]", "OPENCV_FISHEYE"], |json| json["camera_model"] = json!("OPENCV_FISHEYE")),
+        (&["frames[0]", "FISHEYE624"], |json| json["camera_model"] = json!("FISHEYE624")),
+        (&["frames[1]", "distortion"], |json| json["frames"][1]["k1"] = json!(-90.0)),
         (&["frames[5]", "k2"], |json| json["frames"][5]["k2"] = json!([0.0])),
     ];
     for (parts, spoil) in spoils {

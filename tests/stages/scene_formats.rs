@@ -10,8 +10,8 @@ use std::io::Write;
 
 use zipsplat::Error;
 use zipsplat::types::{
-    Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, matrix_from_quaternion,
-    read_scene, write_scene,
+    Pose, Scene, SceneFormat, World, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
+    matrix_from_quaternion, read_scene, read_world, write_scene, write_scene_in,
 };
 use zipsplat_tests::scenes;
 
@@ -312,4 +312,30 @@ fn damaged_splats_are_refused() {
         assert!(error.contains(what) && error.contains("1 of 2") && error.contains("the first is 1"), "{error}");
     }
     assert!(failure("scene.splat", &good[..31]).contains("31 bytes remain"));
+}
+
+#[test]
+fn files_say_which_world_a_scene_is_in() {
+    let pose = Pose { rotation: matrix_from_quaternion([0.3, -0.5, 0.1, 0.8]), translation: [1e6, -0.1, 3.0].into() };
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.ply", "a.spz", "a.glb", "a.gltf", "a.splat"] {
+        let path = folder.path().join(name);
+        let said = |world: Option<&World>| {
+            write_scene_in(&path, &scene(1), &WriteOptions::default(), world).unwrap();
+            read_world(&path).unwrap()
+        };
+        let keeps = SceneFormat::of_extension(&path).unwrap().keeps_world(&WriteOptions::default());
+        assert_eq!(keeps, name != "a.splat");
+        let photo = World::Photo("images/photo é 1.jpg".into());
+        assert_eq!(said(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
+        let Some(World::Cameras(found)) = said(Some(&World::Cameras(pose))) else {
+            assert!(!keeps, "{name}");
+            continue;
+        };
+        assert!(found.matrix().abs_diff_eq(pose.matrix(), 1e-15), "{name}: {found:?}, not {pose:?}");
+        assert_eq!(said(None), None, "{name}");
+        // A line break would end a PLY's comment and begin something else.
+        assert_eq!(said(Some(&World::Photo("a\nelement vertex 9".into()))), None, "{name}");
+        assert_eq!(read_scene(&path).unwrap().len(), scene(1).len(), "{name}");
+    }
 }

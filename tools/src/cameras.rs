@@ -2,13 +2,15 @@
 
 use crate::options::Size;
 use clap::{ArgGroup, Args};
-use glam::DVec3;
-use std::path::{Path, PathBuf};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline,
-        poses::{Poses, read_cameras, read_cloud},
+        Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline, World,
+        poses::{Poses, read_cameras},
         preprocess::crop_to_aspect,
     },
 };
@@ -16,33 +18,6 @@ use zipsplat::{
 /// The reference's figure of eight, in degrees.
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
-
-/// The network's unit of length for cameras whose first one is the world: the median distance from it of those points of
-/// their capture (a file of [`read_cloud`] in the cameras' own world, `origin` the first one's pose there) that any of them sees.
-///
-/// # Errors
-/// Where the point cloud cannot be read, or the cameras see none of it.
-pub fn unit(points: &Path, cameras: &[Camera], origin: &Pose) -> Result<f64> {
-    let to_world = origin.inverse();
-    let mut distances: Vec<f64> = (read_cloud(points)?.into_iter())
-        .map(|point| to_world.transform(DVec3::from(point.map(f64::from))))
-        .filter(|point| cameras.iter().any(|camera| sees(camera, *point)))
-        .map(DVec3::length)
-        .collect();
-    if distances.is_empty() {
-        let found = format!("{}, of which no chosen camera sees any point", points.display());
-        return Err(Error::argument("point cloud", found, "points that the cameras see"));
-    }
-    let middle = distances.len() / 2;
-    Ok(*distances.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-/// Whether a world point falls into a camera's picture.
-fn sees(camera: &Camera, point: DVec3) -> bool {
-    let (i, p) = (&camera.intrinsics, camera.pose.inverse().transform(point));
-    let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
-    p.z > 0.0 && (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y)
-}
 
 /// Size of pictures whose cameras have none.
 const SIZE: Size = Size(252, 252);
@@ -64,7 +39,7 @@ pub struct CameraArgs {
     /// Once around on an ellipse fitted to the cameras of a file, as of --cameras
     #[arg(long, value_name = "PATH")]
     ellipse: Option<PathBuf>,
-    /// From the first view's camera, the world's origin, straight toward the scene
+    /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
     /// Once around the scene
@@ -85,7 +60,7 @@ pub struct CameraArgs {
     #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
     /// Photo whose camera is the scene's world: the first that was given to reconstruct [default: the one that the scene's
-    /// PLY names, where the file has it, else the file's own world]
+    /// file names, where the cameras' file has it, else the cameras' own world]
     #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Pictures of a path
@@ -101,37 +76,41 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    /// The cameras for a scene, and what there is to say about them. `origin` is the photo whose camera is the scene's
-    /// world, where its file says so.
-    pub fn cameras(&self, scene: &Scene, origin: Option<&str>) -> Result<(Vec<Camera>, Vec<String>)> {
+    /// The cameras for a scene, and what there is to say about them. `world` is what the scene's file says of its world.
+    pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;
         let lens = self.lens()?;
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit {
+            let orbit = Orbit::around(&seen_first(scene, world))?;
             // The last of one more is the first again.
-            with_lens(Orbit::around(scene)?.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
+            with_lens(orbit.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
         } else if self.wiggle {
-            let poses = Orbit::around(scene)?.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION);
-            with_lens(poses[..frames].to_vec())
+            let orbit = Orbit::around(&seen_first(scene, world))?;
+            with_lens(orbit.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION)[..frames].to_vec())
         } else if self.dolly {
             let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
-            let distance = Orbit::around(scene)?.center.z;
+            let distance = Orbit::around(&seen_first(scene, world))?.center.z;
             let dolly = Dolly { camera, distance, travel: self.travel, zoom: self.dolly_zoom };
             dolly.validate()?;
             dolly.sample(frames)
         } else if let Some(file) = &self.spline {
-            let (cameras, notes) = self.of_file(file, origin, &lens, true)?;
+            let (cameras, notes) = self.of_file(file, world, &lens, true)?;
             return Ok((Spline::through(&cameras, self.closed)?.sample(frames), notes));
         } else if let Some(file) = &self.ellipse {
-            let (cameras, notes) = self.of_file(file, origin, &lens, true)?;
+            let (cameras, notes) = self.of_file(file, world, &lens, true)?;
             let poses = Ellipse::around(&cameras, Orbit::around(scene)?.center)?.sample(frames);
             let intrinsics = cameras[0].intrinsics;
             return Ok((poses.into_iter().map(|pose| Camera { intrinsics, pose }).collect(), notes));
         } else {
             let file = self.cameras.as_deref().unwrap_or(Path::new(""));
-            return self.of_file(file, origin, &lens, false);
+            return self.of_file(file, world, &lens, false);
         };
-        Ok((path, Vec::new()))
+        let placed = |camera: Camera| match world {
+            Some(World::Cameras(first)) => Camera { pose: first.compose(&camera.pose), ..camera },
+            _ => camera,
+        };
+        Ok((path.into_iter().map(placed).collect(), Vec::new()))
     }
 
     /// What may be wrong where nothing of the scene is in any picture.
@@ -163,7 +142,7 @@ impl CameraArgs {
     fn of_file(
         &self,
         path: &Path,
-        by_scene: Option<&str>,
+        world: Option<&World>,
         lens: &Intrinsics,
         alike: bool,
     ) -> Result<(Vec<Camera>, Vec<String>)> {
@@ -174,22 +153,55 @@ impl CameraArgs {
         };
         let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
         let size = self.size.or(alike.then_some(own));
-        let origin = match (&self.relative_to, by_scene) {
-            (Some(photo), _) => Some(origin_pose(&poses, photo)?),
-            (None, Some(photo)) => origin_pose(&poses, Path::new(photo)).ok(),
-            (None, None) => None,
-        };
+        let (origin, note) = self.origin(&poses, world, path)?;
         let camera = |camera: Camera| Camera {
             intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
             pose: origin.map_or(camera.pose, |origin| camera.pose.relative_to(&origin)),
         };
         let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect();
-        if let (None, Some(_), Some(photo)) = (&self.relative_to, origin, by_scene) {
-            let what = "the scene's world is the camera of";
-            poses.notes.push(format!("{what} {photo}, as its file says, and {} is read so", path.display()));
-        }
+        poses.notes.extend(note);
         Ok((cameras, poses.notes))
     }
+
+    /// The pose of the scene's world among the cameras of a file, where it is not theirs, and what there is to say about it.
+    fn origin(&self, poses: &Poses, world: Option<&World>, path: &Path) -> Result<(Option<Pose>, Option<String>)> {
+        if let Some(photo) = &self.relative_to {
+            return Ok((Some(origin_pose(poses, photo)?), None));
+        }
+        let path = path.display();
+        Ok(match world {
+            Some(World::Cameras(_)) => (None, None),
+            Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
+                Ok(pose) => {
+                    let note =
+                        format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
+                    (Some(pose), Some(note))
+                }
+                Err(_) => {
+                    let note = format!(
+                        "the scene's world is the camera of {photo}, which {path} has not: its cameras are taken as if they \
+                         counted from that photo; `reconstruct --world cameras` makes scenes in the world of the cameras"
+                    );
+                    (None, Some(note))
+                }
+            },
+            None => {
+                let note = format!(
+                    "the scene's file does not say which world it is in: the cameras of {path} are taken to be in the same; \
+                     --relative-to PHOTO where it is the camera of that photo"
+                );
+                (None, Some(note))
+            }
+        })
+    }
+}
+
+/// The scene in the world of the first view's camera, in front of which it lies.
+fn seen_first<'a>(scene: &'a Scene, world: Option<&World>) -> Cow<'a, Scene> {
+    let Some(World::Cameras(first)) = world else { return Cow::Borrowed(scene) };
+    let mut scene = scene.clone();
+    scene.place(1.0, &first.inverse());
+    Cow::Owned(scene)
 }
 
 fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {

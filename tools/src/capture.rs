@@ -1,11 +1,11 @@
 //! Captures: photos with cameras, some to reconstruct from and the others to compare with.
 
 use crate::{
-    cameras,
     metrics::{psnr, ssim, values},
     options::Size,
     photos,
     session::Stage,
+    unit::Unit,
 };
 use glam::DVec3;
 use rayon::prelude::*;
@@ -35,7 +35,7 @@ pub struct Capture {
     /// To compare with.
     pub targets: Vec<Posed>,
     /// What the cameras were divided by: the network's 1 in the capture's own unit.
-    pub unit: f64,
+    pub unit: Unit,
     /// What there is to say about how much of the photos is cropped away.
     pub cropping: Option<String>,
 }
@@ -85,37 +85,31 @@ impl Choice {
         &self.poses.notes
     }
 
-    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, or else the median distance of the
-    /// capture's points from the first input.
+    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, or else that of [`Unit::of`].
     ///
     /// # Errors
-    /// Where a photo cannot be read, or without `unit` there is no point cloud.
+    /// Where a photo or the point cloud cannot be read.
     pub fn load(&self, size: Size, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i]).collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
-        let photos = photos::load(&paths, true, size, stage)?;
+        let photos = photos::load(&paths, &frames, size, stage)?;
         let cropping = photos::cropping(&photos, size);
         let mut inputs = posed(&frames, photos)?;
         let views = self.inputs.len();
-        let unit = match (unit, &self.poses.points) {
-            (Some(unit), _) => unit,
-            (None, Some(points)) => {
-                let cameras: Vec<Camera> = inputs[..views].iter().map(|view| view.camera).collect();
-                cameras::unit(points, &cameras, &frames[0].camera.pose)?
-            }
-            (None, None) => {
-                let expected =
-                    "points.ply or points3D beside the cameras, or --unit: how far away the scene is, in their unit";
-                return Err(Error::argument("point cloud", "none", expected));
-            }
-        };
-        inputs.iter_mut().for_each(|view| view.camera.pose.translation /= unit);
+        let cameras: Vec<Camera> = inputs[..views].iter().map(|view| view.camera).collect();
+        let unit = Unit::of(unit, &self.poses, &cameras, &frames[0].camera.pose)?;
+        inputs.iter_mut().for_each(|view| view.camera.pose.translation /= unit.length);
         let targets = inputs.split_off(views);
         Ok(Capture { inputs, targets, unit, cropping })
     }
 }
 
 impl Capture {
+    /// What there is to say about the photos and the unit.
+    pub fn notes(&self) -> impl Iterator<Item = String> {
+        self.cropping.clone().into_iter().chain(self.unit.doubt())
+    }
+
     /// The pictures to reconstruct from.
     pub fn images(&self) -> Vec<Image> {
         self.inputs.iter().map(|view| view.image.clone()).collect()

@@ -23,6 +23,7 @@ mod released;
 mod session;
 mod signals;
 mod table;
+mod unit;
 
 use clap::Parser;
 use session::Session;

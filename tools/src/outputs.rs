@@ -1,23 +1,113 @@
 //! Where results go: checked before any work, written whole or not at all.
 
+use clap::Args;
 use png::{BitDepth, ColorType, Compression};
 use serde::Serialize;
-use std::{io::BufReader, path::Path};
+use std::{
+    fs::File,
+    io::{Read, Seek, SeekFrom},
+    path::Path,
+};
 use zipsplat::{
     Error, Result,
-    types::{
-        Image, Scene, SceneFormat, Unfinished, WriteOptions, open_file, write_atomic, write_ply_with_origin,
-        write_scene,
-    },
+    types::{Image, Scene, SceneFormat, Unfinished, World, WriteOptions, write_atomic, write_scene_in},
 };
 
 /// Levels of a depth picture for one world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
-/// Keyword and text in the PNGs that this program draws.
-const MADE_BY: [&str; 2] = ["Software", "zipsplat"];
+/// What this program calls itself in files that it writes.
+pub const MADE_BY: &str = "zipsplat";
+/// Bytes at a file's start and end that are searched for it.
+const SEARCHED: u64 = 1 << 16;
+/// How files begin, and what stands in those that this program has written. A `.splat` has room for nothing and is not among
+/// them.
+const MARKS: [(&[u8], &[u8]); 13] = [
+    (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
+    (b"ply\n", b"\ncomment zipsplat"),
+    (b"\x1f\x8b", b"zipsplat"),
+    (b"glTF", b"\"generator\":\"zipsplat "),
+    (b"{", b"\"generator\":\"zipsplat "),
+    (b"{", b"\"generator\": \"zipsplat\""),
+    (b"GIF8", b"zipsplat"),
+    (b"\0\0\0", b"zipsplat"),
+    (b"<!doctype html>", b"<meta name=generator content=zipsplat>"),
+    (b"ZSSCENES", b"ZSSCENES"),
+    (b"", b"\"zipsplat.architecture\""),
+    (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
+    (b"views,precision,ratio,select", b"views,"),
+];
 
-/// Checks that a file can be written at `path`, before anything is computed for it: one is made beside it, and removed.
-pub fn check_file(path: &Path) -> Result<()> {
+/// Whether to replace files of others.
+#[derive(Args, Clone, Copy)]
+pub struct Overwrite {
+    /// Replace files that this program has not written; its own are replaced anyway
+    #[arg(long)]
+    overwrite: bool,
+}
+
+impl Overwrite {
+    /// Checks that a file can be written at `path`, before anything is computed for it, and that it replaces none of others.
+    pub fn check_file(self, path: &Path) -> Result<()> {
+        check_file(path)?;
+        self.check_replaced([path])
+    }
+
+    /// Checks that files replace none but those that this program has written.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] naming the first that does.
+    pub fn check_replaced<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<()> {
+        let mut files = files.into_iter();
+        match files.find(|file| !self.overwrite && is_file(file.as_ref()) && !is_own(file.as_ref())) {
+            Some(file) => {
+                let unknown = SceneFormat::of_extension(&file) == Some(SceneFormat::Splat);
+                let why = if unknown { " (a .splat does not say)" } else { "" };
+                let expected = format!("one that zipsplat wrote{why}, or none; another name, or --overwrite");
+                Err(Error::argument("file to replace", file.as_ref().display(), expected))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether there is a regular file with something in it: an empty one is no loss, a pipe or a device is not replaced.
+fn is_file(path: &Path) -> bool {
+    path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0)
+}
+
+/// Whether this program wrote a file, so that nobody misses it where it is replaced.
+pub fn is_own(path: &Path) -> bool {
+    let read = || {
+        let (mut file, mut bytes) = (File::open(path)?, Vec::new());
+        file.by_ref().take(SEARCHED).read_to_end(&mut bytes)?;
+        let from = file.metadata()?.len().saturating_sub(SEARCHED).max(bytes.len() as u64);
+        file.seek(SeekFrom::Start(from))?;
+        file.take(SEARCHED).read_to_end(&mut bytes)?;
+        Ok::<_, std::io::Error>(bytes)
+    };
+    let holds = |bytes: &[u8], mark: &[u8]| bytes.windows(mark.len()).any(|window| window == mark);
+    read().is_ok_and(|bytes| MARKS.iter().any(|(start, mark)| bytes.starts_with(start) && holds(&bytes, mark)))
+}
+
+/// Removes of the files of a folder whose names begin with a number of three digits and more those from `count` on that are
+/// `own`: an earlier run wrote more of them.
+pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) -> Result<()> {
+    let failed = |error| Error::io(folder, error);
+    for entry in folder.read_dir().map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let digits =
+            name.split('.').next().filter(|digits| digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit()));
+        let number = digits.and_then(|digits| digits.parse::<usize>().ok());
+        if number.is_some_and(|number| number >= count) && is_file(&path) && own(&path) {
+            std::fs::remove_file(&path).map_err(|error| Error::io(&path, error))?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks that a file can be written at `path`: one is made beside it, and removed.
+fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {
         return Err(Error::argument("output", format!("the folder {}", path.display()), "a file"));
@@ -42,13 +132,20 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene, in a PLY also which photo's camera is its world, where that is known: `render` then reads the file of
-/// that photo's cameras as the scene means them.
-pub fn save_scene(path: &Path, scene: &Scene, origin: Option<&str>) -> Result<()> {
-    match (SceneFormat::of_extension(path), origin) {
-        (Some(SceneFormat::Ply), Some(photo)) => write_ply_with_origin(scene, path, photo),
-        _ => write_scene(path, scene, &WriteOptions::default()),
-    }
+/// Writes a scene and the world that it is in, where that is known: `render` then reads the file of its cameras as the scene
+/// means them. Returns what there is to say where the format has no room for the world.
+pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<Option<String>> {
+    write_scene_in(path, scene, options, world)?;
+    let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
+    Ok(match world {
+        Some(World::Photo(photo)) if !keeps => {
+            let path = path.display();
+            Some(format!(
+                "{path} cannot say that its world is the camera of {photo}: `render` needs --relative-to {photo}"
+            ))
+        }
+        _ => None,
+    })
 }
 
 /// Writes rows as CSV (RFC 4180) under the names of their fields.
@@ -88,26 +185,16 @@ pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result
     save_png(path, [width, height], (ColorType::Grayscale, BitDepth::Sixteen), &levels)
 }
 
-/// Writes a PNG that says what made it, for [`is_own_picture`].
+/// Writes a PNG that says what made it, for [`is_own`].
 fn save_png(path: &Path, [width, height]: [u32; 2], (color, depth): (ColorType, BitDepth), bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);
         encoder.set_color(color);
         encoder.set_depth(depth);
         encoder.set_compression(Compression::Fast);
-        let [keyword, text] = MADE_BY.map(str::to_owned);
-        encoder.add_text_chunk(keyword, text)?;
+        encoder.add_text_chunk("Software".into(), MADE_BY.into())?;
         let mut writer = encoder.write_header()?;
         writer.write_image_data(bytes)?;
         Ok(writer.finish()?)
-    })
-}
-
-/// Whether this program wrote a picture, so that nobody misses it where it is replaced.
-pub fn is_own_picture(path: &Path) -> bool {
-    let reader = open_file(path).ok().and_then(|file| png::Decoder::new(BufReader::new(file)).read_info().ok());
-    reader.is_some_and(|reader| {
-        let texts = &reader.info().uncompressed_latin1_text;
-        texts.iter().any(|chunk| [chunk.keyword.as_str(), chunk.text.as_str()] == MADE_BY)
     })
 }

@@ -15,6 +15,7 @@ use zipsplat::{
     Error, Result,
     types::{
         Image,
+        poses::{Frame, Poses},
         preprocess::{PATCH, View, fit},
     },
 };
@@ -61,7 +62,8 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
         return Err(Error::argument(what, "none", expected));
     }
     if !others.is_empty() {
-        session.note(left_out(&others));
+        let count = counted(others.len(), "file");
+        session.note(format!("{count} left out, not PNG, JPEG or WebP: {}", names(&others)));
     }
     if !below.is_empty() {
         session.note(format!("more photos lie in {below}: name it, too, to take them"));
@@ -105,10 +107,30 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// Which files are not taken for photos.
-fn left_out(files: &[PathBuf]) -> String {
-    let names = named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned());
-    format!("{} left out, not PNG, JPEG or WebP: {names}", counted(files.len(), "file"))
+/// The photos that have a camera among `poses`. The others are left out, which is noted: structure from motion seldom places
+/// every photo.
+///
+/// # Errors
+/// Where none has a camera, or one may have several.
+pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> Result<Vec<PathBuf>> {
+    let (mut kept, mut others) = (Vec::new(), Vec::new());
+    for photo in photos {
+        let to = if poses.frame_of(&photo)?.is_some() { &mut kept } else { &mut others };
+        to.push(photo);
+    }
+    if kept.is_empty() {
+        // Says for the first of them which names were looked for.
+        poses.frames_of(&others[..others.len().min(1)])?;
+    }
+    if !others.is_empty() {
+        session.note(format!("{} left out, not among the cameras: {}", counted(others.len(), "photo"), names(&others)));
+    }
+    Ok(kept)
+}
+
+/// The first few of the files by name.
+fn names(files: &[PathBuf]) -> String {
+    named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
 /// `count` of the photos at most, evenly spread, the first and the last among them.
@@ -147,21 +169,21 @@ fn end_of_digits(text: &str) -> usize {
     text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())
 }
 
-/// Reads photos and brings them to `size`, several at once. Those that are `posed` are taken as stored: cameras of COLMAP, and
-/// of what is built on it, are of a photo's pixels before its EXIF orientation is applied.
+/// Reads photos and brings them to `size`, several at once. Those that have `frames`, one each, are read as [`Frame::open`]
+/// does: cameras of COLMAP, and of what is built on it, are of a photo's pixels before its EXIF orientation is applied.
 ///
 /// # Errors
 /// The first photo's, in their order, that cannot be read.
-pub fn load(photos: &[PathBuf], posed: bool, Size(width, height): Size, stage: &Stage<'_>) -> Result<Vec<View>> {
+pub fn load(photos: &[PathBuf], frames: &[&Frame], Size(width, height): Size, stage: &Stage<'_>) -> Result<Vec<View>> {
     let done = AtomicUsize::new(0);
-    let load = |path: &PathBuf| {
-        let photo = if posed { Image::open_as_stored(path) } else { Image::open(path) };
+    let load = |(i, path): (usize, &PathBuf)| {
+        let photo = frames.get(i).map_or_else(|| Image::open(path), |frame| frame.open(path));
         let view = fit(&photo?, width, height)?;
         let done = 1 + done.fetch_add(1, atomic::Ordering::Relaxed);
         stage.reach(done as f64 / photos.len() as f64)?;
         Ok(view)
     };
-    photos.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()
+    photos.par_iter().enumerate().map(load).collect::<Vec<_>>().into_iter().collect()
 }
 
 /// What to say where much of the photos is cropped away: how much, and the size of about as many patches that keeps most.

@@ -61,21 +61,11 @@ fn file(folder: &Path, number: usize, layer: &str) -> PathBuf {
     folder.join(format!("{number:03}{layer}.png"))
 }
 
-/// Refuses a folder in which the pictures would replace one that this program has not drawn.
-///
-/// # Errors
-/// [`Error::Argument`] naming the first of them.
-pub fn check_replaced(folder: &Path, count: usize, request: &RenderRequest) -> Result<()> {
-    let layers = layers(request);
-    let asked = layers.iter().filter(|(_, asked)| *asked);
-    let files = asked.flat_map(|(layer, _)| (0..count).map(move |number| file(folder, number, layer)));
-    match files.chain([folder.join(SHEET)]).find(|file| file.exists() && !outputs::is_own_picture(file)) {
-        Some(file) => {
-            let expected = "one that `zipsplat render` wrote, or none; another folder, or --overwrite";
-            Err(Error::argument("picture to replace", file.display(), expected))
-        }
-        None => Ok(()),
-    }
+/// The files of a folder that pictures are written to.
+pub fn files(folder: &Path, count: usize, request: &RenderRequest) -> impl Iterator<Item = PathBuf> {
+    let asked = layers(request).into_iter().filter(|(_, asked)| *asked);
+    let files = asked.flat_map(move |(layer, _)| (0..count).map(move |number| (number, layer)));
+    files.map(|(number, layer)| file(folder, number, layer)).chain([folder.join(SHEET)])
 }
 
 /// Draws every picture and brings it where it goes.

@@ -12,7 +12,7 @@ use crate::{
     gpu::Progress,
     reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
     types::{
-        Camera,
+        Camera, Pose,
         preprocess::{View, fit, view_cameras},
     },
 };
@@ -33,6 +33,18 @@ pub enum zs_selection {
 
 pub(super) type zs_selection_value = i32;
 
+/// The world that a scene is in.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_world {
+    /// The first photo's camera: x right, y down, z forward.
+    ZS_WORLD_FIRST_CAMERA = 0,
+    /// That of `cameras`, which then fit the scene as they are.
+    ZS_WORLD_CAMERAS = 1,
+}
+
+pub(super) type zs_world_value = i32;
+
 /// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
 pub const ZS_RATIO_AUTO: f64 = 0.0;
 
@@ -42,8 +54,8 @@ pub const ZS_RATIO_AUTO: f64 = 0.0;
 pub struct zs_reconstruct_options {
     /// sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
     pub struct_size: u32,
-    /// Must be 0.
-    pub reserved: u32,
+    /// World of the scene; ZS_WORLD_CAMERAS needs `cameras`. Default ZS_WORLD_FIRST_CAMERA.
+    pub world: zs_world_value,
     /// Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
     /// Default 1.
     pub ratio: f64,
@@ -61,8 +73,8 @@ pub struct zs_reconstruct_options {
     pub camera_count: u32,
     /// For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
     pub seed: u64,
-    /// Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world. Their unit is
-    /// kept; `unit` says how far away the scene is in it. Default NULL.
+    /// Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world, or `world`
+    /// says otherwise. Their unit is kept; `unit` says how far away the scene is in it. Default NULL.
     pub cameras: *const zs_camera,
     /// Told how far it is; may stop it. Default NULL.
     pub progress: zs_progress,
@@ -70,14 +82,14 @@ pub struct zs_reconstruct_options {
     pub user_data: *mut c_void,
 }
 
-// SAFETY: repr(C), pairs of u32, two f64, a u64 and pointers: no padding.
+// SAFETY: repr(C), pairs of 32 bits, two f64, a u64 and pointers: no padding.
 unsafe impl Versioned for zs_reconstruct_options {
     const NAME: &str = "zs_reconstruct_options";
     const FIRST_SIZE: usize = 48 + 3 * POINTER;
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>() as u32,
-            reserved: 0,
+            world: zs_world::ZS_WORLD_FIRST_CAMERA as i32,
             ratio: 1.0,
             unit: 1.0,
             selection: zs_selection::ZS_SELECT_KMEANS as i32,
@@ -103,7 +115,7 @@ pub unsafe extern "C" fn zs_reconstruct_options_default(
 }
 
 /// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
-/// camera. `options` may be NULL.
+/// camera, or what `options` says. `options` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
     model: *const zs_model,
@@ -135,6 +147,7 @@ pub unsafe extern "C" fn zs_reconstruct(
             return Err(Failure::argument("number of cameras", cameras.len(), format!("0 or {image_count}")));
         }
         let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let placed = options.placed(&cameras)?;
         let told = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
         // SAFETY: the caller's pixels.
         let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
@@ -145,6 +158,7 @@ pub unsafe extern "C" fn zs_reconstruct(
         let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
         let mut scene = model.reconstruct(&images, &request, progress)?.scene;
         scene.scale(unit as f32);
+        placed.iter().for_each(|pose| scene.place(1.0, pose));
         Ok(zs_scene { scene })
     };
     // SAFETY: the caller's pointer.
@@ -184,9 +198,6 @@ unsafe fn prepare(
 
 impl zs_reconstruct_options {
     fn ratio(&self) -> Result<Ratio, Failure> {
-        if self.reserved != 0 {
-            return Err(Failure::argument("zs_reconstruct_options, reserved", self.reserved, "0"));
-        }
         Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
     }
 
@@ -196,6 +207,16 @@ impl zs_reconstruct_options {
             return Err(Failure::argument("unit", self.unit, "a length above 0"));
         }
         Ok(self.unit)
+    }
+
+    /// The pose in the scene's world of its first camera, where that is another than the world.
+    fn placed(&self, cameras: &[Camera]) -> Result<Option<Pose>, Failure> {
+        match (self.world, cameras.first()) {
+            (0, _) => Ok(None),
+            (1, Some(first)) => Ok(Some(first.pose)),
+            (1, None) => Err(Failure::argument("world", "ZS_WORLD_CAMERAS without cameras", "a camera for each photo")),
+            (other, _) => Err(Failure::argument("world", other, "a zs_world")),
+        }
     }
 
     fn selection(&self) -> Result<Selection, Failure> {

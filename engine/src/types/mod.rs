@@ -6,6 +6,7 @@ mod file;
 mod gltf;
 mod image;
 mod left_out;
+mod lens;
 mod ply;
 pub mod poses;
 pub mod preprocess;
@@ -17,6 +18,7 @@ mod source;
 mod splat;
 mod spz;
 mod trajectory;
+mod world;
 
 pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
 pub use file::{Unfinished, open_file, write_atomic};
@@ -24,12 +26,14 @@ pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
 pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
-pub use ply::{read_ply, read_ply_origin, read_points, write_ply, write_ply_with_origin, write_points};
+pub use lens::{Distortion, Lens};
+pub use ply::{read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
 pub use scene_file::{
     SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked,
-    write_scene,
+    write_scene, write_scene_in,
 };
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};
+pub use world::{World, read_world};

@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::path::Path;
 
-use super::{Scene, file::write_atomic, gltf, ply, source::Source, splat, spz};
+use super::{Scene, World, file::write_atomic, gltf, ply, source::Source, splat, spz};
 use crate::{Error, Result};
 
 /// What a format's module says of it.
@@ -14,9 +14,14 @@ pub(super) struct Format {
     pub view_dependence: bool,
     /// Reads a scene with its values as they are.
     pub read: fn(Source<'_>) -> Result<Scene>,
-    /// Checks that the format can hold a scene, which is valid, and gives what writes it.
-    pub write: for<'a> fn(&'a Scene, &WriteOptions) -> Result<Encoder<'a>>,
+    /// Reads the line of [`World::line`] in a file; none where the format has no room for it.
+    pub world: Option<ReadLine>,
+    /// Checks that the format can hold a scene, which is valid, and gives what writes it, with the world where it has room.
+    pub write: for<'a> fn(&'a Scene, &WriteOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
+
+/// Reads one line of a file.
+type ReadLine = fn(&Path) -> Result<Option<String>>;
 
 /// Writes a scene that was checked: only writing itself can fail any more.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
@@ -51,7 +56,7 @@ macro_rules! formats {
                 }
             }
 
-            fn format(self) -> &'static Format {
+            pub(super) fn format(self) -> &'static Format {
                 match self {
                     $(Self::$name => &$format,)*
                 }
@@ -125,6 +130,11 @@ impl SceneFormat {
     pub fn keeps_view_dependence(self) -> bool {
         self.format().view_dependence
     }
+
+    /// Whether it has room for the world that a scene is in: a `.splat` and an SPZ of version 4 have none.
+    pub fn keeps_world(self, options: &WriteOptions) -> bool {
+        self.format().world.is_some() && !(self == Self::Spz && options.spz_version == 4)
+    }
 }
 
 /// Reads a scene of any format, told apart as [`SceneFormat::of_file`] does. Whatever axes the format has, the scene has
@@ -181,16 +191,36 @@ fn no_scene(name: &Path) -> Error {
 /// [`Error::Argument`] when the extension is no scene's, the scene is not valid or the format cannot hold it;
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
+    write_scene_in(path, scene, options, None)
+}
+
+/// As [`write_scene`], with the world that the scene is in, where that is known and [`SceneFormat::keeps_world`]: for
+/// [`read_world`](super::read_world).
+///
+/// # Errors
+/// As [`write_scene`].
+pub fn write_scene_in(
+    path: impl AsRef<Path>,
+    scene: &Scene,
+    options: &WriteOptions,
+    world: Option<&World>,
+) -> Result<()> {
     let path = path.as_ref();
     let format = SceneFormat::of_extension(path)
         .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
-    write_as(format, path, scene, options)
+    write_as(format, path, scene, options, world)
 }
 
 /// Writes a scene in a format, whatever the path is called.
-pub(super) fn write_as(format: SceneFormat, path: &Path, scene: &Scene, options: &WriteOptions) -> Result<()> {
+pub(super) fn write_as(
+    format: SceneFormat,
+    path: &Path,
+    scene: &Scene,
+    options: &WriteOptions,
+    world: Option<&World>,
+) -> Result<()> {
     scene.validate()?;
-    write_atomic(path, (format.format().write)(scene, options)?)
+    write_atomic(path, (format.format().write)(scene, options, world)?)
 }
 
 /// The bytes of the file that [`write_scene`] writes.
@@ -200,7 +230,7 @@ pub(super) fn write_as(format: SceneFormat, path: &Path, scene: &Scene, options:
 pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) -> Result<Vec<u8>> {
     scene.validate()?;
     let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
-    let written = (format.format().write)(scene, options)?(&mut bytes);
+    let written = (format.format().write)(scene, options, None)?(&mut bytes);
     written.map_err(|source| Error::io(name, source))?;
     Ok(bytes)
 }

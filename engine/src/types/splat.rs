@@ -6,10 +6,11 @@ use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
 use super::scene_file::{Encoder, Format, SceneFormat, WriteOptions, write_as};
-use super::{Scene, camera::unit_quaternion, source::Source};
+use super::{Scene, World, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
 
-pub(super) const FORMAT: Format = Format { marks: &[], view_dependence: false, read: read_unchecked, write: encoder };
+pub(super) const FORMAT: Format =
+    Format { marks: &[], view_dependence: false, read: read_unchecked, world: None, write: encoder };
 
 /// Bytes a Gaussian.
 const ROW: usize = 32;
@@ -25,10 +26,10 @@ fn sh_constant() -> f32 {
 /// # Errors
 /// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    write_as(SceneFormat::Splat, path.as_ref(), scene, &WriteOptions::default())
+    write_as(SceneFormat::Splat, path.as_ref(), scene, &WriteOptions::default(), None)
 }
 
-fn encoder<'a>(scene: &'a Scene, _: &WriteOptions) -> Result<Encoder<'a>> {
+fn encoder<'a>(scene: &'a Scene, _: &WriteOptions, _: Option<&World>) -> Result<Encoder<'a>> {
     let importance = |i: usize| scene.scales[i].map(f64::from).iter().product::<f64>() * f64::from(scene.opacities[i]);
     let mut order: Vec<usize> = (0..scene.len()).collect();
     order.sort_by(|&a, &b| importance(b).total_cmp(&importance(a)));

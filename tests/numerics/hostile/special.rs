@@ -12,7 +12,7 @@ use zipsplat::{
     types::{
         Image,
         poses::{read_cameras, read_cloud, read_poses},
-        read_ply_origin, read_points, read_scene,
+        read_points, read_scene, read_world,
     },
     weights::{Checkpoint, Dtype, convert},
 };
@@ -33,7 +33,7 @@ const READERS: [(&str, &str, Reader); 14] = [
     (".splat", "scene.splat", |path| read_scene(path).map(drop)),
     ("glTF", "scene.gltf", |path| read_scene(path).map(drop)),
     ("glb", "scene.glb", |path| read_scene(path).map(drop)),
-    ("origin", "scene.ply", |path| read_ply_origin(path).map(drop)),
+    ("origin", "scene.ply", |path| read_world(path).map(drop)),
     ("points", "points.ply", |path| read_points(path).map(drop)),
     ("COLMAP points", "points3D.bin", |path| read_cloud(path).map(drop)),
     ("poses", "transforms.json", |path| read_poses(path).map(drop)),

@@ -76,7 +76,7 @@ fn colmap_models_agree_with_transforms() {
 }
 
 #[test]
-fn colmap_lenses_are_read_and_distortion_is_reported() {
+fn colmap_lenses_are_read_and_distortion_is_undone() {
     let (truth, names) = cameras();
     let single = Intrinsics { fy: LENS.fx, ..LENS };
     let cases = [
@@ -95,7 +95,11 @@ fn colmap_lenses_are_read_and_distortion_is_reported() {
         binary_model(&binary, model, &params, &truth, &names);
         for path in [text, binary] {
             let poses = read_poses(&path).unwrap();
-            assert!(poses.frames.iter().all(|frame| frame.camera.intrinsics == lens), "{name}");
+            for frame in &poses.frames {
+                assert_eq!(frame.lens.is_some(), distorted, "{name}");
+                let taken = frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
+                assert_eq!(taken, lens, "{name}");
+            }
             assert_eq!(poses.notes.iter().any(|note| note.contains("distortion of 7")), distorted, "{name}");
         }
     }
@@ -113,7 +117,7 @@ fn malformed_colmap_models_are_refused() {
         fs::write(path.join(file), text.replacen(from, to, 1)).unwrap();
     };
     for (file, from, to, reason) in [
-        ("cameras.txt", "PINHOLE", "OPENCV_FISHEYE", "undistort"),
+        ("cameras.txt", "PINHOLE", "THIN_PRISM_FISHEYE", "undistort"),
         ("cameras.txt", "24.5", "", "line 3: PARAMS[3]"),
         ("cameras.txt", "64", "-64", "WIDTH"),
         ("cameras.txt", "70.0", "NaN", "fx"),
@@ -143,8 +147,8 @@ fn malformed_colmap_models_are_refused() {
     }
     binary("images.bin", &|bytes| bytes[12..44].fill(0));
     assert_format_error(path, &["006.png", "rotation"]);
-    binary("cameras.bin", &|bytes| bytes[12..16].copy_from_slice(&5i32.to_le_bytes()));
-    assert_format_error(path, &["camera model 5"]);
+    binary("cameras.bin", &|bytes| bytes[12..16].copy_from_slice(&7i32.to_le_bytes()));
+    assert_format_error(path, &["camera model 7"]);
     let len = fs::read(path.join("images.bin")).unwrap().len();
     for kept in (0..len).step_by(11) {
         binary("images.bin", &|bytes| bytes.truncate(kept));

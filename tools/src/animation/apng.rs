@@ -1,7 +1,7 @@
 //! Animated PNG: every pixel as it was drawn.
 
 use super::{Encoder, failed};
-use crate::session::Stage;
+use crate::{outputs::MADE_BY, session::Stage};
 use png::{BitDepth, ColorType, EncodingError, Writer};
 use std::{
     fs::File,
@@ -29,6 +29,7 @@ impl Apng {
             // 0 plays: again and again.
             encoder.set_animated(frames as u32, 0)?;
             encoder.set_frame_delay(1, fps)?;
+            encoder.add_text_chunk("Software".into(), MADE_BY.into())?;
             encoder.write_header()
         };
         let writer = header().map_err(|error: EncodingError| failed(path)(error.into()))?;

@@ -17,7 +17,7 @@ use zipsplat::{
 
 /// H.264 as every player has it: half as many colour samples a side, for which sides have to be even.
 const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart \
-                        -f mp4";
+                        -metadata comment=zipsplat -f mp4";
 /// Between looks at whether ffmpeg is done.
 const POLL: Duration = Duration::from_millis(10);
 /// For a process that no longer reads to say why.

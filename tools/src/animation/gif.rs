@@ -1,7 +1,7 @@
 //! Animated GIF: 256 colours a picture, chosen for each.
 
 use super::{Encoder, failed, side};
-use crate::session::Stage;
+use crate::{outputs::MADE_BY, session::Stage};
 use gif::{Frame, Repeat};
 use rayon::prelude::*;
 use std::{
@@ -32,6 +32,8 @@ impl Gif {
         let file = Unfinished::begin(path)?;
         let mut encoder = gif::Encoder::new(file.writer()?, width, height, &[]).map_err(fail)?;
         encoder.set_repeat(Repeat::Infinite).map_err(fail)?;
+        let comment = gif::AnyExtension::from(gif::Extension::Comment);
+        encoder.write_raw_extension(comment, &[MADE_BY.as_bytes()]).map_err(fail)?;
         Ok(Self { path: path.into(), file, encoder, fps, pushed: 0 })
     }
 }

@@ -4,7 +4,7 @@ mod apng;
 mod ffmpeg;
 mod gif;
 
-use crate::{outputs, session::Stage};
+use crate::session::Stage;
 use std::{
     fmt::Display,
     path::{Path, PathBuf},
@@ -43,8 +43,7 @@ pub trait Encoder {
 
 impl Animation {
     /// # Errors
-    /// [`Error::Argument`] where the extension is of no known format, the rate is too high for it, the file cannot be at
-    /// `path`, or ffmpeg is needed and does not run.
+    /// [`Error::Argument`] where the extension is of no known format, the rate is too high for it, `path` is no file's, or ffmpeg is needed and does not run.
     pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let format = match extension.as_deref() {
@@ -59,7 +58,6 @@ impl Animation {
                 ));
             }
         };
-        outputs::check_file(path)?;
         if path.metadata().is_ok_and(|found| !found.is_file()) {
             return Err(Error::argument("--video", format!("{}, no regular file", path.display()), "one, or none yet"));
         }

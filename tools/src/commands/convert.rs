@@ -2,7 +2,7 @@
 
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
-    outputs,
+    outputs::{self, Overwrite},
     session::Session,
     table::{bytes, counted},
 };
@@ -12,14 +12,15 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    types::{SceneFormat, WriteOptions, spz_coarsening, write_scene},
+    types::{SceneFormat, WriteOptions, read_world, spz_coarsening},
     weights::Dtype,
 };
 
 /// A scene to another format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
 ///
 /// A scene's format is read from its first bytes (of a .splat or .gltf, its name) and written as the output's name says. Cameras
-/// stay where they are: no format holds them, and a transforms.json beside the scene still fits after converting.
+/// stay where they are: no format holds them, and a transforms.json beside the scene still fits after converting. All but a
+/// .splat keep which photo's camera the scene counts from.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply scene.spz
@@ -32,6 +33,8 @@ pub struct Convert {
     input: String,
     /// File to write
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     #[command(flatten)]
     scene_input: SceneInput,
     /// Numbers of a checkpoint: f32, f16 or bf16 [default: f32]
@@ -49,7 +52,7 @@ pub struct Convert {
 
 impl Convert {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        outputs::check_file(&self.output)?;
+        self.overwrite.check_file(&self.output)?;
         // What cannot be opened is no scene, which opening the checkpoint then complains about.
         let input = SceneFormat::of_file(Path::new(&self.input)).unwrap_or(None);
         match (SceneFormat::of_extension(&self.output), input) {
@@ -74,7 +77,10 @@ impl Convert {
             session.note(note);
         }
         let options = WriteOptions { spz_version: self.spz_version.unwrap_or(WriteOptions::default().spz_version) };
-        session.stage("write scene", |_| write_scene(&self.output, &scene, &options))?;
+        let world = read_world(&self.input)?;
+        let save = || outputs::save_scene(&self.output, &scene, &options, world.as_ref());
+        let (note, _) = session.stage("write scene", |_| save())?;
+        note.into_iter().for_each(|note| session.note(note));
         let written = self.written()?;
         let json = json!({ "output": self.output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
         let text = format!("{}: {}, {}", self.output.display(), counted(scene.len(), "Gaussian"), bytes(written));

@@ -2,7 +2,7 @@
 
 use crate::{
     doctor::{Finding, Worst, catalogue, report},
-    outputs::check_file,
+    outputs::Overwrite,
     session::Session,
     table::Table,
 };
@@ -32,6 +32,8 @@ pub struct Doctor {
     /// Write a page with error and bound against problem size
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -45,7 +47,7 @@ struct Report<'a> {
 impl Doctor {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         if let Some(path) = &self.report {
-            check_file(path)?;
+            self.overwrite.check_file(path)?;
         }
         let device = session.device()?;
         let wanted = |kernel: &str| self.only.as_ref().is_none_or(|only| kernel.contains(only.as_str()));

@@ -4,7 +4,7 @@ use crate::{
     align::{Aligned, align},
     capture::{Capture, Choice, Posed, Score, draw},
     options::{Quality, Weights, parse_length},
-    outputs,
+    outputs::{self, Overwrite},
     session::Session,
     table::Table,
 };
@@ -16,9 +16,12 @@ use zipsplat::{
     Result,
     reconstruct::{Request, Shape},
     stages::render::Renderer,
-    types::{Image, Pose, contact_sheet},
+    types::{Image, Pose, World, WriteOptions, contact_sheet},
 };
 
+/// Files of the folder.
+const SCENE: &str = "scene.ply";
+const COMPARISON: &str = "comparison.png";
 /// Held-out photos in the picture.
 const SHOWN: usize = 12;
 
@@ -26,7 +29,8 @@ const SHOWN: usize = 12;
 ///
 /// Reconstructs a capture from some of its photos with their cameras, draws the scene as each of the other photos sees it,
 /// and compares. The scene is given to the network in the unit it expects: the median distance of the capture's points
-/// (ply_file_path of transforms.json, points.ply, or COLMAP's points3D) from the first camera. Beside PSNR and SSIM stand two trivial
+/// (ply_file_path of transforms.json, points.ply, or COLMAP's points3D) from the first camera; where there are none, the distance
+/// of the point that the cameras look at, else the distance between cameras. Beside PSNR and SSIM stand two trivial
 /// predictions: the input photo that was taken nearest, and that photo's mean colour.
 ///
 /// With --pose-free the network is given the photos alone. Where its scene's cameras stand is then the network's own guess, so every
@@ -53,7 +57,8 @@ pub struct Eval {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
-    /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points]
+    /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
+    /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
     /// Table to write: view, psnr, ssim, nearest_psnr, mean_colour_psnr, a row for each photo compared
@@ -63,12 +68,17 @@ pub struct Eval {
     /// their place, and the nearest input photos
     #[arg(long, short, value_name = "FOLDER")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 impl Eval {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        self.csv.as_deref().map_or(Ok(()), outputs::check_file)?;
-        self.output.as_deref().map_or(Ok(()), outputs::check_folder)?;
+        self.csv.as_deref().map_or(Ok(()), |file| self.overwrite.check_file(file))?;
+        if let Some(folder) = &self.output {
+            outputs::check_folder(folder)?;
+            self.overwrite.check_replaced([SCENE, COMPARISON].map(|name| folder.join(name)))?;
+        }
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
@@ -81,7 +91,7 @@ impl Eval {
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
-        capture.cropping.iter().for_each(|note| session.note(note));
+        capture.notes().for_each(|note| session.note(note));
 
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let images = capture.images();
@@ -115,17 +125,18 @@ impl Eval {
             outputs::make_folder(folder)?;
             // Drawn and compared in the network's unit, kept in that of the cameras that it was given.
             if posed {
-                result.scene.scale(capture.unit as f32);
+                result.scene.scale(capture.unit.length as f32);
             }
-            let origin = posed.then_some(capture.inputs[0].name.as_str());
-            outputs::save_scene(&folder.join("scene.ply"), &result.scene, origin)?;
-            comparison(&capture, &drawn)?.save_png(folder.join("comparison.png"))?;
+            let world = posed.then(|| World::Photo(capture.inputs[0].name.clone()));
+            let options = WriteOptions::default();
+            outputs::save_scene(&folder.join(SCENE), &result.scene, &options, world.as_ref())?;
+            outputs::save_picture(&folder.join(COMPARISON), &comparison(&capture, &drawn)?)?;
         }
         let mean = Score::mean(&scores);
         let mut table = Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour"]);
         scores.iter().chain([&mean]).for_each(|score| table.row(cells(score)));
         let text = format!(
-            "{table}{} of {size} from {} of its photos, {} Gaussians of {} tokens in {:.2} s; unit {:.4}",
+            "{table}{} of {size} from {} of its photos, {} Gaussians of {} tokens in {:.2} s; {}",
             self.folder.display(),
             capture.inputs.len(),
             result.scene.len(),
@@ -135,7 +146,7 @@ impl Eval {
         ) + &alignment.as_ref().map_or_else(String::new, Alignment::told);
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
-            "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit,
+            "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
             "peak_bytes": result.peak_bytes,
             "mean": mean, "aligned": alignment, "views": scores,
@@ -167,7 +178,7 @@ impl Alignment {
         let before: Vec<Vec<f32>> = found.iter().map(|found| found.before.clone()).collect();
         Self {
             degrees: median(|pose| DQuat::from_mat3(&pose.rotation).to_axis_angle().1.to_degrees()),
-            distance: capture.unit * median(|pose| pose.translation.length()),
+            distance: capture.unit.length * median(|pose| pose.translation.length()),
             before: Score::mean(&capture.scores(&before)),
         }
     }

@@ -1,26 +1,32 @@
 //! `zipsplat reconstruct`: photos to a scene.
 
 use crate::{
-    cameras,
     explain::Explanation,
     options::{Quality, Size, Weights, parse_length},
-    outputs, photos,
+    outputs::{self, Overwrite},
+    photos,
     session::Session,
     table::{bytes, counted, time},
+    unit::Unit,
 };
-use clap::Args;
+use clap::{Args, ValueEnum};
 use indicatif::HumanCount;
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
-    types::{Camera, SceneFormat, poses::read_poses, preprocess::view_cameras, spz_coarsening},
+    types::{
+        Camera, SceneFormat, World, WriteOptions,
+        poses::{Frame, read_poses},
+        preprocess::view_cameras,
+        spz_coarsening,
+    },
 };
 
 /// Photos of one place to a scene of 3D Gaussians
 ///
-/// The scene's world is the first photo's camera: x right, y down, z forward.
+/// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
 #[derive(Args)]
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
@@ -37,6 +43,8 @@ pub struct Reconstruct {
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
@@ -47,19 +55,45 @@ pub struct Reconstruct {
     #[arg(long, visible_alias = "cameras", value_name = "PATH")]
     poses: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
-    /// distance from the first camera of the points in points.ply or points3D beside the cameras, else 1]
+    /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
+    /// the cameras look at, else the distance between cameras]
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
+    /// World of the scene
+    #[arg(long, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
+    world: WorldName,
     /// Also print the stages that ran, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
+}
+
+/// Steps of positions that show: over how far away the scene is.
+const COARSE: f64 = 1e-3;
+
+/// The world that a scene is in.
+#[derive(Clone, Copy, ValueEnum)]
+enum WorldName {
+    /// The first photo's camera: x right, y down, z forward
+    First,
+    /// That of the cameras, so that they fit the scene in any program as they are
+    Cameras,
+}
+
+impl WorldName {
+    /// The world of a scene whose first photo has this frame.
+    fn of(self, first: &Frame) -> World {
+        match self {
+            Self::First => World::Photo(first.name.clone()),
+            Self::Cameras => World::Cameras(first.camera.pose),
+        }
+    }
 }
 
 impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let Quality { ratio, select, arithmetic, .. } = &self.quality;
         // Whatever can be refused is refused before anything that takes time.
-        outputs::check_file(&self.output)?;
+        self.overwrite.check_file(&self.output)?;
         if SceneFormat::of_extension(&self.output).is_none() {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
@@ -68,6 +102,11 @@ impl Reconstruct {
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
         let mut photos = photos::list(session, &self.photos)?;
+        let poses = self.poses.as_ref().map(read_poses).transpose()?;
+        if let Some(poses) = &poses {
+            poses.notes.iter().for_each(|note| session.note(note));
+            photos = photos::posed(session, photos, poses)?;
+        }
         if let Some(views) = self.views {
             photos = photos::spread(photos, views as usize);
         }
@@ -85,36 +124,48 @@ impl Reconstruct {
         let Size(width, height) = size;
         let chosen = (*ratio, select);
         let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
-        let poses = self.poses.as_ref().map(read_poses).transpose()?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
-        let (views, load_photos) =
-            session.stage("load photos", |stage| photos::load(&photos, poses.is_some(), size, stage))?;
+        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, &frames, size, stage))?;
         if let Some(note) = photos::cropping(&views, size) {
             session.note(note);
         }
         let photo_cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
         let mut cameras = view_cameras(&photo_cameras, &views)?;
-        let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref())) {
-            (None, Some(points)) => cameras::unit(points, &cameras, &photo_cameras[0].pose)?,
-            (given, _) => given.unwrap_or(1.0),
+        let unit = match (&poses, photo_cameras.first()) {
+            (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.pose)?),
+            _ => None,
         };
-        cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
+        unit.iter().filter_map(Unit::doubt).for_each(|note| session.note(note));
+        let length = unit.as_ref().map_or(1.0, |unit| unit.length);
+        cameras.iter_mut().for_each(|camera| camera.pose.translation /= length);
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
         let (mut result, _) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
-        result.scene.scale(unit as f32);
-        let origin = frames.first().map(|frame| frame.name.as_str());
+        let world = frames.first().map(|first| self.world.of(first));
+        result.scene.scale(length as f32);
+        if let Some(World::Cameras(first)) = &world {
+            result.scene.place(1.0, first);
+            // Positions are f32.
+            let step = first.translation.length() * f64::from(f32::EPSILON);
+            if step > COARSE * length {
+                let world = "the world of the cameras begins far from them";
+                session
+                    .note(format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away"));
+            }
+        }
         if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
             spz_coarsening(&result.scene).into_iter().for_each(|note| session.note(note));
         }
-        let (_, write) = session.stage("write", |_| outputs::save_scene(&self.output, &result.scene, origin))?;
+        let (scene, options) = (&result.scene, WriteOptions::default());
+        let save = || outputs::save_scene(&self.output, scene, &options, world.as_ref());
+        let (note, write) = session.stage("write", |_| save())?;
+        note.into_iter().for_each(|note| session.note(note));
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
@@ -126,7 +177,8 @@ impl Reconstruct {
         let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
-            "unit": unit, "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
+            "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
+            "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
             "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,
         });
@@ -142,6 +194,9 @@ impl Reconstruct {
             bytes(result.peak_bytes),
             device.limits().name,
         );
+        if let Some(unit) = &unit {
+            text += &format!("{unit}\n");
+        }
         for (stage, took) in &times {
             let rate = if *stage == "load weights" { format!("  ({}/s)", bytes(rate)) } else { String::new() };
             // Writing to a string cannot fail.

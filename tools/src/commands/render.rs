@@ -6,7 +6,7 @@ use crate::{
     color,
     explain::Explanation,
     options::SceneInput,
-    outputs::{self, DEPTH_LEVELS},
+    outputs::{self, DEPTH_LEVELS, Overwrite},
     pictures::{self, SHEET, Sinks},
     session::Session,
     table::counted,
@@ -21,13 +21,14 @@ use std::{
 use zipsplat::{
     Error, Result,
     stages::render::{Depth, RenderRequest, Renderer},
-    types::{Camera, contact_sheet, read_ply_origin},
+    types::{Camera, contact_sheet, read_world},
 };
 
 /// Pictures of a scene
 ///
-/// Into a folder go 000.png, 001.png and on, in the cameras' order, and contact.png with all of them; other files in it stay
-/// as they are, and so do pictures of these names that this command has not drawn. World: x right, y down, z forward.
+/// Into a folder go 000.png, 001.png and on, in the cameras' order, and contact.png with all of them. Pictures of higher numbers
+/// that this command drew there before are removed; all other files stay as they are. World: x right, y down, z forward, or that
+/// of the cameras that the scene was made with.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -71,9 +72,8 @@ pub struct Render {
     /// output
     #[arg(long, short, value_name = "FOLDER|-")]
     output: Option<PathBuf>,
-    /// Replace pictures of the folder even where this command has not drawn them
-    #[arg(long, requires = "output")]
-    overwrite: bool,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
@@ -99,8 +99,8 @@ impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let mut sinks = self.sinks()?;
         let (scene, dropped) = self.input.read(session, &self.scene)?;
-        let origin = read_ply_origin(&self.scene)?;
-        let (cameras, notes) = self.path.cameras(&scene, origin.as_deref())?;
+        let world = read_world(&self.scene)?;
+        let (cameras, notes) = self.path.cameras(&scene, world.as_ref())?;
         notes.iter().for_each(|note| session.note(note));
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -109,8 +109,8 @@ impl Render {
             animation::common_size(&cameras)?;
         }
         let request = self.request();
-        if let Some(folder) = self.folder().filter(|_| !self.overwrite) {
-            pictures::check_replaced(folder, cameras.len(), &request)?;
+        if let Some(folder) = self.folder() {
+            self.overwrite.check_replaced(pictures::files(folder, cameras.len(), &request))?;
         }
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
@@ -123,7 +123,8 @@ impl Render {
         if let Some(folder) = self.folder() {
             let columns = pictures::sheet_columns(cameras.len());
             session.stage("contact sheet", |_| {
-                outputs::save_picture(&folder.join(SHEET), &contact_sheet(&drawn.small, columns)?)
+                outputs::save_picture(&folder.join(SHEET), &contact_sheet(&drawn.small, columns)?)?;
+                outputs::remove_stale(folder, cameras.len(), outputs::is_own)
             })?;
         }
         let explanation = match cameras.first() {
@@ -173,6 +174,7 @@ impl Render {
             let what = "--depth, --alpha, --normals and --group";
             return Err(Error::argument(what, "no folder", "-o FOLDER to write them to"));
         }
+        self.video.as_ref().map_or(Ok(()), |file| self.overwrite.check_file(file))?;
         let animation = self.video.as_ref().map(|file| Animation::new(file, self.fps, &self.ffmpeg)).transpose()?;
         Ok(Sinks { folder, raw: None, animation })
     }

@@ -2,8 +2,8 @@
 
 use crate::{
     options::Size,
-    outputs,
-    procedural::{Options, Photos, Setup, shards, write_folder},
+    outputs::{self, Overwrite},
+    procedural::{Options, Photos, Setup, files, shards, write_folder},
     session::Session,
     table::counted,
 };
@@ -18,7 +18,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{write_atomic, write_ply},
+    types::{Pose, World, WriteOptions, write_atomic},
 };
 
 /// Bytes that are handed to the operating system at once: a scene of 10 views at 126x126 has 0.8 MB.
@@ -62,6 +62,8 @@ pub struct Scene {
     /// Scenes of the stream [default: until its reader has enough]
     #[arg(long, value_name = "N", requires = "shards")]
     scenes: Option<u64>,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 impl Scene {
@@ -84,13 +86,18 @@ impl Scene {
 
     fn write(&self, folder: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
         outputs::check_folder(folder)?;
+        let splats = self.splats.then(|| folder.join("splats.ply"));
+        self.overwrite.check_replaced(files(folder, self.views).into_iter().chain(splats.clone()))?;
         let (capture, took) = session.stage("take photos", |stage| {
             let go_on = || stage.check();
             Setup::new(self.seed, options, photos, &go_on)?.shoot(photos, &go_on)
         })?;
         session.stage("write", |_| {
             write_folder(folder, &capture, photos.crops())?;
-            if self.splats { write_ply(&capture.splats(), folder.join("splats.ply")) } else { Ok(()) }
+            let Some(path) = splats else { return Ok(()) };
+            let world = World::Cameras(Pose::IDENTITY);
+            let (splats, options) = (capture.splats(), WriteOptions::default());
+            outputs::save_scene(&path, &splats, &options, Some(&world)).map(drop)
         })?;
         let seconds = took.as_secs_f64();
         let json = json!({
@@ -126,7 +133,7 @@ impl Scene {
         let result = if to_stdout {
             write(session.take_output()).map_err(|source| Error::io("standard output", source))
         } else {
-            outputs::check_file(path)?;
+            self.overwrite.check_file(path)?;
             write_atomic(path, write)
         };
         match result {

@@ -26,7 +26,7 @@ pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
         n => format!("<span class=outside>{n} of {} results are outside their bounds.</span>", findings.len()),
     };
     let mut out = format!(
-        "<!doctype html><html lang=en><meta charset=utf-8><title>zipsplat doctor: {name}</title><style>{STYLE}</style>\
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=generator content=zipsplat><title>zipsplat doctor: {name}</title><style>{STYLE}</style>\
          <h1>{name}</h1><p>{driver}, Vulkan {api}, zipsplat {version}. {verdict} Dots are the worst error of a case, ticks its \
          bound, the line at the bottom is the truth in f64.</p>",
         name = escape(&limits.name),

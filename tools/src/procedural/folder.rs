@@ -1,19 +1,39 @@
 //! A capture as a folder: photos, depth and cameras as nerfstudio lays them out.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::json;
 use zipsplat::types::{poses::write_transforms, write_atomic, write_points};
 use zipsplat::{Error, Result};
 
 use super::{Capture, Crop, VERSION};
+use crate::outputs::{MADE_BY, is_own, remove_stale, save_picture};
 
 /// Pixels between those that become points of the cloud, along x and y.
 const POINT_STEP: usize = 8;
 
+/// What the scene was made from.
+const SCENE: &str = "scene.json";
+
+fn photo(number: usize) -> String {
+    format!("images/{number:03}.png")
+}
+
+fn depth(number: usize) -> String {
+    format!("depth/{number:03}.npy")
+}
+
+/// The files that a capture of `views` photos becomes, but for depth where the folder is one of ours: numbers have no room to
+/// say who wrote them.
+pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
+    let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
+    let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);
+    (0..views).map(photo).chain((0..depths).map(depth)).chain(fixed).map(|name| folder.join(name)).collect()
+}
+
 /// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z in the unit of the cameras, 0 in the
 /// sky), `transforms.json`, `points.ply`: some of the points that the photos show, and `scene.json`: what it was made from
-/// and the overlap of the views.
+/// and the overlap of the views. Photos and depth that a larger capture left there are removed.
 ///
 /// # Errors
 /// [`Error::Io`] when the folder or a file cannot be written.
@@ -22,15 +42,19 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         let path = folder.join(sub);
         std::fs::create_dir_all(&path).map_err(|source| Error::io(&path, source))?;
     }
-    let names: Vec<String> = (0..capture.images.len()).map(|i| format!("images/{i:03}.png")).collect();
-    for (i, (image, depth)) in capture.images.iter().zip(&capture.depths).enumerate() {
-        image.save_png(folder.join(&names[i]))?;
-        let path = folder.join(format!("depth/{i:03}.npy"));
-        write_atomic(&path, |out| out.write_all(&npy([image.height, image.width], depth)))?;
+    let count = capture.images.len();
+    let names: Vec<String> = (0..count).map(photo).collect();
+    for (i, (image, values)) in capture.images.iter().zip(&capture.depths).enumerate() {
+        save_picture(&folder.join(&names[i]), image)?;
+        write_atomic(&folder.join(depth(i)), |out| out.write_all(&npy([image.height, image.width], values)))?;
     }
+    let ours = is_own(&folder.join(SCENE));
+    remove_stale(&folder.join("images"), count, is_own)?;
+    remove_stale(&folder.join("depth"), count, |path| ours && path.extension().is_some_and(|ext| ext == "npy"))?;
     write_transforms(folder.join("transforms.json"), &capture.cameras, &names)?;
     write_points(folder.join("points.ply"), &points(capture))?;
     let scene = json!({
+        "generator": MADE_BY,
         "generator_version": VERSION,
         "seed": capture.seed,
         "family": capture.family,
@@ -39,7 +63,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         "overlap": capture.overlap.chunks(capture.images.len()).collect::<Vec<_>>(),
         "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "licence": crop.licence})).collect::<Vec<_>>(),
     });
-    write_atomic(&folder.join("scene.json"), |out| {
+    write_atomic(&folder.join(SCENE), |out| {
         serde_json::to_writer_pretty(&mut *out, &scene)?;
         writeln!(out)
     })

@@ -24,7 +24,7 @@ mod world;
 
 pub use capture::{Capture, GoOn, Options, Setup};
 pub use families::Family;
-pub use folder::write_folder;
+pub use folder::{files, write_folder};
 pub use height_field::HeightField;
 pub use path::PathKind;
 pub use photos::{Crop, Photos};

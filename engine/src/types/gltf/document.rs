@@ -6,6 +6,7 @@ use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 
 use super::{EXTENSION, Fault, Parsed};
+use crate::types::world::MADE_BY;
 
 /// Extensions that may be required: the second only allows small integers where floats would be.
 const KNOWN: [&str; 2] = [EXTENSION, "KHR_mesh_quantization"];
@@ -37,6 +38,8 @@ pub(super) struct Document {
 #[derive(Deserialize)]
 struct Asset {
     version: String,
+    #[serde(default)]
+    extras: serde_json::Value,
 }
 
 #[derive(Deserialize)]
@@ -145,6 +148,11 @@ impl Document {
             Some(name) => Err(format!("requires the extension {name}, known are {}", KNOWN.join(" and ")).into()),
             None => Ok(document),
         }
+    }
+
+    /// What this engine has said of the file in it.
+    pub(super) fn line(&self) -> Option<&str> {
+        self.asset.extras.get(MADE_BY)?.as_str()
     }
 
     /// Visits the primitives with Gaussians that the default scene shows, with where: their frame to the world. Many nodes may

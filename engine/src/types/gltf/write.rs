@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::EXTENSION;
 use crate::types::scene_file::{Encoder, SceneFormat, WriteOptions, write_as};
-use crate::types::{Scene, axes::HalfTurn::AboutZ, camera::unit_quaternion};
+use crate::types::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world::MADE_BY};
 use crate::{Error, Result};
 
 const FLOAT: u32 = 5126;
@@ -43,18 +43,19 @@ impl Attributes {
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
     let format = if binary { SceneFormat::Glb } else { SceneFormat::Gltf };
-    write_as(format, path.as_ref(), scene, &WriteOptions::default())
+    write_as(format, path.as_ref(), scene, &WriteOptions::default(), None)
 }
 
-pub(super) fn binary<'a>(scene: &'a Scene, _: &WriteOptions) -> Result<Encoder<'a>> {
-    encoder(scene, true)
+pub(super) fn binary<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
+    encoder(scene, true, world)
 }
 
-pub(super) fn text<'a>(scene: &'a Scene, _: &WriteOptions) -> Result<Encoder<'a>> {
-    encoder(scene, false)
+pub(super) fn text<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
+    encoder(scene, false, world)
 }
 
-fn encoder(scene: &Scene, binary: bool) -> Result<Encoder<'_>> {
+/// With the world in the asset's extras.
+fn encoder<'a>(scene: &'a Scene, binary: bool, world: Option<&World>) -> Result<Encoder<'a>> {
     if scene.is_empty() {
         return Err(Error::argument("scene", "no Gaussians", "at least one in a glTF"));
     }
@@ -67,8 +68,9 @@ fn encoder(scene: &Scene, binary: bool) -> Result<Encoder<'_>> {
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective",
         "sortingMethod": "cameraDistance",
     });
+    let extras = json!({ MADE_BY: World::line(world) });
     let document = json!({
-        "asset": { "version": "2.0", "generator": concat!("zipsplat ", env!("CARGO_PKG_VERSION")) },
+        "asset": { "version": "2.0", "generator": concat!("zipsplat ", env!("CARGO_PKG_VERSION")), "extras": extras },
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{ "nodes": [0] }],

@@ -11,12 +11,22 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::scene_file::{Encoder, Format};
-use super::{Scene, file::write_atomic, source::Source};
+use super::{
+    Scene,
+    file::write_atomic,
+    source::Source,
+    world::{MADE_BY, World},
+};
 use crate::{Error, Result};
 use table::{Column, MAX_HEADER, Parsed, Ply, Table};
 
-pub(super) const FORMAT: Format =
-    Format { marks: &[b"ply"], view_dependence: true, read: read_unchecked, write: |scene, _| Ok(encoder(scene, "")) };
+pub(super) const FORMAT: Format = Format {
+    marks: &[b"ply"],
+    view_dependence: true,
+    read: read_unchecked,
+    world: Some(read_line),
+    write: |scene, _, world| Ok(encoder(scene, &start(world))),
+};
 
 pub use points::{read_points, write_points};
 
@@ -24,8 +34,8 @@ pub use points::{read_points, write_points};
 const BATCH: usize = 1 << 16;
 /// Opacities are kept this far from 0 and 1, where their logit is infinite.
 const OPACITY_MARGIN: f32 = 1e-6;
-/// Begins the comment that names the photo whose camera is the scene's world.
-const ORIGIN: &str = "comment zipsplat origin: ";
+const START: &str = "ply\nformat binary_little_endian 1.0\n";
+const COMMENT: &str = "comment ";
 /// Smallest scale that is written: the logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-6;
 
@@ -34,40 +44,23 @@ const MIN_SCALE: f32 = 1e-6;
 /// # Errors
 /// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    write(scene, path.as_ref(), "")
+    scene.validate()?;
+    write_atomic(path.as_ref(), encoder(scene, START))
 }
 
-/// As [`write_ply`], with a comment that names the photo whose camera is the scene's world, for [`read_ply_origin`].
-///
-/// # Errors
-/// As [`write_ply`].
-pub fn write_ply_with_origin(scene: &Scene, path: impl AsRef<Path>, photo: &str) -> Result<()> {
-    // A name with a line break would break the header.
-    let comment = if photo.contains(char::is_control) { String::new() } else { format!("{ORIGIN}{photo}\n") };
-    write(scene, path.as_ref(), &comment)
-}
-
-/// The photo whose camera is the world of a scene, where its file is a PLY that says so.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read.
-pub fn read_ply_origin(path: impl AsRef<Path>) -> Result<Option<String>> {
-    let (path, mut start) = (path.as_ref(), Vec::new());
+/// The line of [`World::line`] in a PLY's header, where it has one.
+fn read_line(path: &Path) -> Result<Option<String>> {
+    let mut start = Vec::new();
     let read = Source::open(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
     read.map_err(|source| Error::io(path, source))?;
     let header = String::from_utf8_lossy(&start);
-    let mut lines = header.lines().take_while(|line| start.starts_with(b"ply") && *line != "end_header");
-    Ok(lines.find_map(|line| line.strip_prefix(ORIGIN)).map(str::to_owned))
+    let mut comments = header.lines().take_while(|line| *line != "end_header").filter_map(|l| l.strip_prefix(COMMENT));
+    Ok(comments.find(|comment| comment.starts_with(MADE_BY)).map(str::to_owned))
 }
 
-fn write(scene: &Scene, path: &Path, comment: &str) -> Result<()> {
-    scene.validate()?;
-    write_atomic(path, encoder(scene, comment))
-}
-
-fn encoder<'a>(scene: &'a Scene, comment: &str) -> Encoder<'a> {
+fn encoder<'a>(scene: &'a Scene, start: &str) -> Encoder<'a> {
     let names = property_names(scene.sh_coeffs_per_gaussian());
-    let mut header = format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n", scene.len());
+    let mut header = format!("{start}element vertex {}\n", scene.len());
     for name in &names {
         header += &format!("property float {name}\n");
     }
@@ -83,6 +76,11 @@ fn encoder<'a>(scene: &'a Scene, comment: &str) -> Encoder<'a> {
         }
         Ok(())
     })
+}
+
+/// A header up to its elements, with what the file says of itself.
+fn start(world: Option<&World>) -> String {
+    format!("{START}{COMMENT}{}\n", World::line(world))
 }
 
 fn property_names(coeffs: usize) -> Vec<String> {

@@ -36,7 +36,7 @@ fn positions(source: Source<'_>) -> Parsed<Vec<[f32; 3]>> {
 /// # Errors
 /// [`Error::Io`](crate::Error::Io) when the file cannot be written.
 pub fn write_points(path: impl AsRef<Path>, points: &[([f32; 3], [u8; 3])]) -> Result<()> {
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len());
+    let mut header = format!("{}element vertex {}\n", super::start(None), points.len());
     ["x", "y", "z"].iter().for_each(|name| header += &format!("property float {name}\n"));
     ["red", "green", "blue"].iter().for_each(|name| header += &format!("property uchar {name}\n"));
     header += "end_header\n";

@@ -31,7 +31,7 @@ pub(super) fn parse(file: &Value) -> Result<Poses, String> {
         let mut intrinsics = Intrinsics::from_fov(width, height, vfov, vfov);
         intrinsics.fx = intrinsics.fy;
         let camera = checked(Camera { intrinsics, pose: from_opengl(matrix) }, &name)?;
-        poses.frames.push(Frame { name, photo: None, camera });
+        poses.frames.push(Frame { name, photo: None, camera, lens: None });
     }
     if other_aspects > 0 {
         poses.notes.push(format!("aspect of {other_aspects} cameras is ignored: pictures are {width}x{height}"));

@@ -6,22 +6,25 @@ use std::str::SplitAsciiWhitespace;
 
 use glam::DVec3;
 
-use super::super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion};
-use super::super::file::read_file;
-use super::{Frame, Poses, checked};
+use super::super::camera::{Intrinsics, Pose, matrix_from_quaternion};
+use super::super::{Distortion, Lens, file::read_file};
+use super::{Frame, Poses, undistorted};
 use crate::{Error, Result};
 
-/// The perspective models: id in binary files, name in text files, parameters in all.
+/// The models of [`Distortion`]: id in binary files, name in text files, parameters in all.
 /// Parameters begin `f, cx, cy` or `fx, fy, cx, cy`; distortion follows.
-const MODELS: [(i32, &str, usize); 6] = [
+const MODELS: [(i32, &str, usize); 9] = [
     (0, "SIMPLE_PINHOLE", 3),
     (1, "PINHOLE", 4),
     (2, "SIMPLE_RADIAL", 4),
     (3, "RADIAL", 5),
     (4, "OPENCV", 8),
+    (5, "OPENCV_FISHEYE", 8),
     (6, "FULL_OPENCV", 12),
+    (8, "SIMPLE_RADIAL_FISHEYE", 4),
+    (9, "RADIAL_FISHEYE", 5),
 ];
-const ONE_FOCAL: [&str; 3] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+const ONE_FOCAL: [&str; 5] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"];
 
 /// Bytes of one 2D point in `images.bin`: x and y as f64 and the 3D point's id.
 const POINT_BYTES: u64 = 24;
@@ -57,20 +60,15 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
 
     let points = images.with_file_name("points3D").with_extension(if binary { "bin" } else { "txt" });
     let mut poses = Poses { points: Some(points).filter(|path| path.is_file()), ..Poses::default() };
-    let mut distorted = 0;
     for view in views {
         let fail = |reason: String| Error::format(&images, None, reason);
-        let lens = lenses.get(&view.camera_id).ok_or_else(|| {
+        let lens = *lenses.get(&view.camera_id).ok_or_else(|| {
             fail(format!("image {:?} has camera {}, which {} lacks", view.name, view.camera_id, cameras.display()))
         })?;
-        distorted += usize::from(lens.distorted);
-        let camera = Camera { intrinsics: lens.intrinsics, pose: view.pose };
-        let camera = checked(camera, &format!("image {:?}", view.name)).map_err(fail)?;
-        poses.frames.push(Frame { photo: find_photo(folder, &view.name), name: view.name, camera });
+        let (photo, label) = (find_photo(folder, &view.name), format!("image {:?}", view.name));
+        poses.frames.push(Frame::new(view.name, photo, lens, view.pose, &label).map_err(fail)?);
     }
-    if distorted > 0 {
-        poses.notes.push(format!("lens distortion of {distorted} frames is ignored: undistort the photos"));
-    }
+    poses.notes.extend(undistorted(&poses.frames));
     Ok(poses)
 }
 
@@ -106,32 +104,34 @@ impl Fault {
 
 type Parsed<T> = std::result::Result<T, Fault>;
 
-struct Lens {
-    intrinsics: Intrinsics,
-    distorted: bool,
-}
-
 struct View {
     name: String,
     camera_id: u32,
     pose: Pose,
 }
 
-impl Lens {
-    fn new(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Result<Self, String> {
-        let side = |side: u64| u32::try_from(side).map_err(|_| format!("a side of {side} pixels"));
-        let (width, height) = (side(width)?, side(height)?);
-        let (fx, fy, rest) = match *params {
-            [f, ref rest @ ..] if ONE_FOCAL.contains(&model) => (f, f, rest),
-            [fx, fy, ref rest @ ..] => (fx, fy, rest),
-            _ => return Err(format!("{} parameters for model {model}", params.len())),
-        };
-        let [cx, cy, ref distortion @ ..] = *rest else {
-            return Err(format!("{} parameters for model {model}", params.len()));
-        };
-        let distorted = distortion.iter().any(|&value| value != 0.0);
-        Ok(Self { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distorted })
-    }
+fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Result<Lens, String> {
+    let side = |side: u64| u32::try_from(side).map_err(|_| format!("a side of {side} pixels"));
+    let (width, height) = (side(width)?, side(height)?);
+    let (fx, fy, rest) = match *params {
+        [f, ref rest @ ..] if ONE_FOCAL.contains(&model) => (f, f, rest),
+        [fx, fy, ref rest @ ..] => (fx, fy, rest),
+        _ => return Err(format!("{} parameters for model {model}", params.len())),
+    };
+    let [cx, cy, ref coefficients @ ..] = *rest else {
+        return Err(format!("{} parameters for model {model}", params.len()));
+    };
+    let k = |i: usize| coefficients.get(i).copied().unwrap_or(0.0);
+    let distortion = match model {
+        _ if model.ends_with("FISHEYE") => Distortion::Fisheye([k(0), k(1), k(2), k(3)]),
+        // p1 and p2 stand between k2 and k3.
+        _ => Distortion::Perspective {
+            numerator: [k(0), k(1), k(4), 0.0],
+            denominator: [k(5), k(6), k(7)],
+            tangential: [k(2), k(3)],
+        },
+    };
+    Ok(Lens { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distortion })
 }
 
 /// Camera-to-world from COLMAP's world-to-camera quaternion wxyz and translation.
@@ -187,7 +187,7 @@ fn text_cameras(bytes: &[u8]) -> Parsed<HashMap<u32, Lens>> {
         };
         let (width, height) = (line.next("WIDTH")?, line.next("HEIGHT")?);
         let params = (0..*count).map(|i| line.next(&format!("PARAMS[{i}]"))).collect::<Parsed<Vec<f64>>>()?;
-        lenses.insert(id, Lens::new(model, width, height, &params).map_err(|reason| line.fault(reason))?);
+        lenses.insert(id, lens(model, width, height, &params).map_err(|reason| line.fault(reason))?);
     }
     Ok(lenses)
 }
@@ -281,7 +281,7 @@ fn binary_cameras(bytes: &[u8]) -> Parsed<HashMap<u32, Lens>> {
         };
         let (width, height) = (values.u64("width")?, values.u64("height")?);
         let params = (0..*count).map(|_| values.f64("parameter")).collect::<Parsed<Vec<f64>>>()?;
-        lenses.insert(id, Lens::new(name, width, height, &params).map_err(|reason| values.fault(reason))?);
+        lenses.insert(id, lens(name, width, height, &params).map_err(|reason| values.fault(reason))?);
     }
     Ok(lenses)
 }

@@ -42,7 +42,7 @@ pub(super) fn parse_list(list: &[Value], lens: &Intrinsics) -> Result<Poses, Str
     for (i, element) in list.iter().enumerate() {
         let name = format!("[{i}]");
         let camera = parse_camera(element, lens, &name)?;
-        poses.frames.push(Frame { camera: checked(camera, &name)?, name, photo: None });
+        poses.frames.push(Frame { camera: checked(camera, &name)?, name, photo: None, lens: None });
     }
     Ok(poses)
 }

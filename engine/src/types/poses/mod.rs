@@ -7,12 +7,13 @@ mod matrix;
 mod transforms;
 
 use std::collections::HashMap;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::camera::{Camera, Intrinsics, matrix_from_quaternion, quaternion_from_matrix};
-use super::file::read_file;
+use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
+use super::{Image, Lens, file::read_file};
 use crate::{Error, Result};
 
 pub use transforms::write_transforms;
@@ -38,8 +39,43 @@ pub struct Frame {
     pub name: String,
     /// The photo, where it was found near the file.
     pub photo: Option<PathBuf>,
-    /// OpenCV axes; the world frame and unit are the file's.
+    /// OpenCV axes; the world frame and unit are the file's. A pinhole camera: where there is a `lens`, that of
+    /// [`Lens::pinhole`].
     pub camera: Camera,
+    /// The lens that took the photo, where it distorts.
+    pub lens: Option<Lens>,
+}
+
+impl Frame {
+    /// A frame of a lens; `label` says where it stands in its file.
+    fn new(name: String, photo: Option<PathBuf>, lens: Lens, pose: Pose, label: &str) -> Result<Self, String> {
+        let camera = checked(Camera { intrinsics: lens.intrinsics, pose }, label)?;
+        if lens.distortion.is_none() {
+            return Ok(Self { name, photo, camera, lens: None });
+        }
+        let intrinsics = lens.pinhole(label).map_err(|error| error.to_string())?;
+        Ok(Self { name, photo, camera: Camera { intrinsics, ..camera }, lens: Some(lens) })
+    }
+
+    /// The photo at `path` as this frame's camera sees it: the pixels as they are stored, whatever the EXIF orientation says,
+    /// and without the distortion of its lens.
+    ///
+    /// # Errors
+    /// As [`Image::open`].
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<Image> {
+        let photo = Image::open_as_stored(path)?;
+        match &self.lens {
+            Some(lens) => lens.undistort(&photo),
+            None => Ok(photo),
+        }
+    }
+}
+
+/// What to say of frames whose lenses distort.
+fn undistorted(frames: &[Frame]) -> Option<String> {
+    let count = frames.iter().filter(|frame| frame.lens.is_some()).count();
+    let what = "their cameras are pinholes, and photos are brought to them where they are read";
+    (count > 0).then(|| format!("lens distortion of {count} frames is undone: {what}"))
 }
 
 impl Poses {
@@ -56,25 +92,7 @@ impl Poses {
     /// # Errors
     /// [`Error::Argument`] when a photo has no frame or several equally good ones, or shares it with another photo.
     pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&Frame>> {
-        let mut by_name: HashMap<_, Vec<&Frame>> = HashMap::new();
-        for frame in &self.frames {
-            by_name.entry(Path::new(&frame.name).file_name()).or_default().push(frame);
-        }
-        let find = |photo: &Path| {
-            // Frames may be named without the extension.
-            let named = by_name.get(&photo.file_name()).or_else(|| by_name.get(&photo.file_stem()));
-            let named = named.map(Vec::as_slice).unwrap_or_default();
-            let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
-            let most = named.iter().map(|frame| common(frame)).max();
-            match named.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
-                [frame] => Ok(*frame),
-                [] => Err(self.lacks(photo)),
-                [first, second, ..] => {
-                    let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
-                    Err(Error::argument("photo", found, "a path that tells the poses' frames apart"))
-                }
-            }
-        };
+        let find = |photo: &Path| self.frame_of(photo)?.ok_or_else(|| self.lacks(photo));
         let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&Frame>>>()?;
         // A photo may be given twice, but two photos were not taken by one camera.
         let file = |photo: &Path| photo.canonicalize().unwrap_or_else(|_| photo.to_path_buf());
@@ -99,6 +117,32 @@ impl Poses {
                 Error::argument(what, found, "w and h in the cameras' file, or the photo where that file says it is")
             }
             None => Error::argument(what, "none", self.names()),
+        }
+    }
+
+    /// The frame of a photo, found as [`Poses::frames_of`] does; none where no frame has its name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the photo has several equally good ones.
+    pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&Frame>> {
+        let photo = photo.as_ref();
+        let named = |name: Option<&OsStr>| -> Vec<&Frame> {
+            self.frames.iter().filter(|frame| Path::new(&frame.name).file_name() == name).collect()
+        };
+        let mut found = named(photo.file_name());
+        if found.is_empty() {
+            // Frames may be named without the extension.
+            found = named(photo.file_stem());
+        }
+        let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
+        let most = found.iter().map(|frame| common(frame)).max();
+        match found.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
+            [] => Ok(None),
+            [frame] => Ok(Some(frame)),
+            [first, second, ..] => {
+                let found = format!("{}, as like {} as {}", photo.display(), first.name, second.name);
+                Err(Error::argument("photo", found, "a path that tells the poses' frames apart"))
+            }
         }
     }
 

@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use super::super::file::{read_file, write_atomic};
-use super::super::{Camera, Image, Intrinsics, Pose};
+use super::super::{Camera, Distortion, Image, Intrinsics, Lens, Pose};
 use super::matrix::{from_opengl, rigid_matrix};
-use super::{Frame, Poses, checked};
+use super::{Frame, Poses, undistorted};
 use crate::{Error, Result};
 
 /// What photos are called when `file_path` has no extension.
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
-const DISTORTION: [&str; 8] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
 
 /// Parsing failed for this reason; the file's name is added by [`read`].
 type Parsed<T> = std::result::Result<T, String>;
@@ -32,7 +31,6 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     let cloud = shared.get("ply_file_path").and_then(Value::as_str).unwrap_or("points.ply");
     let cloud = Some(folder.join(cloud)).filter(|path| path.is_file());
     let mut poses = Poses { points: cloud, ..Poses::default() };
-    let mut distorted = 0;
     for (i, frame) in frames.iter().enumerate() {
         let fields = Fields { frame, shared, label: format!("frames[{i}]") };
         let name = fields.get("file_path").and_then(Value::as_str).ok_or_else(|| fields.lacks("file_path"))?;
@@ -41,15 +39,10 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
             poses.sizeless.push(folder.join(name));
             continue;
         };
-        fields.check_perspective()?;
-        distorted += usize::from(fields.is_distorted()?);
-        let intrinsics = fields.intrinsics(width, height)?;
-        let camera = checked(Camera { intrinsics, pose: fields.pose()? }, &fields.label)?;
-        poses.frames.push(Frame { name: name.into(), photo, camera });
+        let lens = Lens { distortion: fields.distortion()?, intrinsics: fields.intrinsics(width, height)? };
+        poses.frames.push(Frame::new(name.into(), photo, lens, fields.pose()?, &fields.label)?);
     }
-    if distorted > 0 {
-        poses.notes.push(format!("lens distortion of {distorted} frames is ignored: undistort the photos"));
-    }
+    poses.notes.extend(undistorted(&poses.frames));
     if let Some(place) = poses.sizeless.first() {
         let why = format!("no w and h, and no photo to take them from, such as {}", place.display());
         poses.notes.push(format!("{} frames left out: {why}", poses.sizeless.len()));
@@ -101,22 +94,22 @@ impl<'a> Fields<'a> {
         }
     }
 
-    fn check_perspective(&self) -> Parsed<()> {
+    /// As OpenCV names the coefficients; `k4` is that of r⁸, as nerfstudio writes it, where there is no `k5` or `k6`.
+    fn distortion(&self) -> Parsed<Distortion> {
+        let k = |key: &str| Ok::<_, String>(self.number(key)?.unwrap_or(0.0));
+        let [k1, k2, k3, k4] = [k("k1")?, k("k2")?, k("k3")?, k("k4")?];
         let model = self.get("camera_model").and_then(Value::as_str).unwrap_or("PINHOLE");
         let fisheye = self.get("is_fisheye").and_then(Value::as_bool).unwrap_or(false);
-        if fisheye || model.contains("FISHEYE") || model.contains("EQUIRECTANGULAR") {
-            return Err(format!("{}.camera_model: found {model}, expected a perspective camera", self.label));
+        if fisheye || model == "OPENCV_FISHEYE" {
+            return Ok(Distortion::Fisheye([k1, k2, k3, k4]));
         }
-        Ok(())
-    }
-
-    fn is_distorted(&self) -> Parsed<bool> {
-        for key in DISTORTION {
-            if self.number(key)?.is_some_and(|value| value != 0.0) {
-                return Ok(true);
-            }
+        if model.contains("FISHEYE") || model.contains("EQUIRECTANGULAR") {
+            let expected = "a perspective camera or OPENCV_FISHEYE";
+            return Err(format!("{}.camera_model: found {model}, expected {expected}", self.label));
         }
-        Ok(false)
+        let (k5, k6, tangential) = (k("k5")?, k("k6")?, [k("p1")?, k("p2")?]);
+        let (k4_above, k4_below) = if k5 == 0.0 && k6 == 0.0 { (k4, 0.0) } else { (0.0, k4) };
+        Ok(Distortion::Perspective { numerator: [k1, k2, k3, k4_above], denominator: [k4_below, k5, k6], tangential })
     }
 
     fn intrinsics(&self, width: u32, height: u32) -> Parsed<Intrinsics> {
@@ -157,7 +150,7 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
         camera.validate(&format!("camera {i}"))?;
     }
     let shared = cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics);
-    let mut top = Map::from_iter([("camera_model".into(), json!("PINHOLE"))]);
+    let mut top = Map::from_iter([("camera_model".into(), json!("PINHOLE")), ("generator".into(), json!("zipsplat"))]);
     if let (true, Some(camera)) = (shared, cameras.first()) {
         top.extend(intrinsics_fields(&camera.intrinsics));
     }

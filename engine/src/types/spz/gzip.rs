@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 /// Bytes of a part. What one repeats of another is not seen, which costs little of so many.
 const PART: usize = 1 << 20;
-/// Deflate without a name, a time or a system.
-const START: [u8; 10] = [0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 0xff];
+/// Deflate with a comment behind this, without a name, a time or a system.
+const START: [u8; 10] = [0x1f, 0x8b, 8, 16, 0, 0, 0, 0, 0, 0xff];
 /// An empty last block of deflate.
 const LAST_BLOCK: [u8; 2] = [3, 0];
 
@@ -20,8 +20,11 @@ pub(super) struct Gzip<'a> {
 }
 
 impl<'a> Gzip<'a> {
-    pub(super) fn begin(out: &'a mut dyn Write) -> std::io::Result<Self> {
+    /// Writes the header with a comment, which has no NUL.
+    pub(super) fn begin(out: &'a mut dyn Write, comment: &str) -> std::io::Result<Self> {
         out.write_all(&START)?;
+        out.write_all(comment.as_bytes())?;
+        out.write_all(&[0])?;
         Ok(Self { out, sum: Crc::new() })
     }
 

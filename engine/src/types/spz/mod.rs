@@ -13,13 +13,18 @@ use std::path::Path;
 use flate2::read::GzDecoder;
 
 use super::scene_file::{Encoder, Format, SceneFormat, WriteOptions, write_as};
-use super::{Scene, source::Source};
+use super::{Scene, World, source::Source};
 use crate::{Error, Result};
 use codec::Layout;
 use gzip::Gzip;
 
-pub(super) const FORMAT: Format =
-    Format { marks: &[&[0x1f, 0x8b], b"NGSP"], view_dependence: true, read: read_unchecked, write: encoder };
+pub(super) const FORMAT: Format = Format {
+    marks: &[&[0x1f, 0x8b], b"NGSP"],
+    view_dependence: true,
+    read: read_unchecked,
+    world: Some(read_line),
+    write: encoder,
+};
 
 pub use range::spz_coarsening;
 
@@ -45,11 +50,18 @@ const ALWAYS_INFLATED: u64 = 64 << 20;
 /// [`Error::Argument`] when the scene is not valid, a position is beyond 2²³ or the version is another; [`Error::Io`]
 /// when the file cannot be written.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
-    write_as(SceneFormat::Spz, path.as_ref(), scene, &WriteOptions { spz_version: version })
+    write_as(SceneFormat::Spz, path.as_ref(), scene, &WriteOptions { spz_version: version }, None)
 }
 
-fn encoder<'a>(scene: &'a Scene, options: &WriteOptions) -> Result<Encoder<'a>> {
-    let version = options.spz_version;
+/// The line of [`World::line`] in the comment of an SPZ's gzip stream, where it has one.
+fn read_line(path: &Path) -> Result<Option<String>> {
+    let decoder = GzDecoder::new(Source::open(path)?);
+    Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
+}
+
+/// With the world in the comment that gzip has room for; version 4, which is no gzip stream, goes without.
+fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
+    let (version, comment) = (options.spz_version, World::line(world));
     if !matches!(version, 2..=4) {
         return Err(Error::argument("SPZ version", version, "2, 3 or 4"));
     }
@@ -60,7 +72,7 @@ fn encoder<'a>(scene: &'a Scene, options: &WriteOptions) -> Result<Encoder<'a>> 
         return Ok(Box::new(move |out| streams::write(&layout, scene, count, out)));
     }
     Ok(Box::new(move |out| {
-        let mut out = Gzip::begin(out)?;
+        let mut out = Gzip::begin(out, &comment)?;
         let mut header = [MAGIC, version, count].map(u32::to_le_bytes).concat();
         header.extend([scene.sh_degree as u8, layout.fractional_bits as u8, 0, 0]);
         out.write(&header)?;

@@ -14,7 +14,7 @@ use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
     gpu::{Limits, Matrices, MatrixShape, list_devices},
-    types::{SceneFormat, read_ply_origin},
+    types::{SceneFormat, World, read_world},
     weights::Checkpoint,
 };
 
@@ -168,7 +168,11 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let file = Path::new(path);
     let (scene, dropped) = input.read(session, file)?;
     let size = file.metadata().map_err(|error| Error::io(file, error))?.len();
-    let (count, degree, origin) = (scene.len(), scene.sh_degree, read_ply_origin(file)?);
+    let (count, degree) = (scene.len(), scene.sh_degree);
+    let world = read_world(file)?.map(|world| match world {
+        World::Photo(photo) => format!("the camera of {photo}"),
+        World::Cameras(_) => "that of its cameras".into(),
+    });
     let bounds = ranges(scene.means.iter().copied());
     let [scales] = ranges(scene.scales.as_flattened().iter().map(|scale| [*scale]));
     let [opacities] = ranges(scene.opacities.iter().map(|opacity| [*opacity]));
@@ -176,7 +180,7 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let corners = || Some([0, 1].map(|end| bounds.map(|range| range.map_or(f32::NAN, |range| range[end]))));
     let json = json!({
         "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "bounds": bounds[0].and_then(|_| corners()),
-        "scales": scales, "opacities": opacities, "origin": origin, "bytes": size,
+        "scales": scales, "opacities": opacities, "world": world, "bytes": size,
     });
     let mut text =
         format!("{path}: {}, spherical harmonics of degree {degree}, {}\n", counted(count, "Gaussian"), bytes(size));
@@ -188,8 +192,8 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
         }
     }
     text += &table.to_string();
-    if let Some(photo) = origin {
-        text += &format!("world: the camera of {photo}");
+    if let Some(world) = world {
+        text += &format!("world: {world}");
     }
     session.report(&json, text)
 }

@@ -10,7 +10,7 @@ use super::timed_device;
 use crate::{
     capture::{Capture, Choice},
     options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
-    outputs,
+    outputs::{self, Overwrite},
     session::Session,
 };
 use clap::Args;
@@ -64,7 +64,7 @@ pub struct Tradeoff {
     /// Pixels that the network sees of each photo [default: what the weights are best with]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points]
+    /// Length in the cameras' unit that becomes the network's 1 [default: as of `eval`]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
     /// Runs before those that are timed
@@ -76,11 +76,15 @@ pub struct Tradeoff {
     /// Folder for tradeoff.html and tradeoff.csv
     #[arg(long, short, value_name = "FOLDER")]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 impl Tradeoff {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         outputs::check_folder(&self.output)?;
+        let [html, csv] = ["tradeoff.html", "tradeoff.csv"].map(|name| self.output.join(name));
+        self.overwrite.check_replaced([&html, &csv])?;
         let checkpoint = self.weights.open()?;
         let size = Size::or_best(self.size, &checkpoint);
         sweep::check(self, checkpoint.architecture(), size)?;
@@ -91,12 +95,11 @@ impl Tradeoff {
         let captures: Vec<Capture> = (choices.iter())
             .map(|choice| Ok(session.stage("load photos", |stage| choice.load(size, self.unit, stage))?.0))
             .collect::<Result<_>>()?;
-        captures.iter().flat_map(|capture| &capture.cropping).take(1).for_each(|note| session.note(note));
+        captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
         let arithmetics = self.arithmetics(session, &device)?;
         let (sweep, stopped_of) = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
 
         outputs::make_folder(&self.output)?;
-        let (html, csv) = (self.output.join("tradeoff.html"), self.output.join("tradeoff.csv"));
         let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;
         write_atomic(&html, |out| out.write_all(page.as_bytes()))?;
         outputs::save_csv(&csv, &sweep.points)?;

@@ -26,7 +26,7 @@ const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstruction
 /// Where a picture cannot be encoded.
 pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
     let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>What accuracy costs in time</title>\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=generator content=zipsplat><title>What accuracy costs in time</title>\
          <style>{STYLE}</style><h1>What accuracy costs in time</h1>\
          <p>{} on {}, weights: {}. {} combinations, each the median of {} runs.</p>",
         escape(&args.folder.display().to_string()),

@@ -1,0 +1,227 @@
+//! The network's unit of length in that of known cameras.
+
+use glam::{DMat3, DVec3};
+use serde::Serialize;
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
+use zipsplat::{
+    Result,
+    types::{
+        Camera, Pose,
+        poses::{Poses, read_cloud},
+    },
+};
+
+/// Mean squared sine of the angles between optical axes and the direction nearest to all of them, from which on the point that
+/// the axes come nearest to is a measure of distance. In 17 captures, of which 4 are below, that point is then 0.45 to 1.13
+/// times as far away as the median point of their clouds; below it may lie anywhere.
+const CONVERGING: f64 = 0.05;
+/// How much farther than the median camera's the first camera's distance from that point may be, and how much nearer.
+const FARTHER: f64 = 2.0;
+
+/// A length in the cameras' unit that the network takes for 1, and where it comes from. The network is trained with what photos
+/// see at a median distance of about 1 from the first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unit {
+    /// By which positions of cameras are divided.
+    pub length: f64,
+    /// How it was found.
+    pub source: Source,
+}
+
+/// How a unit was found.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Source {
+    /// The user gave it.
+    Given,
+    /// The median distance of the points of a cloud that the chosen cameras see.
+    Points(PathBuf),
+    /// The distance of the point that the optical axes of all cameras come nearest to.
+    Axes,
+    /// The root mean square of the distances between cameras, whose axes meet nowhere.
+    Spread,
+    /// No distance is known: there are no cameras, or all stand at one place.
+    Nothing,
+}
+
+impl Unit {
+    /// The unit of a reconstruction: `given`, or from the capture's point cloud where `views` see any of its points, else from
+    /// where all cameras of the capture stand and look. The world of `views` is the first one's camera, `origin` that one's
+    /// pose in the world of `poses`.
+    ///
+    /// # Errors
+    /// Where there is a point cloud that cannot be read.
+    pub fn of(given: Option<f64>, poses: &Poses, views: &[Camera], origin: &Pose) -> Result<Self> {
+        if let Some(length) = given {
+            return Ok(Self { length, source: Source::Given });
+        }
+        if let Some(path) = &poses.points
+            && let Some(length) = of_points(path, views, origin)?
+        {
+            return Ok(Self { length, source: Source::Points(path.clone()) });
+        }
+        let all: Vec<Pose> = poses.frames.iter().map(|frame| frame.camera.pose).collect();
+        let (length, source) = match (of_spread(&all), of_axes(&all, origin)) {
+            (None, _) => (1.0, Source::Nothing),
+            (Some(_), Some(length)) => (length, Source::Axes),
+            (Some(spread), None) => (spread, Source::Spread),
+        };
+        Ok(Self { length, source })
+    }
+
+    /// What a user should know of it before trusting the scene; nothing where it was given or measured.
+    pub fn doubt(&self) -> Option<String> {
+        match self.source {
+            Source::Given | Source::Points(_) => None,
+            _ => Some(format!("no point cloud: {self}; --unit LENGTH says how far away the scene is")),
+        }
+    }
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "unit {:.4}", self.length)?;
+        match &self.source {
+            Source::Given => write!(f, ", as given"),
+            Source::Points(path) => write!(f, ", the median distance of the points of {}", path.display()),
+            Source::Axes => write!(f, ", the distance of the point that all cameras look at"),
+            Source::Spread => write!(f, ", the distance between cameras, as they do not look at one point"),
+            Source::Nothing => write!(f, ", as all cameras stand at one place"),
+        }
+    }
+}
+
+impl Source {
+    /// One word for it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Given => "given",
+            Self::Points(_) => "points",
+            Self::Axes => "axes",
+            Self::Spread => "spread",
+            Self::Nothing => "nothing",
+        }
+    }
+}
+
+impl Serialize for Source {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+/// The median distance from the first of `cameras` of the points that any of them sees.
+fn of_points(path: &Path, cameras: &[Camera], origin: &Pose) -> Result<Option<f64>> {
+    let to_world = origin.inverse();
+    let distances: Vec<f64> = (read_cloud(path)?.into_iter())
+        .map(|point| to_world.transform(DVec3::from(point.map(f64::from))))
+        .filter(|point| cameras.iter().any(|camera| sees(camera, *point)))
+        .map(DVec3::length)
+        .collect();
+    Ok(median(distances).filter(|length| *length > 0.0))
+}
+
+/// Whether a world point falls into a camera's picture.
+fn sees(camera: &Camera, point: DVec3) -> bool {
+    let (i, p) = (&camera.intrinsics, camera.pose.inverse().transform(point));
+    let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
+    p.z > 0.0 && (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y)
+}
+
+/// How far from the first camera the point is that all optical axes come nearest to, in the sense of least squares, where they
+/// converge and most cameras have it before them.
+fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
+    let (mut sum, mut moment) = (DMat3::ZERO, DVec3::ZERO);
+    for pose in cameras {
+        let axis = pose.rotation.z_axis;
+        // Takes from a vector what lies along the axis.
+        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        sum += across;
+        moment += across * pose.translation;
+    }
+    if smallest_eigenvalue(sum) < CONVERGING * cameras.len() as f64 {
+        return None;
+    }
+    let point = sum.inverse() * moment;
+    let depth = median(cameras.iter().map(|pose| (point - pose.translation).dot(pose.rotation.z_axis)).collect())?;
+    let distance = median(cameras.iter().map(|pose| point.distance(pose.translation)).collect())?;
+    let own = point.distance(first.translation).clamp(distance / FARTHER, distance * FARTHER);
+    (depth > 0.0 && own > 0.0).then_some(own)
+}
+
+/// Of a symmetric matrix without negative ones, by the trigonometric solution of its characteristic polynomial.
+fn smallest_eigenvalue(m: DMat3) -> f64 {
+    let mean = (m.x_axis.x + m.y_axis.y + m.z_axis.z) / 3.0;
+    let rest = m - DMat3::from_diagonal(DVec3::splat(mean));
+    let squares = [rest.x_axis, rest.y_axis, rest.z_axis].map(DVec3::length_squared);
+    let radius = (squares.iter().sum::<f64>() / 6.0).sqrt();
+    if radius <= f64::EPSILON * mean {
+        return mean;
+    }
+    let half = (rest * (1.0 / radius)).determinant() / 2.0;
+    let angle = half.clamp(-1.0, 1.0).acos() / 3.0;
+    mean + 2.0 * radius * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos()
+}
+
+/// The root mean square of the distances between cameras.
+fn of_spread(cameras: &[Pose]) -> Option<f64> {
+    let count = cameras.len() as f64;
+    let centre = cameras.iter().map(|pose| pose.translation).sum::<DVec3>() / count;
+    let squares: f64 = cameras.iter().map(|pose| pose.translation.distance_squared(centre)).sum();
+    let spread = (2.0 * squares / (count - 1.0)).sqrt();
+    // Cameras that turn on a tripod differ by rounding.
+    (spread.is_finite() && spread > 1e-9 * centre.length()).then_some(spread)
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zipsplat::types::{Intrinsics, Orbit, poses::Frame};
+
+    fn poses(poses: Vec<Pose>) -> Poses {
+        let lens = Intrinsics::from_fov(64, 48, 1.0, 0.8);
+        let frame =
+            |pose| Frame { name: "x".into(), photo: None, camera: Camera { intrinsics: lens, pose }, lens: None };
+        Poses { frames: poses.into_iter().map(frame).collect(), ..Poses::default() }
+    }
+
+    fn found(cameras: Vec<Pose>) -> (f64, Source) {
+        let Unit { length, source } = Unit::of(None, &poses(cameras.clone()), &[], &cameras[0]).expect("no cloud");
+        (length, source)
+    }
+
+    #[test]
+    fn cameras_that_look_at_a_point_are_measured_by_it() {
+        let orbit = Orbit { center: DVec3::new(30.0, -10.0, 200.0), radius: 40.0 };
+        let (length, source) = found(orbit.sweep(7, 13.0, 200.0, -25.0));
+        assert!((length - 40.0).abs() < 1e-9 && source == Source::Axes, "{length} {source:?}");
+        // The first one's own distance, within twice the median's.
+        let mut cameras = orbit.sweep(7, 13.0, 200.0, -25.0);
+        cameras[0].translation = orbit.center - 20.5 * cameras[0].rotation.z_axis;
+        assert!((found(cameras.clone()).0 - 20.5).abs() < 1e-9);
+        cameras[0].translation = orbit.center - 0.5 * cameras[0].rotation.z_axis;
+        assert!((found(cameras).0 - 20.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn cameras_that_do_not_are_measured_by_their_distances() {
+        let at = |x: f64, turn: f64| Pose {
+            rotation: DMat3::from_rotation_y(turn),
+            translation: DVec3::new(500.0 + x, 0.0, 0.0),
+        };
+        // Side by side, and outwards from one another: what lies behind all is no scene.
+        for turn in [0.0, 0.4] {
+            let (length, source) = found(vec![at(-3.0, -turn), at(0.0, 0.0), at(3.0, turn)]);
+            assert!((length - 18f64.sqrt()).abs() < 1e-9 && source == Source::Spread, "{length} {source:?}");
+        }
+        assert_eq!(found(vec![at(1.0, 0.0), at(1.0, 0.9), at(1.0, -0.4)]), (1.0, Source::Nothing));
+        assert_eq!(found(vec![at(1.0, 0.0)]), (1.0, Source::Nothing));
+    }
+}
