@@ -20,6 +20,7 @@ pub mod procedural;
 mod session;
 mod signals;
 mod table;
+mod views;
 
 use clap::Parser;
 use session::Session;

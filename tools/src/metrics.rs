@@ -21,6 +21,13 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     -10.0 * (squares / a.len() as f64).log10()
 }
 
+/// A picture `[..][rgb]` of one colour, the mean of another's.
+pub fn mean_colour(picture: &[f32]) -> Vec<f32> {
+    let mut sums = [0.0; 3];
+    picture.iter().enumerate().for_each(|(i, value)| sums[i % 3] += f64::from(*value));
+    (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()
+}
+
 /// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the mean over channels and over
 /// all windows that lie inside, Gaussian weights, sample covariances, K1 = 0.01, K2 = 0.03.
 ///

@@ -15,6 +15,7 @@ mod scene_file;
 mod sh_rotation;
 mod splat;
 mod spz;
+mod squares;
 mod trajectory;
 
 pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
@@ -28,4 +29,5 @@ pub use scene::Scene;
 pub use scene_file::{SceneFormat, WriteOptions, read_scene, read_scene_unchecked, write_scene};
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, write_spz};
+pub use squares::{square_count, squares};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};

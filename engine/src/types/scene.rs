@@ -2,9 +2,13 @@
 
 use std::path::Path;
 
+use glam::{DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::{Pose, sh_rotation::sh_rotation};
 use crate::{Error, Result};
 
-/// N 3D Gaussians in the frame of the first view's camera (OpenCV axes).
+/// N 3D Gaussians. A reconstruction's are in the frame of the first view's camera (OpenCV axes) until [`Scene::place`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     /// `[N]` centres.
@@ -78,6 +82,30 @@ impl Scene {
     /// Scales the world about the origin: means and scales times `factor`.
     pub fn scale(&mut self, factor: f32) {
         self.means.iter_mut().chain(&mut self.scales).flatten().for_each(|value| *value *= factor);
+    }
+
+    /// Moves the scene to another world, in which its own has this pose after it is scaled: a point x comes to stand at
+    /// `pose(scale x)`. Rotations and spherical harmonics turn with it, so that every picture stays as it was.
+    pub fn place(&mut self, scale: f64, pose: &Pose) {
+        let turn = DQuat::from_mat3(&pose.rotation);
+        let (harmonics, k) = (sh_rotation(&pose.rotation), self.sh_coeffs_per_gaussian());
+        self.means.par_iter_mut().for_each(|mean| {
+            *mean = pose.transform(scale * DVec3::from(mean.map(f64::from))).as_vec3().to_array();
+        });
+        self.scales.par_iter_mut().flatten().for_each(|value| *value = (f64::from(*value) * scale) as f32);
+        self.quats.par_iter_mut().for_each(|quat| {
+            let [w, x, y, z] = quat.map(f64::from);
+            let [x, y, z, w] = (turn * DQuat::from_xyzw(x, y, z, w)).to_array();
+            *quat = [w, x, y, z].map(|value| value as f32);
+        });
+        self.sh_coeffs.par_chunks_exact_mut(k).for_each(|coeffs| {
+            let before = coeffs.to_vec();
+            for (coeff, row) in coeffs.iter_mut().zip(&harmonics) {
+                let sum =
+                    |c: usize| before.iter().zip(row).map(|(rgb, factor)| factor * f64::from(rgb[c])).sum::<f64>();
+                *coeff = std::array::from_fn(|c| sum(c) as f32);
+            }
+        });
     }
 
     /// Keeps of every `group` consecutive Gaussians, such as those of a token, the `count` that show most: by opacity times

@@ -7,6 +7,7 @@ use crate::{
     outputs, photos,
     session::Session,
     table::{bytes, counted, time},
+    views::{FitOption, Views},
 };
 use clap::Args;
 use indicatif::HumanCount;
@@ -15,7 +16,7 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
-    types::{Camera, SceneFormat, poses::read_poses, preprocess::view_cameras},
+    types::{Camera, SceneFormat, poses::read_poses},
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -40,6 +41,8 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
     /// Take at most so many of the photos, evenly spread, the first and the last among them [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
@@ -80,34 +83,35 @@ impl Reconstruct {
                  one photo, or known cameras, gives more",
             );
         }
-        let size = self.quality.size_for(&checkpoint);
+        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
+        fit.check(size, self.poses.is_some())?;
+        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
         let Size(width, height) = size;
-        let chosen = (*ratio, select);
-        let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
+        let (views, chosen) = (fit.count(&photos)?, (*ratio, select));
+        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, self.poses.is_some())?;
         let poses = self.poses.as_ref().map(read_poses).transpose()?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         poses.iter().flat_map(|poses| &poses.notes).for_each(|note| session.note(note));
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
-        let (views, load_photos) =
-            session.stage("load photos", |stage| photos::load(&photos, poses.is_some(), size, stage))?;
-        if let Some(note) = photos::cropping(&views, size) {
-            session.note(note);
-        }
         let photo_cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-        let mut cameras = view_cameras(&photo_cameras, &views)?;
+        let (views, load_photos) =
+            session.stage("load photos", |stage| fit.load(&photos, &photo_cameras, size, stage))?;
+        let Views { images, mut cameras, note } = views;
+        note.iter().for_each(|note| session.note(note));
         let unit = match (self.unit, poses.as_ref().and_then(|poses| poses.points.as_deref())) {
             (None, Some(points)) => cameras::unit(points, &cameras, &photo_cameras[0].pose)?,
             (given, _) => given.unwrap_or(1.0),
         };
         cameras.iter_mut().for_each(|camera| camera.pose.translation /= unit);
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (cameras, world) = fit.told(cameras);
         let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
         let (mut result, _) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
+        world.iter().for_each(|world| result.scene.place(1.0, world));
         result.scene.scale(unit as f32);
         let origin = frames.first().map(|frame| frame.name.as_str());
         let (_, write) = session.stage("write", |_| outputs::save_scene(&self.output, &result.scene, origin))?;
@@ -121,7 +125,7 @@ impl Reconstruct {
             times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
         let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
-            "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
+            "photos": photos.len(), "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
             "unit": unit, "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
             "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,

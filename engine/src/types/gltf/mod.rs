@@ -8,10 +8,10 @@ mod write;
 
 use std::path::Path;
 
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DVec3};
 use rayon::prelude::*;
 
-use super::{Scene, axes::HalfTurn::AboutZ, sh_rotation::sh_rotation};
+use super::{Pose, Scene, axes::HalfTurn::AboutZ};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::{Document, Primitive, unpack};
@@ -134,24 +134,7 @@ fn transform(part: &mut Scene, to_world: &DMat4) -> Parsed<()> {
             format!("a node's transform is {to_world}, expected a rotation, one positive scale and a translation");
         return Err(reason.into());
     }
-    let matrix = sh_rotation(&DMat3::from_quat(rotation));
-    for mean in &mut part.means {
-        *mean = to_world.transform_point3(DVec3::from(mean.map(f64::from))).as_vec3().to_array();
-    }
-    part.scales.iter_mut().flatten().for_each(|value| *value = (f64::from(*value) * scale) as f32);
-    for quat in &mut part.quats {
-        let [w, x, y, z] = quat.map(f64::from);
-        let [x, y, z, w] = (rotation * DQuat::from_xyzw(x, y, z, w)).to_array();
-        *quat = [w, x, y, z].map(|value| value as f32);
-    }
-    let k = part.sh_coeffs_per_gaussian();
-    part.sh_coeffs.par_chunks_exact_mut(k).for_each(|coeffs| {
-        let before = coeffs.to_vec();
-        for (coeff, row) in coeffs.iter_mut().zip(&matrix) {
-            let sum = |c: usize| before.iter().zip(row).map(|(rgb, factor)| factor * f64::from(rgb[c])).sum::<f64>();
-            *coeff = std::array::from_fn(|c| sum(c) as f32);
-        }
-    });
+    part.place(scale, &Pose { rotation: DMat3::from_quat(rotation), translation });
     Ok(())
 }
 

@@ -8,7 +8,7 @@ mod truth;
 
 use super::timed_device;
 use crate::{
-    capture::{Capture, Choice},
+    capture::{Capture, Choice, Seeing},
     options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs,
     session::Session,
@@ -89,9 +89,11 @@ impl Tradeoff {
             .collect::<Result<_>>()?;
         let device = timed_device(session)?;
         let captures: Vec<Capture> = (choices.iter())
-            .map(|choice| Ok(session.stage("load photos", |stage| choice.load(size, self.unit, stage))?.0))
+            .map(|choice| {
+                Ok(session.stage("load photos", |stage| choice.load(Seeing::cropped(size), self.unit, stage))?.0)
+            })
             .collect::<Result<_>>()?;
-        captures.iter().flat_map(|capture| &capture.cropping).take(1).for_each(|note| session.note(note));
+        captures.iter().flat_map(|capture| &capture.views.note).take(1).for_each(|note| session.note(note));
         let arithmetics = self.arithmetics(session, &device)?;
         let sweep = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
 
