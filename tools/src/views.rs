@@ -41,7 +41,7 @@ pub struct Views {
     pub note: Option<String>,
 }
 
-/// A picture for the network, its camera, where there is one, and the size of its photo.
+/// A picture for the network, and its camera, where there is one.
 pub type Seen = (Image, Option<Camera>);
 
 impl Fit {
