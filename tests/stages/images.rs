@@ -4,11 +4,12 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+use glam::{DMat3, DVec3};
 use image::{DynamicImage, ImageFormat};
 use zipsplat::Error;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{Image, Intrinsics, contact_sheet};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, square_count, squares};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::photos::with_orientation;
@@ -113,6 +114,64 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
     for (width, height) in [(0, 252), (252, 0), (250, 252)] {
         assert!(matches!(fit(&photo, width, height), Err(Error::Argument { .. })));
     }
+}
+
+/// The colour of a far place in a direction.
+fn colour(direction: DVec3) -> [f64; 3] {
+    let d = direction.normalize();
+    [d.x, d.y, d.x * d.y].map(|value| 127.5 + 110.0 * (3.0 * value).sin())
+}
+
+#[test]
+fn squares_show_what_their_cameras_see() {
+    let pose = Pose { rotation: DMat3::from_rotation_y(0.4) * DMat3::from_rotation_x(-0.3), translation: DVec3::ONE };
+    for (width, height, count) in [(300, 200, 2), (200, 400, 2), (210, 200, 1), (500, 200, 3)] {
+        let intrinsics = Intrinsics {
+            width,
+            height,
+            fx: 210.0,
+            fy: 205.0,
+            cx: 0.52 * f64::from(width),
+            cy: 0.49 * f64::from(height),
+        };
+        let camera = Camera { intrinsics, pose };
+        let ray = |i: &Intrinsics, x: u32, y: u32| {
+            DVec3::new((f64::from(x) + 0.5 - i.cx) / i.fx, (f64::from(y) + 0.5 - i.cy) / i.fy, 1.0)
+        };
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let rgb = pixels.flat_map(|(x, y)| colour(ray(&intrinsics, x, y)).map(|value| value.round() as u8)).collect();
+        let photo = Image::new(width, height, rgb).unwrap();
+        let views = squares(&photo, &camera, 56, "camera").unwrap();
+        assert_eq!((views.len(), square_count(width, height)), (count, count));
+        let mut seen = vec![false; (width * height) as usize];
+        for (image, view) in &views {
+            assert_eq!((view.intrinsics.cx, view.intrinsics.cy, view.intrinsics.width), (28.0, 28.0, 56));
+            assert!(view.intrinsics.fx == view.intrinsics.fy && view.pose.translation == pose.translation);
+            for (x, y) in (0..56).flat_map(|y| (0..56).map(move |x| (x, y))) {
+                let d = pose.rotation.transpose() * view.pose.rotation * ray(&view.intrinsics, x, y);
+                let at = [intrinsics.fx * d.x / d.z + intrinsics.cx, intrinsics.fy * d.y / d.z + intrinsics.cy];
+                let inside = |place: f64, length: u32| (4.0..f64::from(length) - 4.0).contains(&place);
+                if inside(at[0], width) && inside(at[1], height) {
+                    let pixel = 3 * (y * 56 + x) as usize;
+                    let truth = colour(d);
+                    let apart = (0..3).map(|c| (f64::from(image.rgb[pixel + c]) - truth[c]).abs()).fold(0.0, f64::max);
+                    assert!(apart < 4.0, "{apart} levels at ({x}, {y}) of a square of {width}x{height}");
+                }
+            }
+            // Which of the photo's pixels the square has.
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let d = view.pose.rotation.transpose() * pose.rotation * ray(&intrinsics, x, y);
+                let i = &view.intrinsics;
+                let at = [i.fx * d.x / d.z + i.cx, i.fy * d.y / d.z + i.cy];
+                seen[(y * width + x) as usize] |= d.z > 0.0 && at.iter().all(|place| (0.0..56.0).contains(place));
+            }
+        }
+        let share = seen.iter().filter(|seen| **seen).count() as f64 / seen.len() as f64;
+        assert!(share > 0.95, "{share} of {width}x{height} is seen");
+    }
+    let (photo, wrong) = (noise(300, 200), Intrinsics::from_fov(200, 300, 1.0, 1.0));
+    let refused = squares(&photo, &Camera { intrinsics: wrong, pose }, 56, "camera 7");
+    assert!(matches!(refused, Err(Error::Argument { what, .. }) if what.contains("camera 7")));
 }
 
 #[test]

@@ -1,12 +1,13 @@
-//! Where in a scene a photo was taken: the camera whose picture of the scene is most like the photo.
+//! Where in a scene a photo was taken: the camera near a first estimate whose picture of the scene is most like the photo.
 
 use crate::{
     capture::{draw, draw_all},
-    metrics::{psnr, values},
+    metrics::{mean_colour, psnr, values},
 };
 use glam::{DMat3, DQuat, DVec3};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DVector, Dyn, OMatrix, U6, Vector6, storage::Owned};
+use serde::Serialize;
 use std::{cell::RefCell, iter::successors};
 use zipsplat::{
     Result,
@@ -14,6 +15,17 @@ use zipsplat::{
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
+/// Radians that a camera may turn: 15 degrees. Farther off there are other parts of a scene, of which the blurred ones are like
+/// every photo.
+pub const MOST_TURN: f64 = std::f64::consts::PI / 12.0;
+/// How far it may move, where the scene is at a distance of about 1.
+pub const MOST_SHIFT: f64 = 0.25;
+/// Share of either from which a camera counts as stopped there.
+const STOPPED: f64 = 0.9;
+/// Share of the squared error by which a picture has to be better where the camera turns or moves 0.71 of the most.
+const PRIOR: f64 = 0.1;
+/// Standard deviation of the values of a photo, in 0..1, below which it has no texture to align by.
+const TEXTURE: f64 = 0.02;
 /// Shortest side of the smallest picture that is compared.
 const SMALLEST: u32 = 20;
 /// Half the length of central differences, in pixels that what is at distance 1 moves.
@@ -31,10 +43,29 @@ pub struct Aligned {
     pub drawn: Vec<f32>,
     /// As the camera sees it that the search began with.
     pub before: Vec<f32>,
+    /// Radians between the two cameras.
+    pub turn: f64,
+    /// Distance between the two cameras, in the unit of their poses.
+    pub shift: f64,
+    /// Why the camera is not to be trusted, where it is not.
+    pub doubt: Option<Doubt>,
+}
+
+/// Why an alignment says little.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Doubt {
+    /// The photo has hardly any texture: its camera was left where it was.
+    Flat,
+    /// The camera went about as far as it may.
+    Bound,
+    /// The picture is no more like the photo than a single colour is, the mean of the nearest input photo.
+    Colour,
 }
 
 /// Turns and moves `camera` until its picture of the scene that a renderer holds has the least squared error to `photo`, of
-/// the camera's size; at a distance of about 1 there should be something to see. Its lens stays.
+/// the camera's size; at a distance of about 1 there should be something to see. Its lens stays. The camera stays within 15
+/// degrees and 0.25 of where it was, and a movement has to gain the more the farther it goes.
 ///
 /// Levenberg-Marquardt over the 6 degrees of freedom, derivatives by central differences, from small pictures to those of
 /// full size, where the camera that it began with is kept if none is better. Before each drawing `check` is asked.
@@ -47,25 +78,39 @@ pub fn align(
     camera: &Camera,
     check: &dyn Fn() -> Result<()>,
 ) -> Result<Aligned> {
+    let truth = values(photo);
+    let before = draw(renderer, camera)?;
+    let stay = |doubt| Aligned {
+        camera: *camera,
+        drawn: before.clone(),
+        before: before.clone(),
+        turn: 0.0,
+        shift: 0.0,
+        doubt,
+    };
+    if psnr(&truth, &mean_colour(&truth)) > -20.0 * TEXTURE.log10() {
+        return Ok(stay(Some(Doubt::Flat)));
+    }
     let halves = successors(Some((photo.width, photo.height)), |(width, height)| Some((width / 2, height / 2)));
     let sizes: Vec<_> = halves.enumerate().take_while(|(i, size)| *i == 0 || size.0.min(size.1) >= SMALLEST).collect();
-    let mut pose = camera.pose;
+    let mut movement = Vector6::zeros();
     for (_, (width, height)) in sizes.into_iter().rev() {
-        let start = Camera { pose, intrinsics: camera.intrinsics.resized(width, height) };
-        let problem = Search::new(renderer, &resize_lanczos(photo, width, height)?, start, check);
+        let start = Camera { intrinsics: camera.intrinsics.resized(width, height), ..*camera };
+        let search = Search::new(renderer, &resize_lanczos(photo, width, height)?, start, check).from(movement)?;
         let solver = LevenbergMarquardt::new().with_ftol(TOLERANCE).with_xtol(TOLERANCE).with_patience(PATIENCE);
-        let (found, _) = solver.minimize(problem);
+        let (found, _) = solver.minimize(search);
         found.failure.into_inner()?;
-        pose = moved(&found.start, &found.movement).pose;
+        movement = found.movement;
     }
-    let found = Camera { pose, ..*camera };
-    let [before, drawn] = [camera, &found].map(|camera| draw(renderer, camera));
-    let (before, drawn, truth) = (before?, drawn?, values(photo));
+    let found = moved(camera, &movement);
+    let drawn = draw(renderer, &found)?;
     // Small pictures may be most alike elsewhere.
-    Ok(match psnr(&drawn, &truth) > psnr(&before, &truth) {
-        true => Aligned { camera: found, drawn, before },
-        false => Aligned { camera: *camera, drawn: before.clone(), before },
-    })
+    if psnr(&drawn, &truth) <= psnr(&before, &truth) {
+        return Ok(stay(None));
+    }
+    let [turn, shift] = turn_and_shift(&movement).map(DVec3::length);
+    let stopped = turn > STOPPED * MOST_TURN || shift > STOPPED * MOST_SHIFT;
+    Ok(Aligned { camera: found, drawn, before, turn, shift, doubt: stopped.then_some(Doubt::Bound) })
 }
 
 /// The search among pictures of one size.
@@ -77,11 +122,21 @@ struct Search<'a> {
     truth: DVector<f64>,
     start: Camera,
     movement: Vector6<f64>,
+    /// What a movement costs: so much times its length is a residual.
+    prior: f64,
 }
 
-/// `camera` turned about its axes (radians, the first three numbers) and moved along them (the other three).
+/// A turn (radians about a camera's own axes) and a shift (along them) for any six numbers: a movement cannot leave its ball,
+/// and near 0 one is [`MOST_TURN`] or [`MOST_SHIFT`].
+fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
+    [(0, MOST_TURN), (3, MOST_SHIFT)].map(|(i, most)| {
+        let free = DVec3::from_slice(&movement.as_slice()[i..i + 3]);
+        most * free / (1.0 + free.length_squared()).sqrt()
+    })
+}
+
 fn moved(camera: &Camera, movement: &Vector6<f64>) -> Camera {
-    let [turn, shift] = [0, 3].map(|i| DVec3::from_slice(&movement.as_slice()[i..i + 3]));
+    let [turn, shift] = turn_and_shift(movement);
     let movement = Pose { rotation: DMat3::from_quat(DQuat::from_scaled_axis(turn)), translation: shift };
     Camera { pose: camera.pose.compose(&movement), ..*camera }
 }
@@ -95,7 +150,18 @@ impl<'a> Search<'a> {
             truth: DVector::from_iterator(photo.rgb.len(), values(photo).into_iter().map(f64::from)),
             start,
             movement: Vector6::zeros(),
+            prior: 0.0,
         }
+    }
+
+    /// Begins with a movement. What movements cost is measured by the error there: where a scene explains a photo well, it
+    /// says where the camera is, and where it does not, a small gain is no reason to go far.
+    fn from(mut self, movement: Vector6<f64>) -> Result<Self> {
+        self.movement = movement;
+        let error = self.residuals().map(|residuals| residuals.rows(0, self.truth.len()).norm_squared());
+        self.failure.replace(Ok(()))?;
+        self.prior = (PRIOR * error.unwrap_or(0.0)).sqrt();
+        Ok(self)
     }
 
     /// Pictures from where movements lead.
@@ -119,18 +185,25 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Search<'_> {
         self.movement
     }
 
+    /// Those of the pixels, then those of the six numbers of the movement.
     fn residuals(&self) -> Option<DVector<f64>> {
         let picture = self.pictures(&[self.movement])?.remove(0);
-        Some(DVector::from_iterator(picture.len(), picture.into_iter().map(f64::from)) - &self.truth)
+        let pixels = picture.into_iter().zip(self.truth.iter()).map(|(drawn, truth)| f64::from(drawn) - truth);
+        let prior = self.movement.iter().map(|value| self.prior * value);
+        Some(DVector::from_iterator(self.truth.len() + 6, pixels.chain(prior)))
     }
 
     fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U6>> {
-        let half = DIFFERENCE / self.start.intrinsics.fx;
-        let step = |i: usize| Vector6::from_fn(|row, _| if row == i { half } else { 0.0 });
+        let pixel = DIFFERENCE / self.start.intrinsics.fx;
+        let half = |i: usize| pixel / if i < 3 { MOST_TURN } else { MOST_SHIFT };
+        let step = |i: usize| Vector6::from_fn(|row, _| if row == i { half(i) } else { 0.0 });
         let movements: Vec<_> = (0..6).flat_map(|i| [self.movement + step(i), self.movement - step(i)]).collect();
         let pictures = self.pictures(&movements)?;
-        let slope = |(a, b): (&f32, &f32)| f64::from(a - b) / (2.0 * half);
-        let columns = pictures.chunks_exact(2).flat_map(|pair| pair[0].iter().zip(&pair[1]).map(slope));
-        Some(OMatrix::<f64, Dyn, U6>::from_iterator(self.truth.len(), columns))
+        let columns = pictures.chunks_exact(2).enumerate().flat_map(|(i, pair)| {
+            let slope = move |(a, b): (&f32, &f32)| f64::from(a - b) / (2.0 * half(i));
+            let prior = (0..6).map(move |row| if row == i { self.prior } else { 0.0 });
+            pair[0].iter().zip(&pair[1]).map(slope).chain(prior)
+        });
+        Some(OMatrix::<f64, Dyn, U6>::from_iterator(self.truth.len() + 6, columns))
     }
 }

@@ -1,11 +1,12 @@
 //! Captures: photos with cameras, some to reconstruct from and the others to compare with.
 
 use crate::{
-    metrics::{psnr, ssim, values},
+    metrics::{mean_colour, psnr, ssim, values},
     options::Size,
     photos,
     session::Stage,
     unit::Unit,
+    views::{Fit, Views, seen_through},
 };
 use glam::DVec3;
 use rayon::prelude::*;
@@ -15,9 +16,10 @@ use zipsplat::{
     Error, Result,
     stages::render::{RenderRequest, Renderer},
     types::{
-        Camera, Image,
+        Camera, Image, Pose,
         poses::{Frame, Poses, read_poses},
-        preprocess::{View, view_cameras},
+        preprocess::{fit, whole},
+        resample::resize_lanczos,
     },
 };
 
@@ -28,16 +30,27 @@ pub struct Choice {
     targets: Vec<usize>,
 }
 
-/// A capture's photos as the network sees them, and their cameras. The world is the first input's camera.
+/// How photos are seen by the network and compared.
+#[derive(Clone, Copy)]
+pub struct Seeing {
+    /// What the network sees of each.
+    pub fit: Fit,
+    /// Of pictures that it sees.
+    pub size: Size,
+    /// Whether photos are compared as a whole, at the scale of `size`, and not only what cropping to it leaves.
+    pub whole: bool,
+}
+
+/// A capture's photos as they are compared, and their cameras. The world is the first input's camera.
 pub struct Capture {
+    /// What the network sees of the inputs, and its cameras.
+    pub views: Views,
     /// To reconstruct from.
     pub inputs: Vec<Posed>,
     /// To compare with.
     pub targets: Vec<Posed>,
     /// What the cameras were divided by: the network's 1 in the capture's own unit.
     pub unit: Unit,
-    /// What there is to say about how much of the photos is cropped away.
-    pub cropping: Option<String>,
 }
 
 /// A photo and its camera.
@@ -80,6 +93,11 @@ impl Choice {
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
     }
 
+    /// The photos to reconstruct from.
+    pub fn inputs(&self) -> Vec<PathBuf> {
+        self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
+    }
+
     /// What the reader of the cameras has to say.
     pub fn notes(&self) -> &[String] {
         &self.poses.notes
@@ -89,35 +107,55 @@ impl Choice {
     ///
     /// # Errors
     /// Where a photo or the point cloud cannot be read.
-    pub fn load(&self, size: Size, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
+    pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i]).collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
-        let photos = photos::load(&paths, &frames, size, stage)?;
-        let cropping = photos::cropping(&photos, size);
-        let mut inputs = posed(&frames, photos)?;
-        let views = self.inputs.len();
-        let cameras: Vec<Camera> = inputs[..views].iter().map(|view| view.camera).collect();
-        let unit = Unit::of(unit, &self.poses, &cameras, &frames[0].camera.pose)?;
-        inputs.iter_mut().for_each(|view| view.camera.pose.translation /= unit.length);
-        let targets = inputs.split_off(views);
-        Ok(Capture { inputs, targets, unit, cropping })
+        let (world, count) = (frames[0].camera.pose, self.inputs.len());
+        let read = photos::read(&paths, &frames, stage, |i, photo| {
+            let label = format!("camera {i}");
+            let compared = posed(frames[i], &photo, seeing, &world, &label)?;
+            let seen = match i < count {
+                true => seeing.fit.views(&photo, Some(&frames[i].camera), seeing.size, &label)?,
+                false => Vec::new(),
+            };
+            Ok((compared, [photo.width, photo.height], seen))
+        })?;
+        let (mut inputs, mut sizes, mut seen) = (Vec::new(), Vec::new(), Vec::new());
+        for (compared, size, of_input) in read {
+            inputs.push(compared);
+            sizes.push(size);
+            seen.extend(of_input);
+        }
+        let mut views = Views::new(seeing.fit, seen.into_iter(), &world, &sizes[..count], seeing.size);
+        let unit = Unit::of(unit, &self.poses, &views.cameras, &world)?;
+        let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
+        cameras.for_each(|camera| camera.pose.translation /= unit.length);
+        let targets = inputs.split_off(count);
+        Ok(Capture { views, inputs, targets, unit })
+    }
+}
+
+impl Seeing {
+    /// The middle of each photo, which is all that is compared.
+    pub fn cropped(size: Size) -> Self {
+        Self { fit: Fit::Crop, size, whole: false }
     }
 }
 
 impl Capture {
     /// What there is to say about the photos and the unit.
     pub fn notes(&self) -> impl Iterator<Item = String> {
-        self.cropping.clone().into_iter().chain(self.unit.doubt())
+        self.views.note.clone().into_iter().chain(self.unit.doubt())
     }
 
     /// The pictures to reconstruct from.
     pub fn images(&self) -> Vec<Image> {
-        self.inputs.iter().map(|view| view.image.clone()).collect()
+        self.views.images.clone()
     }
 
     /// Their cameras.
     pub fn cameras(&self) -> Vec<Camera> {
-        self.inputs.iter().map(|view| view.camera).collect()
+        self.views.cameras.clone()
     }
 
     /// The input that was taken nearest to a photo.
@@ -133,18 +171,20 @@ impl Capture {
     }
 
     fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
-        let (truth, near) = (values(&view.image), values(&self.nearest(view).image));
-        let mut mean = [0.0; 3];
-        near.iter().enumerate().for_each(|(i, value)| mean[i % 3] += f64::from(*value));
-        let mean: Vec<f32> = (0..near.len()).map(|i| (mean[i % 3] * 3.0 / near.len() as f64) as f32).collect();
+        let (truth, near) = (values(&view.image), values(&alike(&self.nearest(view).image, &view.image)));
         Score {
             view: view.name.clone(),
             psnr: psnr(drawn, &truth),
             ssim: ssim(drawn, &truth, view.image.width as usize, view.image.height as usize),
             nearest_psnr: psnr(&near, &truth),
-            mean_colour_psnr: psnr(&mean, &truth),
+            mean_colour_psnr: psnr(&mean_colour(&near), &truth),
         }
     }
+}
+
+/// A picture in the size of another: photos of a capture may differ in shape.
+fn alike(image: &Image, to: &Image) -> Image {
+    resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
 
 /// The scene that a renderer holds as a camera sees it, `[height][width][rgb]` in 0..1.
@@ -197,16 +237,13 @@ fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     chosen
 }
 
-/// Frames and their views, in the world of the first camera.
-fn posed(frames: &[&Frame], views: Vec<View>) -> Result<Vec<Posed>> {
-    let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-    let cameras = view_cameras(&cameras, &views)?;
-    let posed = |((frame, view), camera): ((&&Frame, View), Camera)| Posed {
-        name: frame.name.clone(),
-        image: view.image,
-        camera,
-    };
-    Ok(frames.iter().zip(views).zip(cameras).map(posed).collect())
+/// A frame's photo as it is compared, in the world of a camera that stands at `world`.
+fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
+    let Size(width, height) = seeing.size;
+    let view = if seeing.whole { whole(photo, width, height) } else { fit(photo, width, height) }?;
+    let camera = seen_through(&frame.camera, &view.map, label)?;
+    let camera = Camera { pose: camera.pose.relative_to(world), ..camera };
+    Ok(Posed { name: frame.name.clone(), image: view.image, camera })
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ mod session;
 mod signals;
 mod table;
 mod unit;
+mod views;
 
 use clap::Parser;
 use session::Session;

@@ -6,6 +6,8 @@ use zipsplat::types::Image;
 const SIGMA: f64 = 1.5;
 /// Pixels from the centre of a window to its edge.
 const RADIUS: usize = 5;
+/// Pixels of a window.
+const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
 
 /// A picture's values in 0..1.
 pub fn values(image: &Image) -> Vec<f32> {
@@ -19,10 +21,19 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     -10.0 * (squares / a.len() as f64).log10()
 }
 
+/// A picture `[..][rgb]` of one colour, the mean of another's.
+pub fn mean_colour(picture: &[f32]) -> Vec<f32> {
+    let mut sums = [0.0; 3];
+    picture.iter().enumerate().for_each(|(i, value)| sums[i % 3] += f64::from(*value));
+    (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()
+}
+
 /// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the mean over channels and over
-/// all windows that lie inside, Gaussian weights, K1 = 0.01, K2 = 0.03.
+/// all windows that lie inside, Gaussian weights, sample covariances, K1 = 0.01, K2 = 0.03.
 ///
-/// It is `structural_similarity(a, b, data_range=1, channel_axis=-1, gaussian_weights=True, use_sample_covariance=False)`.
+/// It is what the reference's evaluation prints, scikit-image's `structural_similarity(a, b, win_size=11, data_range=1,
+/// channel_axis=-1, gaussian_weights=True)`, whose `use_sample_covariance` is on: variances are those of a window's pixels as a
+/// sample, n / (n - 1) times the plain ones.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
@@ -30,6 +41,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
         filter(&values.collect::<Vec<_>>(), width)
     };
     let (c1, c2) = (0.01f64.powi(2), 0.03f64.powi(2));
+    let of_sample = PIXELS / (PIXELS - 1.0);
     let mut sum = 0.0;
     let mut count = 0;
     for channel in 0..3 {
@@ -37,7 +49,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
         let (aa, bb, ab) = (mean(&|a, _| a * a, channel), mean(&|_, b| b * b, channel), mean(&|a, b| a * b, channel));
         for i in 0..mean_a.len() {
             let (a, b) = (mean_a[i], mean_b[i]);
-            let (variances, covariance) = (aa[i] - a * a + bb[i] - b * b, ab[i] - a * b);
+            let [variances, covariance] = [aa[i] - a * a + bb[i] - b * b, ab[i] - a * b].map(|value| of_sample * value);
             sum += (2.0 * a * b + c1) * (2.0 * covariance + c2) / ((a * a + b * b + c1) * (variances + c2));
         }
         count += mean_a.len();

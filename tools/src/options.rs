@@ -142,7 +142,8 @@ pub struct Quality {
     /// Keep of every token only the N Gaussians that show most [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     keep: Option<u32>,
-    /// Pixels that the network sees of each photo: multiples of the patch (14) [default: what the weights are best with]
+    /// Pixels of a picture as the network sees it: multiples of the patch (14). Weights are best with the size that they were
+    /// trained with; a larger one shows more detail to a network that cannot use it [default: the trained size]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
@@ -220,6 +221,15 @@ impl Quality {
     /// The size asked for, or the one that a network is best with.
     pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
         Size::or_best(self.size, checkpoint)
+    }
+
+    /// What to say where the size asked for is not the one that a network was trained with.
+    pub fn doubt_size(&self, checkpoint: &Checkpoint) -> Option<String> {
+        let trained = Size::or_best(None, checkpoint);
+        let asked = self.size.filter(|asked| *asked != trained)?;
+        Some(format!(
+            "these weights were trained with pictures of {trained}: scenes from {asked} are likely to be worse"
+        ))
     }
 }
 

@@ -16,7 +16,7 @@ use zipsplat::{
     types::{
         Image,
         poses::{Frame, Poses},
-        preprocess::{PATCH, View, fit},
+        preprocess::crop_to_aspect,
     },
 };
 
@@ -169,59 +169,44 @@ fn end_of_digits(text: &str) -> usize {
     text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())
 }
 
-/// Reads photos and brings them to `size`, several at once. Those that have `frames`, one each, are read as [`Frame::open`]
-/// does: cameras of COLMAP, and of what is built on it, are of a photo's pixels before its EXIF orientation is applied.
+/// Reads photos and gives what `make` makes of each, by its index, several at once. Those that have `frames`, one each, are
+/// read as [`Frame::open`] does: cameras of COLMAP, and of what is built on it, are of a photo's pixels before its EXIF
+/// orientation is applied.
 ///
 /// # Errors
-/// The first photo's, in their order, that cannot be read.
-pub fn load(photos: &[PathBuf], frames: &[&Frame], Size(width, height): Size, stage: &Stage<'_>) -> Result<Vec<View>> {
+/// The first photo's, in their order, that cannot be read, and those of `make`.
+pub fn read<T: Send>(
+    photos: &[PathBuf],
+    frames: &[&Frame],
+    stage: &Stage<'_>,
+    make: impl Fn(usize, Image) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
     let done = AtomicUsize::new(0);
-    let load = |(i, path): (usize, &PathBuf)| {
+    let read = |(i, path): (usize, &PathBuf)| {
         let photo = frames.get(i).map_or_else(|| Image::open(path), |frame| frame.open(path));
-        let view = fit(&photo?, width, height)?;
+        let made = make(i, photo?)?;
         let done = 1 + done.fetch_add(1, atomic::Ordering::Relaxed);
         stage.reach(done as f64 / photos.len() as f64)?;
-        Ok(view)
+        Ok(made)
     };
-    photos.par_iter().enumerate().map(load).collect::<Vec<_>>().into_iter().collect()
+    photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// What to say where much of the photos is cropped away: how much, and the size of about as many patches that keeps most.
-pub fn cropping(views: &[View], used: Size) -> Option<String> {
-    // Of each photo width, height and the pixels of its area that are seen.
-    let area = |[width, height]: [u32; 2]| f64::from(width) * f64::from(height);
-    let seen = |view: &View| area(view.map.to) / (view.map.scale[0] * view.map.scale[1]);
-    let (all, kept) = views.iter().fold((0.0, 0.0), |(all, kept), view| (all + area(view.map.from), kept + seen(view)));
-    let share = 1.0 - kept / all;
-    if share <= CROPPED {
-        return None;
-    }
-    let ratio = |view: &View| (f64::from(view.map.from[0]) / f64::from(view.map.from[1])).ln();
-    let aspect = (views.iter().map(ratio).sum::<f64>() / views.len() as f64).exp();
-    let size = size_of_aspect(aspect, used);
-    let advice = if size == used { String::new() } else { format!("; --size {size} keeps nearly all of it") };
-    Some(format!("{:.0} % of the photos' area is cropped away{advice}", 100.0 * share))
-}
-
-/// The size whose aspect ratio and number of patches are nearest to `aspect` and those of `used`; the former counts twice.
-fn size_of_aspect(aspect: f64, Size(width, height): Size) -> Size {
-    let patches = f64::from(width / PATCH) * f64::from(height / PATCH);
-    let size = |rows: u32| {
-        let columns = ((f64::from(rows) * aspect).round() as u32).max(1);
-        let (columns_f, rows_f) = (f64::from(columns), f64::from(rows));
-        let cost = (columns_f * rows_f / patches).ln().abs() + 2.0 * (columns_f / rows_f / aspect).ln().abs();
-        (cost, Size(columns * PATCH, rows * PATCH))
+/// What to say where much of photos of these sizes is cropped away to that of the network's input.
+pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {
+    let area = |width: u32, height: u32| f64::from(width) * f64::from(height);
+    let kept = |[w, h]: &[u32; 2]| {
+        let rect = crop_to_aspect(*w, *h, f64::from(width) / f64::from(height));
+        area(rect.width, rect.height)
     };
-    // Twice the rows that exact proportions ask for.
-    let most = 2 * ((patches / aspect).sqrt().ceil() as u32).max(1);
-    let sizes = (1..=most).map(size).min_by(|(a, _), (b, _)| a.total_cmp(b));
-    sizes.map_or(Size(width, height), |(_, size)| size)
+    let all: f64 = photos.iter().map(|[w, h]| area(*w, *h)).sum();
+    let share = 1.0 - photos.iter().map(kept).sum::<f64>() / all;
+    (share > CROPPED).then(|| format!("{:.0} % of the photos' area is cropped away", 100.0 * share))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{natural, size_of_aspect, spread};
-    use crate::options::Size;
+    use super::{natural, spread};
     use std::path::PathBuf;
 
     #[test]
@@ -241,13 +226,5 @@ mod tests {
         assert_eq!(names(4, 6), ["0", "2", "3", "5"]);
         assert_eq!(names(1, 6), ["0"]);
         assert_eq!(names(6, 2), ["0", "1"]);
-    }
-
-    #[test]
-    fn sizes_keep_aspect_and_patches() {
-        assert_eq!(size_of_aspect(4.0 / 3.0, Size(84, 84)), Size(98, 70));
-        assert_eq!(size_of_aspect(3.0 / 4.0, Size(84, 84)), Size(70, 98));
-        assert_eq!(size_of_aspect(16.0 / 9.0, Size(252, 252)), Size(350, 196));
-        assert_eq!(size_of_aspect(1.0, Size(84, 84)), Size(84, 84));
     }
 }

@@ -17,6 +17,7 @@ mod sh_rotation;
 mod source;
 mod splat;
 mod spz;
+mod squares;
 mod trajectory;
 mod world;
 
@@ -35,5 +36,6 @@ pub use scene_file::{
 };
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
+pub use squares::{square_count, squares};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};
 pub use world::{World, read_world};

@@ -32,6 +32,17 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
+    /// That of a photo which stays as it is.
+    pub fn identity(photo: &Image) -> Self {
+        Self::resized(photo, photo.width, photo.height)
+    }
+
+    /// That of a whole photo which is scaled to `width` x `height`.
+    pub fn resized(photo: &Image, width: u32, height: u32) -> Self {
+        let scale = [f64::from(width) / f64::from(photo.width), f64::from(height) / f64::from(photo.height)];
+        Self { from: [photo.width, photo.height], to: [width, height], scale, offset: [0.0; 2] }
+    }
+
     /// Intrinsics of the photo as intrinsics of the result. Intrinsics given for another resolution of the same photo
     /// are scaled to it first.
     ///
@@ -87,6 +98,18 @@ pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
     let scale = [f64::from(width) / f64::from(rect.width), f64::from(height) / f64::from(rect.height)];
     let offset = [-f64::from(rect.left) * scale[0], -f64::from(rect.top) * scale[1]];
     Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
+}
+
+/// A whole photo at the scale that [`fit`] brings it to before it crops.
+///
+/// # Errors
+/// As [`fit`].
+pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
+    check_size(width, height)?;
+    photo.validate()?;
+    let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
+    let [width, height] = [photo.width, photo.height].map(|length| (f64::from(length) * scale).round() as u32);
+    Ok(View { image: resize_lanczos(photo, width, height)?, map: PixelMap::resized(photo, width, height) })
 }
 
 /// A rectangle of pixels.

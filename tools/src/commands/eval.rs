@@ -1,22 +1,22 @@
 //! `zipsplat eval`: reconstructs a capture from some of its photos and compares pictures of it with the others.
 
 use crate::{
-    align::{Aligned, align},
-    capture::{Capture, Choice, Posed, Score, draw},
+    align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN, align},
+    capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Weights, parse_length},
     outputs::{self, Overwrite},
     session::Session,
     table::Table,
+    views::{Fit, FitOption},
 };
 use clap::Args;
-use glam::DQuat;
 use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{
     Result,
     reconstruct::{Request, Shape},
     stages::render::Renderer,
-    types::{Image, Pose, World, WriteOptions, contact_sheet},
+    types::{Image, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -34,8 +34,10 @@ const SHOWN: usize = 12;
 /// predictions: the input photo that was taken nearest, and that photo's mean colour.
 ///
 /// With --pose-free the network is given the photos alone. Where its scene's cameras stand is then the network's own guess, so every
-/// picture is drawn with the camera from which the scene looks most like the photo, searched for from the camera that the
-/// capture has for it.
+/// picture is drawn with the camera from which the scene looks most like the photo, searched for within 15 degrees and 0.25 of
+/// the network's unit around the camera that the capture has for it. The farther a camera goes, the more it has to gain. The
+/// table says how far each went, and where its figure says little: flat, a photo without texture, which is not aligned; bound,
+/// a camera that went as far as it may; colour, a picture no more like the photo than one colour is.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat eval capture/ --views 8
@@ -57,11 +59,17 @@ pub struct Eval {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
+    /// Compare whole photos, at the scale of --size, also where the network sees only their middle; --fit squares always does
+    #[arg(long)]
+    whole: bool,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
-    /// Table to write: view, psnr, ssim, nearest_psnr, mean_colour_psnr, a row for each photo compared
+    /// Table to write: view, psnr, ssim, nearest_psnr, mean_colour_psnr, a row for each photo compared; with --pose-free also
+    /// before_psnr, before_ssim, degrees, distance, doubt
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Folder for scene.ply, in the unit of cameras that the network was given, and comparison.png: photos, what was drawn in
@@ -82,26 +90,31 @@ impl Eval {
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
-        let size = self.quality.size_for(&checkpoint);
+        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
+        fit.check(size, !self.pose_free)?;
+        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
         let choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;
         choice.notes().iter().for_each(|note| session.note(note));
         let chosen = (self.quality.ratio, &self.quality.select);
-        let (views, posed) = (self.views as usize, !self.pose_free);
+        let (views, posed) = (fit.count(&choice.inputs())?, !self.pose_free);
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
-        let (capture, _) = session.stage("load photos", |stage| choice.load(size, self.unit, stage))?;
+        let seeing = Seeing { fit, size, whole: self.whole || fit == Fit::Squares };
+        let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, self.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
 
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let images = capture.images();
+        let (cameras, world) = fit.told(capture.cameras());
         let request = Request {
             ratio: self.quality.ratio,
             selection: self.quality.select.clone(),
-            cameras: posed.then(|| capture.cameras()),
+            cameras: posed.then_some(cameras),
         };
         let (mut result, took) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
+        world.iter().for_each(|world| result.scene.place(1.0, world));
         let mut renderer = Renderer::new(&device);
         renderer.load(&result.scene)?;
         let targets = &capture.targets;
@@ -110,16 +123,18 @@ impl Eval {
                 let found = |view: &Posed| align(&mut renderer, &view.image, &view.camera, &|| stage.check());
                 stage.each(targets, found)
             })?;
-            let alignment = Alignment::new(&capture, &found);
-            (found.into_iter().map(|found| found.drawn).collect(), Some(alignment))
+            let rows = aligned_scores(&capture, &found);
+            (found.into_iter().map(|found| found.drawn).collect(), Some(Alignment::new(rows)))
         } else {
             let picture = |view: &Posed| draw(&mut renderer, &view.camera);
             (session.stage("compare", |stage| stage.each(targets, picture))?.0, None)
         };
         let scores = capture.scores(&drawn);
 
-        if let Some(path) = &self.csv {
-            outputs::save_csv(path, &scores)?;
+        match (&self.csv, &alignment) {
+            (Some(path), Some(alignment)) => outputs::save_csv(path, &alignment.rows)?,
+            (Some(path), None) => outputs::save_csv(path, &scores)?,
+            (None, _) => {}
         }
         if let Some(folder) = &self.output {
             outputs::make_folder(folder)?;
@@ -133,8 +148,8 @@ impl Eval {
             outputs::save_picture(&folder.join(COMPARISON), &comparison(&capture, &drawn)?)?;
         }
         let mean = Score::mean(&scores);
-        let mut table = Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour"]);
-        scores.iter().chain([&mean]).for_each(|score| table.row(cells(score)));
+        let table = alignment.as_ref().map_or_else(|| table(&scores, &mean), |alignment| alignment.table(&mean));
+        alignment.iter().filter_map(Alignment::doubts).for_each(|note| session.note(note));
         let text = format!(
             "{table}{} of {size} from {} of its photos, {} Gaussians of {} tokens in {:.2} s; {}",
             self.folder.display(),
@@ -155,6 +170,44 @@ impl Eval {
     }
 }
 
+/// How one picture's camera was aligned.
+#[derive(Serialize)]
+struct AlignedScore {
+    view: String,
+    psnr: f64,
+    ssim: f64,
+    nearest_psnr: f64,
+    mean_colour_psnr: f64,
+    /// With the camera given.
+    before_psnr: f64,
+    before_ssim: f64,
+    /// Angle between the camera found and the one given.
+    degrees: f64,
+    /// Distance between them, in the unit of the cameras.
+    distance: f64,
+    doubt: Option<Doubt>,
+}
+
+fn aligned_scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
+    let scores = |picture: fn(&Aligned) -> &Vec<f32>| {
+        capture.scores(&found.iter().map(|found| picture(found).clone()).collect::<Vec<_>>())
+    };
+    let (before, after) = (scores(|found| &found.before), scores(|found| &found.drawn));
+    let row = |((found, before), score): ((&Aligned, Score), Score)| AlignedScore {
+        before_psnr: before.psnr,
+        before_ssim: before.ssim,
+        degrees: found.turn.to_degrees(),
+        distance: capture.unit.length * found.shift,
+        doubt: found.doubt.or((score.psnr <= score.mean_colour_psnr).then_some(Doubt::Colour)),
+        view: score.view,
+        psnr: score.psnr,
+        ssim: score.ssim,
+        nearest_psnr: score.nearest_psnr,
+        mean_colour_psnr: score.mean_colour_psnr,
+    };
+    found.iter().zip(before).zip(after).map(row).collect()
+}
+
 /// How far pictures' cameras were aligned, and what they scored before.
 #[derive(Serialize)]
 struct Alignment {
@@ -162,42 +215,101 @@ struct Alignment {
     degrees: f64,
     /// Median distance between them, in the unit of the cameras.
     distance: f64,
-    /// The mean score with the cameras given.
-    before: Score,
+    /// Means with the cameras given.
+    before: Before,
+    /// Pictures whose figure says little.
+    doubtful: usize,
+    rows: Vec<AlignedScore>,
+}
+
+#[derive(Serialize)]
+struct Before {
+    psnr: f64,
+    ssim: f64,
 }
 
 impl Alignment {
-    fn new(capture: &Capture, found: &[Aligned]) -> Self {
-        let median = |value: fn(&Pose) -> f64| {
-            let pairs = found.iter().zip(&capture.targets);
-            let movements = pairs.map(|(found, given)| found.camera.pose.relative_to(&given.camera.pose));
-            let mut values: Vec<f64> = movements.map(|pose| value(&pose)).collect();
+    fn new(rows: Vec<AlignedScore>) -> Self {
+        let median = |value: fn(&AlignedScore) -> f64| {
+            let mut values: Vec<f64> = rows.iter().map(value).collect();
             values.sort_by(f64::total_cmp);
             values[values.len() / 2]
         };
-        let before: Vec<Vec<f32>> = found.iter().map(|found| found.before.clone()).collect();
+        let mean = |value: fn(&AlignedScore) -> f64| rows.iter().map(value).sum::<f64>() / rows.len() as f64;
         Self {
-            degrees: median(|pose| DQuat::from_mat3(&pose.rotation).to_axis_angle().1.to_degrees()),
-            distance: capture.unit.length * median(|pose| pose.translation.length()),
-            before: Score::mean(&capture.scores(&before)),
+            degrees: median(|row| row.degrees),
+            distance: median(|row| row.distance),
+            before: Before { psnr: mean(|row| row.before_psnr), ssim: mean(|row| row.before_ssim) },
+            doubtful: rows.iter().filter(|row| row.doubt.is_some()).count(),
+            rows,
         }
     }
 
+    fn table(&self, mean: &Score) -> Table {
+        let mut table =
+            Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour", "degrees", "distance", "doubt"]);
+        for row in &self.rows {
+            let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_colour_psnr];
+            let [view, psnr, ssim, nearest, colour] = cells(&row.view, score);
+            let doubt = match row.doubt {
+                None => "",
+                Some(Doubt::Flat) => "flat",
+                Some(Doubt::Bound) => "bound",
+                Some(Doubt::Colour) => "colour",
+            };
+            let [degrees, distance] = [format!("{:.2}", row.degrees), format!("{:.4}", row.distance)];
+            table.row([view, psnr, ssim, nearest, colour, degrees, distance, doubt.into()]);
+        }
+        let [view, psnr, ssim, nearest, colour] = cells_of(mean);
+        table.row([view, psnr, ssim, nearest, colour, String::new(), String::new(), String::new()]);
+        table
+    }
+
+    /// What to say where some figures say little.
+    fn doubts(&self) -> Option<String> {
+        let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
+        let [flat, bound, colour] = [Doubt::Flat, Doubt::Bound, Doubt::Colour].map(count);
+        let reasons = [
+            (flat, "of a photo without texture, which is not aligned".to_owned()),
+            (
+                bound,
+                format!(
+                    "with a camera at the bound of {:.0} degrees or {MOST_SHIFT} of the network's unit",
+                    MOST_TURN.to_degrees()
+                ),
+            ),
+            (colour, "no more like its photo than one colour".to_owned()),
+        ];
+        let reasons: Vec<String> = (reasons.iter().filter(|(count, _)| *count > 0))
+            .map(|(count, reason)| format!("{count} {reason}"))
+            .collect();
+        let of = self.rows.len();
+        (self.doubtful > 0)
+            .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
+    }
+
     fn told(&self) -> String {
-        let Self { degrees, distance, before } = self;
-        format!("\naligned by {degrees:.2} degrees and {distance:.4} (medians); before {:.2} dB", before.psnr)
+        let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
+        format!(
+            "\naligned by {degrees:.2} degrees and {distance:.4} (medians); with the cameras given {psnr:.2} dB and {ssim:.3}"
+        )
     }
 }
 
-fn cells(score: &Score) -> [String; 5] {
+fn table(scores: &[Score], mean: &Score) -> Table {
+    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour"]);
+    scores.iter().chain([mean]).for_each(|score| table.row(cells_of(score)));
+    table
+}
+
+fn cells_of(score: &Score) -> [String; 5] {
+    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_colour_psnr])
+}
+
+/// PSNR, SSIM and the PSNR of the two predictions.
+fn cells(view: &str, [psnr, ssim, nearest, colour]: [f64; 4]) -> [String; 5] {
     let db = |value: f64| format!("{value:.2} dB");
-    [
-        score.view.clone(),
-        db(score.psnr),
-        format!("{:.3}", score.ssim),
-        db(score.nearest_psnr),
-        db(score.mean_colour_psnr),
-    ]
+    [view.to_owned(), db(psnr), format!("{ssim:.3}"), db(nearest), db(colour)]
 }
 
 /// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.

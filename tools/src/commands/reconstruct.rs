@@ -8,6 +8,7 @@ use crate::{
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
+    views::{FitOption, Views},
 };
 use clap::{Args, ValueEnum};
 use indicatif::HumanCount;
@@ -17,9 +18,8 @@ use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
     types::{
-        Camera, SceneFormat, World, WriteOptions,
+        SceneFormat, World, WriteOptions,
         poses::{Frame, read_poses},
-        preprocess::view_cameras,
         spz_coarsening,
     },
 };
@@ -48,6 +48,8 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
     /// Take at most so many of the photos, evenly spread, the first and the last among them [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
@@ -120,33 +122,33 @@ impl Reconstruct {
                  one photo, or known cameras, gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
-        let size = self.quality.size_for(&checkpoint);
+        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
+        fit.check(size, self.poses.is_some())?;
+        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
         let Size(width, height) = size;
-        let chosen = (*ratio, select);
-        let shape = Shape::new(checkpoint.architecture(), photos.len(), [width, height], chosen, self.poses.is_some())?;
+        let (views, chosen) = (fit.count(&photos)?, (*ratio, select));
+        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, self.poses.is_some())?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
-        let (views, load_photos) = session.stage("load photos", |stage| photos::load(&photos, &frames, size, stage))?;
-        if let Some(note) = photos::cropping(&views, size) {
-            session.note(note);
-        }
-        let photo_cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-        let mut cameras = view_cameras(&photo_cameras, &views)?;
-        let unit = match (&poses, photo_cameras.first()) {
-            (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.pose)?),
+        let (views, load_photos) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
+        let Views { images, mut cameras, note } = views;
+        note.iter().for_each(|note| session.note(note));
+        let unit = match (&poses, frames.first()) {
+            (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.camera.pose)?),
             _ => None,
         };
         unit.iter().filter_map(Unit::doubt).for_each(|note| session.note(note));
         let length = unit.as_ref().map_or(1.0, |unit| unit.length);
         cameras.iter_mut().for_each(|camera| camera.pose.translation /= length);
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (cameras, turned) = fit.told(cameras);
         let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras };
         let (mut result, _) = session.reconstruct(&model, &images, &request)?;
         self.quality.prune(&mut result.scene, checkpoint.architecture());
+        turned.iter().for_each(|first| result.scene.place(1.0, first));
         let world = frames.first().map(|first| self.world.of(first));
         result.scene.scale(length as f32);
         if let Some(World::Cameras(first)) = &world {
@@ -176,8 +178,8 @@ impl Reconstruct {
             times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
         let mut json = json!({
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
-            "views": images.len(), "width": width, "height": height, "tokens": result.tokens, "all_tokens": tokens,
-            "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
+            "photos": photos.len(), "views": images.len(), "width": width, "height": height, "tokens": result.tokens,
+            "all_tokens": tokens, "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
             "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
             "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,

@@ -8,7 +8,7 @@ mod truth;
 
 use super::timed_device;
 use crate::{
-    capture::{Capture, Choice},
+    capture::{Capture, Choice, Seeing},
     options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
     session::Session,
@@ -93,7 +93,9 @@ impl Tradeoff {
             .collect::<Result<_>>()?;
         let device = timed_device(session)?;
         let captures: Vec<Capture> = (choices.iter())
-            .map(|choice| Ok(session.stage("load photos", |stage| choice.load(size, self.unit, stage))?.0))
+            .map(|choice| {
+                Ok(session.stage("load photos", |stage| choice.load(Seeing::cropped(size), self.unit, stage))?.0)
+            })
             .collect::<Result<_>>()?;
         captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
         let arithmetics = self.arithmetics(session, &device)?;
