@@ -1,6 +1,6 @@
 //! The catalogue of `zipsplat doctor`, and the command.
 
-use std::{ffi::OsString, sync::atomic::AtomicBool};
+use std::{collections::BTreeSet, ffi::OsString, sync::atomic::AtomicBool};
 use zipsplat_cli::{Terminal, doctor::catalogue, run};
 use zipsplat_tests::device::device;
 
@@ -20,6 +20,32 @@ pub fn every_kernel_stays_within_its_bounds() {
     }
     assert!(count > 150, "{count} cases");
     assert!(outside.is_empty(), "outside their bounds:\n{}", outside.join("\n"));
+}
+
+/// A table of case and fault: each fault that a case declares, fed through the case's own check as kernels with that fault
+/// compute it, lies so far outside the bound that no rounding brings it back.
+#[test]
+fn every_case_catches_the_faults_that_it_is_there_for() {
+    let mut missed = Vec::new();
+    for area in catalogue() {
+        for case in &area.cases {
+            let mut injected = BTreeSet::new();
+            for &mode in area.modes {
+                let faults = case.inject(mode);
+                let what = format!("{}, {}, size {}, {}", area.kernel, case.name, case.size, mode.name());
+                assert!(!faults.is_empty(), "{what}: nothing to catch");
+                for found in faults {
+                    println!("{what}: {} {:.2e}", found.fault, found.share);
+                    if !found.is_caught() {
+                        missed.push(format!("{what}: {} misses by {:.2e} of the bound", found.fault, found.share));
+                    }
+                    injected.insert(found.fault);
+                }
+            }
+            assert_eq!(injected, case.catches.iter().cloned().collect(), "{}, {}", area.kernel, case.name);
+        }
+    }
+    assert!(missed.is_empty(), "not caught:\n{}", missed.join("\n"));
 }
 
 #[test]
