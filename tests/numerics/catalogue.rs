@@ -1,7 +1,11 @@
 //! The catalogue of `zipsplat doctor`, and the command.
 
 use std::{collections::BTreeSet, ffi::OsString, sync::atomic::AtomicBool};
-use zipsplat_cli::{Terminal, doctor::catalogue, run};
+use zipsplat_cli::{
+    Terminal,
+    doctor::{Mode, catalogue},
+    run,
+};
 use zipsplat_tests::device::device;
 
 #[test]
@@ -30,7 +34,9 @@ fn every_case_catches_the_faults_that_it_is_there_for() {
     for area in catalogue() {
         for case in &area.cases {
             let mut injected = BTreeSet::new();
-            for &mode in area.modes {
+            // The largest take a second a mode: on lanes, what narrower factors round shows in the others.
+            let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT || mode.matrix;
+            for &mode in area.modes.iter().filter(in_time) {
                 let faults = case.inject(mode);
                 let what = format!("{}, {}, size {}, {}", area.kernel, case.name, case.size, mode.name());
                 assert!(!faults.is_empty(), "{what}: nothing to catch");

@@ -127,7 +127,8 @@ fn worst(findings: &[Finding]) -> Table {
     let mut table = Table::new(3, &heads);
     for alike in findings.chunk_by(|a, b| a.kernel == b.kernel && a.mode == b.mode) {
         let most = alike.iter().reduce(|a, b| if b.worst.share > a.worst.share { b } else { a });
-        let shown = alike.iter().filter(|&finding| !finding.holds || most.is_some_and(|most| std::ptr::eq(finding, most)));
+        let shown =
+            alike.iter().filter(|&finding| !finding.holds || most.is_some_and(|most| std::ptr::eq(finding, most)));
         for finding in shown {
             let [size, error, bound, share, verdict] = cells(finding);
             let (kernel, mode) = (finding.kernel.to_owned(), finding.mode.name().to_owned());

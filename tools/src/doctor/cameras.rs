@@ -1,6 +1,10 @@
 //! Known cameras as the camera encoder takes them; made on the host.
 
-use super::{Area, Case, Catches, Mode, Worst, bound::{U, half}, case};
+use super::{
+    Area, Case, Catches, Mode, Worst,
+    bound::{U, half},
+    case,
+};
 use glam::{DMat3, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI};
 use zipsplat::{

@@ -57,9 +57,7 @@ impl Fault {
             (Fault::Zero, _) => 0.0,
             (Fault::HalfResult, _) => half(right),
             (Fault::NoClamp, 0..3) => x.signum() * x.abs().exp_m1(),
-            (Fault::CancellingExp, 0..3) => {
-                x.signum() * f64::from(single(x.abs().min(5.0)).exp() - 1.0)
-            }
+            (Fault::CancellingExp, 0..3) => x.signum() * f64::from(single(x.abs().min(5.0)).exp() - 1.0),
             (Fault::NoOffset, 3..6) => softplus(x).clamp(1e-6, 15.0),
             (Fault::CancellingLog, 3..6) => f64::from((1.0 + single(x - 4.0).exp()).ln()).clamp(1e-6, 15.0),
             (Fault::NotNormalised, 6..10) => x,
@@ -206,7 +204,9 @@ impl case::Problem for Clamps {
         let low = run(device, &raw)?;
         let rows = || high.chunks(WIDTH).zip(low.chunks(WIDTH));
         let ends = |range: std::ops::Range<usize>| -> Vec<[u32; 2]> {
-            rows().flat_map(|(h, l)| range.clone().map(|c| [h[c].to_bits(), l[c].to_bits()]).collect::<Vec<_>>()).collect()
+            rows()
+                .flat_map(|(h, l)| range.clone().map(|c| [h[c].to_bits(), l[c].to_bits()]).collect::<Vec<_>>())
+                .collect()
         };
         let opacities = rows().map(|(high, _)| high[10].to_bits()).collect();
         Ok(Ends { means: ends(0..3), scales: ends(3..6), opacities })

@@ -21,8 +21,8 @@ mod splatting;
 mod trial;
 
 pub use bound::Worst;
-pub use case::{CAUGHT, Case, Injected};
 use case::Catches;
+pub use case::{CAUGHT, Case, Injected};
 
 use serde::Serialize;
 use zipsplat::{

@@ -102,7 +102,9 @@ impl Problem {
         let head = |head: &[f64]| {
             let [mean, variance] = fault.moments(head);
             let affine = inputs.weight.iter().zip(&inputs.bias);
-            let one = |(x, (&w, &b)): (&f64, (&f32, &f32))| (x - mean) / (variance + eps).sqrt() * f64::from(w) + f64::from(b);
+            let one = |(x, (&w, &b)): (&f64, (&f32, &f32))| {
+                (x - mean) / (variance + eps).sqrt() * f64::from(w) + f64::from(b)
+            };
             head.iter().zip(affine).map(one).collect::<Vec<_>>()
         };
         widen(&inputs.projection).chunks(self.dim).flat_map(head).collect()
@@ -248,7 +250,8 @@ impl case::Problem for Embedding {
             EmbeddingFault::Transposed => of(&|i| i % self.rows * self.columns + i / self.rows),
             EmbeddingFault::NeighbourPatch => of(&|i| (i + 1) % patches),
             EmbeddingFault::NotInterpolated => {
-                let place = |i: usize| i / self.columns * SIDE / self.rows * SIDE + i % self.columns * SIDE / self.columns;
+                let place =
+                    |i: usize| i / self.columns * SIDE / self.rows * SIDE + i % self.columns * SIDE / self.columns;
                 let all = (0..=patches).map(|i| if i == 0 { 0 } else { 1 + place(i - 1) });
                 all.flat_map(|place| learned[place * WIDTH..][..WIDTH].to_vec()).collect()
             }

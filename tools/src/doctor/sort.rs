@@ -150,7 +150,9 @@ impl case::Problem for Scan {
             ScanFault::Inclusive => truth.iter().zip(&self.0).map(|(sum, v)| sum.wrapping_add(*v)).collect(),
             ScanFault::Restarts(at) => self.sums(|i, sum| if i == at { 0 } else { sum }),
             ScanFault::LastShare => {
-                let lost = |i: usize| if i < 1024 { 0 } else { truth[i / 1024 * 1024].wrapping_sub(truth[i / 1024 * 1024 - 1024]) };
+                let lost = |i: usize| {
+                    if i < 1024 { 0 } else { truth[i / 1024 * 1024].wrapping_sub(truth[i / 1024 * 1024 - 1024]) }
+                };
                 truth.iter().enumerate().map(|(i, sum)| sum.wrapping_sub(lost(i))).collect()
             }
         }]

@@ -34,7 +34,8 @@ impl Weights {
         }
         let total = scores.iter().map(|score| (score - highest).exp()).sum();
         // On lanes weights stay f32.
-        let (unit, least) = if mode.matrix { (mode.factors().unit, mode.factors().tiny.max(TINY)) } else { (0.0, TINY) };
+        let (unit, least) =
+            if mode.matrix { (mode.factors().unit, mode.factors().tiny.max(TINY)) } else { (0.0, TINY) };
         Self { highest, first, rises, total, unit, least }
     }
 

@@ -107,7 +107,8 @@ impl case::Problem for Problem {
         let [q, k, v] = [&self.q, &self.k, &self.v].map(|values| Self::held(values, mode));
         let values = attention(&q, &k, &v, HEADS, self.dim);
         let at = |i: usize| (&q[i * self.dim..][..self.dim], i % HEADS);
-        let rows: Vec<Row> = (0..self.queries() * HEADS).into_par_iter().map(|i| self.scores(mode, at(i), &k)).collect();
+        let rows: Vec<Row> =
+            (0..self.queries() * HEADS).into_par_iter().map(|i| self.scores(mode, at(i), &k)).collect();
         let bounds = rows.par_iter().zip(values.par_chunks(self.dim)).enumerate();
         let bounds = bounds.flat_map_iter(|(i, (row, out))| self.bounds(mode, row, i % HEADS, &v, out)).collect();
         Truth { values, bounds, rows, v }

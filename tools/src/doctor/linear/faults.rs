@@ -120,7 +120,8 @@ impl Problem {
 
     fn without(&self, truth: &Truth, k: usize) -> Vec<f64> {
         let held = &truth.held;
-        let product = |i: usize| held.x[i / self.columns * self.inner + k] * held.weight[i % self.columns * self.inner + k];
+        let product =
+            |i: usize| held.x[i / self.columns * self.inner + k] * held.weight[i % self.columns * self.inner + k];
         truth.sums.iter().enumerate().map(|(i, sum)| sum - product(i)).collect()
     }
 }

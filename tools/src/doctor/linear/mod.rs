@@ -213,8 +213,7 @@ impl case::Problem for Problem {
         let held = Held::new(self, mode, f64::round_ties_even);
         let row = |row: usize| (0..self.columns).map(move |column| (row, column));
         let places: Vec<_> = (0..self.rows).flat_map(row).collect();
-        let sums: Vec<Sum> =
-            places.into_par_iter().map(|(row, column)| self.sum(&held, mode, row, column)).collect();
+        let sums: Vec<Sum> = places.into_par_iter().map(|(row, column)| self.sum(&held, mode, row, column)).collect();
         let errors = self.errors(&sums);
         let sums: Vec<f64> = sums.iter().map(|sum| sum.value).collect();
         Truth { values: self.finish(&sums), errors, held, sums }

@@ -135,7 +135,8 @@ fn changed(mut splat: Splat, scene: &Gaussians, n: usize, camera: &Pinhole, faul
         Fault::NegativeColours => {
             let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
             let basis = sh::basis(degree, direction.normalize());
-            splat.colour = [0, 1, 2].map(|c| 0.5 + basis.iter().zip(coeffs.chunks(3)).map(|(b, k)| b * k[c]).sum::<f64>());
+            splat.colour =
+                [0, 1, 2].map(|c| 0.5 + basis.iter().zip(coeffs.chunks(3)).map(|(b, k)| b * k[c]).sum::<f64>());
         }
         Fault::CancellingDeterminant => {
             let [a, b, c] = splat.conic;
