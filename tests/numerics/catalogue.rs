@@ -32,6 +32,7 @@ pub fn every_kernel_stays_within_its_bounds() {
 fn every_case_catches_the_faults_that_it_is_there_for() {
     let mut missed = Vec::new();
     for area in catalogue() {
+        let begun = std::time::Instant::now();
         for case in &area.cases {
             let mut injected = BTreeSet::new();
             // The largest take a second a mode: on lanes, what narrower factors round shows in the others.
@@ -50,6 +51,7 @@ fn every_case_catches_the_faults_that_it_is_there_for() {
             }
             assert_eq!(injected, case.catches.iter().cloned().collect(), "{}, {}", area.kernel, case.name);
         }
+        println!("{} {:?}", area.kernel, begun.elapsed());
     }
     assert!(missed.is_empty(), "not caught:\n{}", missed.join("\n"));
 }
@@ -85,6 +87,7 @@ fn the_command_tells_and_reports() {
     let json: serde_json::Value = serde_json::from_str(&out).unwrap();
     let findings = json["findings"].as_array().unwrap();
     assert!(findings.len() > 5 && findings.iter().all(|f| f["kernel"] == "ops/layer_norm" && f["holds"] == true));
+    assert!(findings.iter().all(|f| f["catches"].as_array().is_some_and(|faults| !faults.is_empty())));
     assert!(findings.iter().any(|f| f["share"].as_f64().unwrap() > 0.0), "something was rounded");
     assert_eq!(json["outside"], 0);
     let html = std::fs::read_to_string(&page).unwrap();
@@ -95,6 +98,10 @@ fn the_command_tells_and_reports() {
 
     let (code, out, _) = zipsplat("doctor --only sort");
     assert!(code == 0 && out.contains("every result is within its bound"), "{out}");
+    let rows = |out: &str| out.lines().filter(|line| line.starts_with("ops/sort")).count();
+    assert_eq!(rows(&out), 1, "the worst case alone: {out}");
+    let (_, every, _) = zipsplat("doctor --only sort --verbose");
+    assert!(rows(&every) > 15, "every case: {every}");
     let (code, _, err) = zipsplat("doctor --only nothing");
     assert!(code == 3 && err.contains("ops/attention"), "{code} {err}");
     let (code, _, err) = zipsplat("doctor --only sort --report /no/such/folder/x.html");

@@ -58,13 +58,13 @@ pub fn area() -> Area {
             &format!("key {key} dominates"),
             33,
             catches,
-            if key == 0 { |n| dominated(n, &[0]) } else { |n| dominated(n, &[32]) },
+            if key == 0 { |n| dominated(n, 64, &[0]) } else { |n| dominated(n, 64, &[32]) },
         );
     }
-    add("key 800 dominates", 1300, [Zero, Key(800), NoMaximum].into(), |keys| dominated(keys, &[800]));
+    add("key 800 dominates", 1300, [Zero, Key(800), NoMaximum].into(), |keys| dominated(keys, 64, &[800]));
     let lost = DOMINATING.map(Key);
     let catches = Catches::from([Zero, KeysFrom(65_536), KeysFrom(131_072), NoMaximum]).and(&lost);
-    add("keys near 65,536, 131,072 and the last dominate", MANY, catches, |keys| dominated(keys, &DOMINATING));
+    add("keys near 65,536, 131,072 and the last dominate", MANY, catches, |keys| dominated(keys, 16, &DOMINATING));
     add("maximum rises with every key", 500, [Zero, SumsNotScaled, TotalNotScaled, KeysFrom(499)].into(), rising);
     add("all logits far below zero", 70, [Zero, NoMaximum, NeighbourHead].into(), |keys| {
         let mut problem = Problem::random(5, keys, 64, 1.0);
@@ -106,10 +106,11 @@ fn identical(keys: usize) -> Problem {
 }
 
 /// The i-th of these keys points in the direction of the i-th query and outweighs all others there.
-fn dominated(keys: usize, dominating: &[usize]) -> Problem {
-    let mut problem = Problem::random(dominating.len(), keys, 64, 4.0);
-    for (query, key) in problem.q.chunks(128).zip(dominating) {
-        let towards = problem.k[key * 128..][..128].iter_mut().zip(query);
+fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
+    let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
+    let width = problem.width();
+    for (query, key) in problem.q.chunks(width).zip(dominating) {
+        let towards = problem.k[key * width..][..width].iter_mut().zip(query);
         towards.for_each(|(k, q)| *k = 40.0 * q.signum());
     }
     problem

@@ -135,7 +135,7 @@ pub fn area() -> Area {
     let faint = |i: usize, _: &mut [f32; 3], _: &mut [f32; 3], o: &mut f32| {
         *o = [0.0, 1.0 / 255.0, 1.0, 0.0039, 0.00393, 0.999][i % 6];
     };
-    let limits = || seen().and(&[FaintDrawn, OpaqueUnclamped]);
+    let limits = || seen().and(&[FaintDrawn]);
     add("opacities of 0, 1/255 and 1", limits(), (scene(120, 0, faint), still()), false);
     add("opacities of 0, 1/255 and 1, antialiased", seen().and(&[FaintDrawn]), (scene(120, 0, faint), still()), true);
     let wall = |i: usize, m: &mut [f32; 3], s: &mut [f32; 3], o: &mut f32| {
