@@ -16,9 +16,11 @@ pub fn every_kernel_stays_within_its_bounds() {
         for (case, mode) in area.on(device().limits()) {
             let found = area.examine(case, device(), mode).unwrap();
             count += 1;
+            let (mode, share) = (mode.name(), found.worst.share);
+            println!("found: {}, {}, size {}, {mode}: {share:.2e} of the bound", found.kernel, found.case, found.size);
             if !found.holds {
                 outside
-                    .push(format!("{} {mode:?} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
+                    .push(format!("{} {mode} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
             }
         }
     }
