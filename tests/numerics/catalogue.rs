@@ -19,8 +19,7 @@ pub fn every_kernel_stays_within_its_bounds() {
             let (mode, share) = (mode.name(), found.worst.share);
             println!("found: {}, {}, size {}, {mode}: {share:.2e} of the bound", found.kernel, found.case, found.size);
             if !found.holds {
-                outside
-                    .push(format!("{} {mode} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
+                outside.push(format!("{} {mode} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
             }
         }
     }
@@ -34,11 +33,10 @@ pub fn every_kernel_stays_within_its_bounds() {
 fn every_case_catches_the_faults_that_it_is_there_for() {
     let mut missed = Vec::new();
     for area in catalogue() {
-        let begun = std::time::Instant::now();
         for case in &area.cases {
             let mut injected = BTreeSet::new();
-            // The largest take a second a mode: on lanes, what narrower factors round shows in the others.
-            let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT || mode.matrix;
+            // The largest take seconds a mode: what narrower factors round shows in smaller ones.
+            let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT;
             for &mode in area.modes.iter().filter(in_time) {
                 let faults = case.inject(mode);
                 let what = format!("{}, {}, size {}, {}", area.kernel, case.name, case.size, mode.name());
@@ -53,7 +51,6 @@ fn every_case_catches_the_faults_that_it_is_there_for() {
             }
             assert_eq!(injected, case.catches.iter().cloned().collect(), "{}, {}", area.kernel, case.name);
         }
-        println!("{} {:?}", area.kernel, begun.elapsed());
     }
     assert!(missed.is_empty(), "not caught:\n{}", missed.join("\n"));
 }

@@ -69,7 +69,8 @@ impl Problem {
         let factors = mode.factors();
         let scale = 1.0 / (self.dim as f64).sqrt();
         // Queries are rounded again when they have been scaled, unless by a power of two.
-        let rounded = if self.dim.ilog2() % 2 == 0 && self.dim.is_power_of_two() { 0.0 } else { factors.unit };
+        let by_two = self.dim.is_power_of_two() && self.dim.ilog2().is_multiple_of(2);
+        let rounded = if by_two { 0.0 } else { factors.unit };
         let relative = factors.sum(self.dim + 2) * (1.0 + rounded) + rounded;
         let least = factors.tiny.max(TINY);
         let score = |key: usize| {

@@ -38,7 +38,9 @@ pub fn area() -> Area {
     let many = [KeysFrom(MANY / 2), KeysFrom(65_536), KeysFrom(131_072), KeysFrom(MANY - 1000)];
     add("a slice of the keys in each channel", MANY, slices().and(&many), |keys| sliced(1, keys));
     // Workgroups of several subgroups, which wait for each other.
-    add("many queries", 129, few(), |keys| Problem::random(600, keys, 64, 1.0));
+    add("many queries", 129, [Zero, NeighbourHead, NeighbourValue, LastKey].into(), |keys| {
+        Problem::random(600, keys, 64, 1.0)
+    });
     let sizes = || Catches::from([Zero, NoScale, NoTotal, NeighbourHead, NeighbourValue]);
     add("heads of 8 channels", 70, sizes(), |keys| Problem::random(9, keys, 8, 1.0));
     add("heads of 48 channels", 70, sizes(), |keys| Problem::random(9, keys, 48, 1.0));
