@@ -15,6 +15,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
+#include "shared/norm_unit.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -49,19 +50,23 @@ void main() {
     uint from = source_row * width;
 
     float sum = 0.0;
+    float largest = 0.0;
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
-        sum += load(from, row, c);
+        float x = load(from, row, c);
+        sum += x;
+        largest = max(largest, abs(x));
     }
     float mean = subgroupAdd(sum) / float(width);
+    float unit = norm_unit(subgroupMax(largest));
     vec2 sums = vec2(0.0); // of differences and of their squares
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
-        float d = load(from, row, c) - mean;
+        float d = (load(from, row, c) - mean) * unit;
         sums += vec2(d, d * d);
     }
     sums = subgroupAdd(sums) / float(width);
-    float scale = 1.0 / sqrt(max(sums.y - sums.x * sums.x, 0.0) + eps);
+    float scale = 1.0 / sqrt(max(sums.y - sums.x * sums.x, 0.0) + norm_epsilon(eps, unit));
     uint to = row * out_stride + out_column;
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
-        result[to + c] = to_OUTPUT((load(from, row, c) - mean - sums.x) * scale * weight[c] + bias[c]);
+        result[to + c] = to_OUTPUT(((load(from, row, c) - mean) * unit - sums.x) * scale * weight[c] + bias[c]);
     }
 }

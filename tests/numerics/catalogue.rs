@@ -1,7 +1,11 @@
 //! The catalogue of `zipsplat doctor`, and the command.
 
-use std::{ffi::OsString, sync::atomic::AtomicBool};
-use zipsplat_cli::{Terminal, doctor::catalogue, run};
+use std::{collections::BTreeSet, ffi::OsString, sync::atomic::AtomicBool};
+use zipsplat_cli::{
+    Terminal,
+    doctor::{Mode, catalogue},
+    run,
+};
 use zipsplat_tests::device::device;
 
 #[test]
@@ -12,14 +16,43 @@ pub fn every_kernel_stays_within_its_bounds() {
         for (case, mode) in area.on(device().limits()) {
             let found = area.examine(case, device(), mode).unwrap();
             count += 1;
+            let (mode, share) = (mode.name(), found.worst.share);
+            println!("found: {}, {}, size {}, {mode}: {share:.2e} of the bound", found.kernel, found.case, found.size);
             if !found.holds {
-                outside
-                    .push(format!("{} {mode:?} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
+                outside.push(format!("{} {mode} {}, size {}: {:?}", found.kernel, found.case, found.size, found.worst));
             }
         }
     }
     assert!(count > 150, "{count} cases");
     assert!(outside.is_empty(), "outside their bounds:\n{}", outside.join("\n"));
+}
+
+/// A table of case and fault: each fault that a case declares, fed through the case's own check as kernels with that fault
+/// compute it, lies so far outside the bound that no rounding brings it back.
+#[test]
+fn every_case_catches_the_faults_that_it_is_there_for() {
+    let mut missed = Vec::new();
+    for area in catalogue() {
+        for case in &area.cases {
+            let mut injected = BTreeSet::new();
+            // The largest take seconds a mode: what narrower factors round shows in smaller ones.
+            let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT;
+            for &mode in area.modes.iter().filter(in_time) {
+                let faults = case.inject(mode);
+                let what = format!("{}, {}, size {}, {}", area.kernel, case.name, case.size, mode.name());
+                assert!(!faults.is_empty(), "{what}: nothing to catch");
+                for found in faults {
+                    println!("{what}: {} {:.2e}", found.fault, found.share);
+                    if !found.is_caught() {
+                        missed.push(format!("{what}: {} misses by {:.2e} of the bound", found.fault, found.share));
+                    }
+                    injected.insert(found.fault);
+                }
+            }
+            assert_eq!(injected, case.catches.iter().cloned().collect(), "{}, {}", area.kernel, case.name);
+        }
+    }
+    assert!(missed.is_empty(), "not caught:\n{}", missed.join("\n"));
 }
 
 #[test]
@@ -53,6 +86,7 @@ fn the_command_tells_and_reports() {
     let json: serde_json::Value = serde_json::from_str(&out).unwrap();
     let findings = json["findings"].as_array().unwrap();
     assert!(findings.len() > 5 && findings.iter().all(|f| f["kernel"] == "ops/layer_norm" && f["holds"] == true));
+    assert!(findings.iter().all(|f| f["catches"].as_array().is_some_and(|faults| !faults.is_empty())));
     assert!(findings.iter().any(|f| f["share"].as_f64().unwrap() > 0.0), "something was rounded");
     assert_eq!(json["outside"], 0);
     let html = std::fs::read_to_string(&page).unwrap();
@@ -63,6 +97,10 @@ fn the_command_tells_and_reports() {
 
     let (code, out, _) = zipsplat("doctor --only sort");
     assert!(code == 0 && out.contains("every result is within its bound"), "{out}");
+    let rows = |out: &str| out.lines().filter(|line| line.starts_with("ops/sort")).count();
+    assert_eq!(rows(&out), 1, "the worst case alone: {out}");
+    let (_, every, _) = zipsplat("doctor --only sort --verbose");
+    assert!(rows(&every) > 15, "every case: {every}");
     let (code, _, err) = zipsplat("doctor --only nothing");
     assert!(code == 3 && err.contains("ops/attention"), "{code} {err}");
     let (code, _, err) = zipsplat("doctor --only sort --report /no/such/folder/x.html");

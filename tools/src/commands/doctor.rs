@@ -18,7 +18,8 @@ const OUTSIDE: u8 = 5;
 #[derive(Args)]
 #[command(
     after_help = "A bound follows from the number format and from what Vulkan promises, so nothing may lie outside: exit \
-code 5 where something does.
+code 5 where something does. What is printed is the worst case of each kernel and mode, and whatever lies outside; --verbose \
+prints all, --json also the faults that each case is there to catch.
 
 Examples:
   zipsplat doctor
@@ -29,6 +30,9 @@ pub struct Doctor {
     /// Only kernels whose name contains this
     #[arg(long, value_name = "KERNEL")]
     only: Option<String>,
+    /// Print every case, not only the worst of each kernel
+    #[arg(long)]
+    verbose: bool,
     /// Write a page with error and bound against problem size
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
@@ -86,7 +90,7 @@ impl Doctor {
         let seconds = time.as_secs_f64();
         session.report(
             &Report { device: device.limits(), seconds, outside, findings: &findings },
-            text(device.limits(), &findings, outside, seconds),
+            self.text(device.limits(), &findings, outside, seconds),
         )?;
         if let Some(case) = lost_by {
             session.note(format!("the device was lost by {case}: what comes after it has not been tried"));
@@ -97,31 +101,54 @@ impl Doctor {
         }
         Ok(())
     }
+
+    fn text(&self, limits: &Limits, findings: &[Finding], outside: usize, seconds: f64) -> String {
+        let table = if self.verbose { every(findings) } else { worst(findings) };
+        let verdict = match outside {
+            0 => "every result is within its bound".to_owned(),
+            n => format!("{n} OUTSIDE: what this device computes cannot be trusted"),
+        };
+        format!("{table}{}, {}: {} cases in {seconds:.1} s, {verdict}", limits.name, limits.driver, findings.len())
+    }
 }
 
-fn text(limits: &Limits, findings: &[Finding], outside: usize, seconds: f64) -> String {
+/// A row a case.
+fn every(findings: &[Finding]) -> Table {
     let mut table = Table::new(3, &["kernel", "case", "mode", "size", "worst error", "bound", "share", ""]);
     for finding in findings {
-        let Worst { error, bound, share } = finding.worst;
-        let number = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };
-        table.row([
-            finding.kernel.to_owned(),
-            finding.case.clone(),
-            finding.mode.name().to_owned(),
-            finding.size.to_string(),
-            number(error),
-            number(bound),
-            format!("{:.1} %", 100.0 * share),
-            match &finding.failed {
-                Some(failed) => failed.clone(),
-                None if finding.holds => String::new(),
-                None => "OUTSIDE".into(),
-            },
-        ]);
+        let [size, error, bound, share, verdict] = cells(finding);
+        let (kernel, mode) = (finding.kernel.to_owned(), finding.mode.name().to_owned());
+        table.row([kernel, finding.case.clone(), mode, size, error, bound, share, verdict]);
     }
-    let verdict = match outside {
-        0 => "every result is within its bound".to_owned(),
-        n => format!("{n} OUTSIDE: what this device computes cannot be trusted"),
+    table
+}
+
+/// The worst case of each kernel in each mode, and all that lie outside.
+fn worst(findings: &[Finding]) -> Table {
+    let heads = ["kernel", "mode", "worst case", "cases", "size", "worst error", "bound", "share", ""];
+    let mut table = Table::new(3, &heads);
+    for alike in findings.chunk_by(|a, b| a.kernel == b.kernel && a.mode == b.mode) {
+        let most = alike.iter().reduce(|a, b| if b.worst.share > a.worst.share { b } else { a });
+        let shown =
+            alike.iter().filter(|&finding| !finding.holds || most.is_some_and(|most| std::ptr::eq(finding, most)));
+        for finding in shown {
+            let [size, error, bound, share, verdict] = cells(finding);
+            let (kernel, mode) = (finding.kernel.to_owned(), finding.mode.name().to_owned());
+            let count = alike.len().to_string();
+            table.row([kernel, mode, finding.case.clone(), count, size, error, bound, share, verdict]);
+        }
+    }
+    table
+}
+
+/// Size, error, bound, share, and what is wrong.
+fn cells(finding: &Finding) -> [String; 5] {
+    let Worst { error, bound, share } = finding.worst;
+    let number = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };
+    let verdict = match &finding.failed {
+        Some(failed) => failed.clone(),
+        None if finding.holds => String::new(),
+        None => "OUTSIDE".into(),
     };
-    format!("{table}{}, {}: {} cases in {seconds:.1} s, {verdict}", limits.name, limits.driver, findings.len())
+    [finding.size.to_string(), number(error), number(bound), format!("{:.1} %", 100.0 * share), verdict]
 }

@@ -25,6 +25,18 @@ pub fn gamma(n: usize) -> f64 {
     if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
 }
 
+/// The most additions that a term goes through where the lanes of a subgroup, 4 to 128 of them, each add up their share of
+/// `n` terms, in any order, and then their sums.
+pub fn by_lanes(n: usize) -> usize {
+    n.min((n.div_ceil(4) + 4).max(n.div_ceil(128) + 128))
+}
+
+/// A number rounded to the 11 bits of f16; infinite beyond its range. What a fault makes of sums.
+pub fn half(x: f64) -> f64 {
+    let rounded = f64::from(f32::from_bits(((x as f32).to_bits() + 0x1000) & !0x1fff));
+    if rounded.abs() > 65504.0 { rounded * f64::INFINITY } else { rounded }
+}
+
 /// Vulkan's relative limit for exp(x) and exp2(x).
 pub fn exponential(x: f64) -> f64 {
     (3.0 + 2.0 * x.abs()) * ULP

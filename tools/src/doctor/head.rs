@@ -1,8 +1,9 @@
 //! Activations of the Gaussian head.
 
 use super::{
-    Area, Case, Mode, Worst,
-    bound::{DIVISION, ROOT, TINY, U, exponential, gamma, logarithm},
+    Area, Case, Catches, Mode, Worst,
+    bound::{DIVISION, ROOT, TINY, U, exponential, gamma, half, logarithm},
+    case,
     trial::Trial,
 };
 use crate::noise::Noise;
@@ -18,6 +19,96 @@ const REASON: &str = "each activation's slope times the rounding of its argument
 
 /// Values of a raw Gaussian without spherical harmonics beyond band 0.
 const WIDTH: usize = 14;
+
+/// Raw Gaussians `[count, WIDTH]`.
+struct Problem(Vec<f32>);
+
+/// Ways in which activations may be wrong.
+#[derive(Clone, Copy, Debug)]
+enum Fault {
+    Zero,
+    HalfResult,
+    /// Means are not held within +-5 before exp.
+    NoClamp,
+    /// Means by exp(x) - 1 in f32.
+    CancellingExp,
+    /// Scales without the 4 that is taken off.
+    NoOffset,
+    /// Scales by log(1 + exp(x)) in f32.
+    CancellingLog,
+    /// Quaternions as they come.
+    NotNormalised,
+    /// Quaternions over the root of their squares in f32, which overflow and vanish.
+    SquaresOfF32,
+    /// Quaternions over their length, though that is 0.
+    DividedByLength,
+    /// Opacities as they come.
+    NoSigmoid,
+    /// Each Gaussian is its neighbour.
+    NeighbourGaussian,
+}
+
+impl Fault {
+    /// Value `c` of a raw Gaussian, whose right activation is given.
+    fn apply(self, raw: &[f64], c: usize, right: f64) -> f64 {
+        let x = raw[c];
+        let single = |x: f64| x as f32;
+        match (self, c) {
+            (Fault::Zero, _) => 0.0,
+            (Fault::HalfResult, _) => half(right),
+            (Fault::NoClamp, 0..3) => x.signum() * x.abs().exp_m1(),
+            (Fault::CancellingExp, 0..3) => x.signum() * f64::from(single(x.abs().min(5.0)).exp() - 1.0),
+            (Fault::NoOffset, 3..6) => softplus(x).clamp(1e-6, 15.0),
+            (Fault::CancellingLog, 3..6) => f64::from((1.0 + single(x - 4.0).exp()).ln()).clamp(1e-6, 15.0),
+            (Fault::NotNormalised, 6..10) => x,
+            (Fault::SquaresOfF32, 6..10) => {
+                let squares: f32 = raw[6..10].iter().map(|&q| single(q) * single(q)).sum();
+                x / f64::from(squares.sqrt().max(1e-12))
+            }
+            (Fault::DividedByLength, 6..10) => x / raw[6..10].iter().map(|q| q * q).sum::<f64>().sqrt(),
+            (Fault::NoSigmoid, 10) => x,
+            _ => right,
+        }
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = Vec<f64>;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
+        run(device, &self.0)
+    }
+
+    fn truth(&self, _: Mode) -> Vec<f64> {
+        widen(&self.0).chunks(WIDTH).flat_map(activate).collect()
+    }
+
+    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+        let raw = |i: usize| f64::from(self.0[i]);
+        let length = |i: usize| {
+            let squares = self.0[i / WIDTH * WIDTH + 6..][..4].iter().map(|&x| f64::from(x).powi(2));
+            squares.sum::<f64>().sqrt()
+        };
+        Worst::of(output, truth, |i| match i % WIDTH {
+            0..3 => mean_error(raw(i).abs().min(5.0)),
+            3..6 => scale_error(raw(i)) + U * truth[i],
+            6..10 => quat_error(truth[i], length(i)),
+            10 => opacity_error(raw(i)),
+            _ => 0.0,
+        })
+    }
+
+    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+        let raw = widen(&self.0);
+        let one = |i: usize| match fault {
+            Fault::NeighbourGaussian => truth[(i + WIDTH) % truth.len()],
+            _ => fault.apply(&raw[i / WIDTH * WIDTH..][..WIDTH], i % WIDTH, truth[i]),
+        };
+        vec![(0..truth.len()).map(|i| one(i) as f32).collect()]
+    }
+}
 
 /// Activates `raw [count, WIDTH]`; the same layout.
 fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
@@ -37,20 +128,6 @@ fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
     Ok((0..count)
         .flat_map(|i| columns.iter().flat_map(move |(v, width)| v[i * width..(i + 1) * width].to_vec()))
         .collect())
-}
-
-fn check(device: &Device, raw: &[f32]) -> Result<Worst> {
-    let got = run(device, raw)?;
-    let raw = widen(raw);
-    let truth: Vec<f64> = raw.chunks(WIDTH).flat_map(activate).collect();
-    let length = |i: usize| raw[i / WIDTH * WIDTH + 6..][..4].iter().map(|x| x * x).sum::<f64>().sqrt();
-    Ok(Worst::of(&got, &truth, |i| match i % WIDTH {
-        0..3 => mean_error(raw[i].abs().min(5.0)),
-        3..6 => scale_error(raw[i]) + U * truth[i],
-        6..10 => quat_error(truth[i], length(i)),
-        10 => opacity_error(raw[i]),
-        _ => 0.0,
-    }))
 }
 
 /// expm1 at `x >= 0`: a series up to 0.35, where its first term left out is x^7 / 5040, exp(x) - 1 above.
@@ -87,60 +164,113 @@ fn opacity_error(x: f64) -> f64 {
 }
 
 /// What is clamped, or saturates, does so to the same bits on every device.
-fn clamps(device: &Device) -> Result<Worst> {
-    let mut raw = vec![0.0f32; 4 * WIDTH];
-    for (row, x) in raw.chunks_mut(WIDTH).zip([5.0, 7.0, 1e30, f32::MAX]) {
-        row[..3].fill(x);
-        row[3..6].copy_from_slice(&[19.5 + x, 1e30, f32::MAX]);
-        row[6] = 1.0;
-        row[10] = 100.0 + x;
+struct Clamps;
+
+/// The high and the low end of each value that is clamped: mean (whose bits a device chooses, once), scale, opacity.
+#[derive(Clone)]
+struct Ends {
+    means: Vec<[u32; 2]>,
+    scales: Vec<[u32; 2]>,
+    opacities: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum ClampFault {
+    /// One value a little beyond the bound is let through.
+    MeanPassed,
+    LargeScalePassed,
+    SmallScalePassed,
+    /// Negative means are clamped elsewhere.
+    Uneven,
+    /// Opacities end below 1.
+    OpacityBelow,
+}
+
+impl case::Problem for Clamps {
+    type Output = Ends;
+    type Truth = Ends;
+    type Fault = ClampFault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Ends> {
+        let mut raw = vec![0.0f32; 4 * WIDTH];
+        for (row, x) in raw.chunks_mut(WIDTH).zip([5.0, 7.0, 1e30, f32::MAX]) {
+            row[..3].fill(x);
+            row[3..6].copy_from_slice(&[19.5 + x, 1e30, f32::MAX]);
+            row[6] = 1.0;
+            row[10] = 100.0 + x;
+        }
+        let high = run(device, &raw)?;
+        raw.iter_mut().for_each(|x| *x = -*x);
+        let low = run(device, &raw)?;
+        let rows = || high.chunks(WIDTH).zip(low.chunks(WIDTH));
+        let ends = |range: std::ops::Range<usize>| -> Vec<[u32; 2]> {
+            rows()
+                .flat_map(|(h, l)| range.clone().map(|c| [h[c].to_bits(), l[c].to_bits()]).collect::<Vec<_>>())
+                .collect()
+        };
+        let opacities = rows().map(|(high, _)| high[10].to_bits()).collect();
+        Ok(Ends { means: ends(0..3), scales: ends(3..6), opacities })
     }
-    let high = run(device, &raw)?;
-    raw.iter_mut().for_each(|x| *x = -*x);
-    let low = run(device, &raw)?;
-    let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-    let mut worst = Worst::NONE;
-    for (high, low) in high.chunks(WIDTH).zip(low.chunks(WIDTH)) {
-        let first = high[0].abs();
-        worst = worst
-            .or(Worst::differing(&bits(&high[3..6]), &bits(&[15.0; 3])))
-            .or(Worst::differing(&bits(&low[3..6]), &bits(&[1e-6; 3])))
-            .or(Worst::differing(&bits(&high[..3]), &bits(&[first; 3])))
-            .or(Worst::differing(&bits(&low[..3]), &bits(&[-first; 3])))
-            .or(Worst::differing(&bits(&[high[10]]), &bits(&[1.0])));
+
+    fn truth(&self, _: Mode) -> Ends {
+        let mean = 5.0f64.exp_m1() as f32;
+        let means = vec![[mean, -mean].map(f32::to_bits); 12];
+        Ends { means, scales: vec![[15.0f32, 1e-6].map(f32::to_bits); 12], opacities: vec![1.0f32.to_bits(); 4] }
     }
-    let means: Vec<u32> = high.chunks(WIDTH).map(|row| row[0].to_bits()).collect();
-    Ok(worst.or(Worst::differing(&means, &vec![means[0]; means.len()])))
+
+    fn judge(&self, truth: &Ends, output: &Ends, _: Mode) -> Worst {
+        let mean = f64::from(f32::from_bits(output.means[0][0]));
+        let negative = (-mean as f32).to_bits();
+        Worst::one(mean, 5.0f64.exp_m1(), mean_error(5.0))
+            .or(Worst::differing(&output.means, &vec![[output.means[0][0], negative]; output.means.len()]))
+            .or(Worst::differing(&output.scales, &truth.scales))
+            .or(Worst::differing(&output.opacities, &truth.opacities))
+    }
+
+    fn faulty(&self, truth: &Ends, fault: ClampFault, _: Mode) -> Vec<Ends> {
+        let mut ends = truth.clone();
+        match fault {
+            ClampFault::MeanPassed => ends.means[3][0] = 7.0f32.exp_m1().to_bits(),
+            ClampFault::LargeScalePassed => ends.scales[0][0] = 15.5f32.to_bits(),
+            ClampFault::SmallScalePassed => ends.scales[0][1] = 0,
+            ClampFault::Uneven => ends.means.iter_mut().for_each(|mean| mean[1] += 1),
+            ClampFault::OpacityBelow => ends.opacities[0] -= 1,
+        }
+        vec![ends]
+    }
 }
 
 pub fn area() -> Area {
+    use Fault::*;
     let mut cases = Vec::new();
-    let mut add = |name: &str, count: usize, value: fn(usize, f32) -> f32| {
-        cases.push(Case::new(name, count, move |device, _| {
-            let raw: Vec<f32> =
-                Noise(6).values(count * WIDTH).into_iter().enumerate().map(|(i, r)| value(i, r)).collect();
-            check(device, &raw)
-        }));
+    let mut add = |name: &str, count: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
+        let make = move || {
+            let noise = Noise(6).values(count * WIDTH).into_iter().enumerate();
+            Problem(noise.map(|(i, r)| value(i, r)).collect())
+        };
+        cases.push(Case::new(name, count, catches, make));
     };
-    for count in [1, 64, 4097] {
-        add("random of +-6", count, |_, r| 6.0 * r);
+    let all = || Catches::from([Zero, HalfResult, NoOffset, NotNormalised, NoSigmoid]);
+    add("random of +-6", 1, all(), |_, r| 6.0 * r);
+    for count in [64, 4097] {
+        add("random of +-6", count, all().and(&[NoClamp, CancellingLog, NeighbourGaussian]), |_, r| 6.0 * r);
     }
-    add("every value from -100 to 100", 20_001, |i, r| {
+    add("every value from -100 to 100", 20_001, all().and(&[NoClamp, CancellingExp, CancellingLog]), |i, r| {
         if (6..10).contains(&(i % WIDTH)) { r } else { (i / WIDTH) as f32 / 100.0 - 100.0 }
     });
-    add("means near 0, where exp(x) - 1 cancels", 400, |i, _| 0.5f32.powi((i / WIDTH) as i32 / 2));
-    for (name, size) in [("0", 0), ("1e-20", 1), ("1e-12", 2), ("1e-6", 3), ("1e20", 4), ("1e37", 5)] {
-        let value: fn(usize, f32) -> f32 = match size {
-            0 => |i, r| quaternion(i, r, 0.0),
-            1 => |i, r| quaternion(i, r, 1e-20),
-            2 => |i, r| quaternion(i, r, 1e-12),
-            3 => |i, r| quaternion(i, r, 1e-6),
-            4 => |i, r| quaternion(i, r, 1e20),
-            _ => |i, r| quaternion(i, r, 1e37),
-        };
-        add(&format!("quaternions of length {name}"), 65, value);
-    }
-    cases.push(Case::new("clamps and saturation", 4, |device, _| clamps(device)));
+    let near = [Zero, HalfResult, CancellingExp];
+    add("means near 0, where exp(x) - 1 cancels", 400, near.into(), |i, _| 0.5f32.powi((i / WIDTH) as i32 / 2));
+    let unit = || Catches::from([Zero, HalfResult, NotNormalised]);
+    let squares = || unit().and(&[SquaresOfF32]);
+    add("quaternions of length 0", 65, [Zero, DividedByLength].into(), |i, r| quaternion(i, r, 0.0));
+    add("quaternions of length 1e-20", 65, unit(), |i, r| quaternion(i, r, 1e-20));
+    add("quaternions of length 1e-12", 65, unit(), |i, r| quaternion(i, r, 1e-12));
+    add("quaternions of length 1e-6", 65, unit(), |i, r| quaternion(i, r, 1e-6));
+    add("quaternions of length 1e20", 65, squares(), |i, r| quaternion(i, r, 1e20));
+    add("quaternions of length 1e37", 65, squares(), |i, r| quaternion(i, r, 1e37));
+    use ClampFault::*;
+    let clamps = [MeanPassed, LargeScalePassed, SmallScalePassed, Uneven, OpacityBelow];
+    cases.push(Case::new("clamps and saturation", 4, clamps, || Clamps));
     Area { kernel: "gaussians/activate", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }
 

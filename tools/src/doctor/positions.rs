@@ -1,21 +1,26 @@
 //! Queries and keys on their way to attention: the norm over a head's channels, rotation by position, scale.
 
 use super::{
-    Area, Case, Mode, Worst,
+    Area, Case, Catches, Mode, Worst,
     bound::{TINY, U},
-    norm::{affine_errors, normed_errors},
+    case,
+    norm::{self, affine_errors, normed_errors},
     trial::Trial,
 };
 use crate::noise::Noise;
 use zipsplat::{
     Result,
     gpu::{Device, Element},
+    kernels::limits::GROUP_FOLD,
     ops::{Attention, AttentionKernel, Heads, Norm, Part},
-    stages::backbone::rotary_tables,
+    stages::backbone::{interpolate_positions, rotary_tables},
 };
 use zipsplat_reference::{
-    backbone::rope::{global_positions, local_positions},
-    ops::split_heads,
+    backbone::{
+        positions::interpolate,
+        rope::{global_positions, local_positions, rope},
+    },
+    ops::layer_norm::layer_norm,
     widen,
 };
 
@@ -23,8 +28,9 @@ const REASON: &str = "as ops/layer_norm over a head's channels; a rotation mixes
     rounded once, so (|x cos| + |y sin|) times gamma_3, plus what both channels bring";
 
 const EPS: f32 = 1e-5;
+const HEADS: usize = 2;
 
-/// A projection of `views` views of `rows x columns` patches and a camera token each, whose heads are taken out.
+/// A projection of a view of `rows x columns` patches and a camera token, whose heads are taken out.
 #[derive(Clone, Copy)]
 struct Problem {
     rows: usize,
@@ -36,21 +42,90 @@ struct Problem {
     value: fn(f32) -> f32,
 }
 
-impl Problem {
-    fn check(&self, device: &Device) -> Result<Worst> {
-        const HEADS: usize = 2;
-        let Self { rows, columns, dim, .. } = *self;
-        let positions = if self.global { global_positions(rows, columns) } else { local_positions(rows, columns) };
-        let (tokens, width) = (positions.len(), HEADS * dim);
-        let mut noise = Noise(dim as u64);
-        let projection: Vec<f32> = noise.values(tokens * width).into_iter().map(self.value).collect();
-        let (weight, bias) = (noise.values(dim), noise.values(dim));
+/// Ways in which it may be wrong.
+#[derive(Clone, Copy, Debug)]
+enum Fault {
+    Zero,
+    NoRotation,
+    /// The sine has the other sign.
+    Backwards,
+    /// Rows and columns of the grid change places.
+    SwappedAxes,
+    /// Each token has its neighbour's position.
+    NeighbourPosition,
+    /// The camera token has the patches' position.
+    TurnedCamera,
+    NoScale,
+    NoNorm,
+    NoEpsilon,
+    /// The variance as the difference of two f32 sums.
+    OnePass,
+    /// Heads change places.
+    NeighbourHead,
+    /// Workgroups from a fold on are those before it.
+    Folded,
+}
 
+/// Projection and norm.
+struct Inputs {
+    projection: Vec<f32>,
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+impl Problem {
+    fn inputs(&self) -> Inputs {
+        let mut noise = Noise(self.dim as u64);
+        let projection = noise.values(self.positions().len() * HEADS * self.dim).into_iter().map(self.value).collect();
+        Inputs { projection, weight: noise.values(self.dim), bias: noise.values(self.dim) }
+    }
+
+    fn positions(&self) -> Vec<[f64; 2]> {
+        if self.global { global_positions(self.rows, self.columns) } else { local_positions(self.rows, self.columns) }
+    }
+
+    fn scale(&self) -> f64 {
+        f64::from(1.0 / (self.dim as f32).sqrt())
+    }
+
+    /// Heads before they are rotated.
+    fn plain(&self, inputs: &Inputs) -> Vec<f64> {
+        let x = widen(&inputs.projection);
+        if self.norm { layer_norm(&x, &inputs.weight, &inputs.bias, EPS.into()) } else { x }
+    }
+
+    fn turned(&self, plain: &[f64], positions: &[[f64; 2]]) -> Vec<f64> {
+        rope(plain, positions, self.dim).iter().map(|x| x * self.scale()).collect()
+    }
+
+    fn wrongly_normed(&self, inputs: &Inputs, fault: norm::Fault, eps: f64) -> Vec<f64> {
+        let head = |head: &[f64]| {
+            let [mean, variance] = fault.moments(head);
+            let affine = inputs.weight.iter().zip(&inputs.bias);
+            let one = |(x, (&w, &b)): (&f64, (&f32, &f32))| {
+                (x - mean) / (variance + eps).sqrt() * f64::from(w) + f64::from(b)
+            };
+            head.iter().zip(affine).map(one).collect::<Vec<_>>()
+        };
+        widen(&inputs.projection).chunks(self.dim).flat_map(head).collect()
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    /// Values and bounds, `[tokens, HEADS, dim]`.
+    type Truth = [Vec<f64>; 2];
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
+        let Self { rows, columns, dim, .. } = *self;
+        let (inputs, tokens, width) = (self.inputs(), self.positions().len(), HEADS * dim);
         let mut trial = Trial::new(device);
         let heads = Heads { count: HEADS, dim };
         let kernel = AttentionKernel::Lanes(Element::F32);
         let shape = Attention { heads, sequences: 1, queries: tokens, keys: tokens, kernel };
-        let norm = Norm { weight: trial.input(&weight), bias: trial.input(&bias), width: dim, eps: EPS };
+        let (weight, bias) = (trial.input(&inputs.weight), trial.input(&inputs.bias));
+        let norm = Norm { weight, bias, width: dim, eps: EPS };
         let table = trial.input(&rotary_tables(rows, columns, dim)[usize::from(self.global)]);
         let part = Part {
             norm: self.norm.then_some(norm),
@@ -58,78 +133,174 @@ impl Problem {
             scale: shape.scale(),
             ..Part::default()
         };
-        let input = trial.input(&projection);
+        let input = trial.input(&inputs.projection);
         let out = trial.output::<f32>(tokens * width);
         shape.split(&mut trial.rec, (input, width), 0, tokens, part, out);
         let by_head: Vec<f32> = trial.result(out)?;
         // [heads, tokens, dim] to [tokens, heads, dim]
-        let got: Vec<f32> = (0..tokens * HEADS)
-            .flat_map(|i| &by_head[(i % HEADS * tokens + i / HEADS) * dim..][..dim])
-            .copied()
-            .collect();
+        let token = |i: usize| &by_head[(i % HEADS * tokens + i / HEADS) * dim..][..dim];
+        Ok((0..tokens * HEADS).flat_map(token).copied().collect())
+    }
 
-        let norm = self.norm.then_some((&weight[..], &bias[..], f64::from(EPS)));
-        let part = split_heads::Part { column: 0, heads: HEADS, head_dim: dim, norm, positions: None };
-        let plain = split_heads::split_heads(&widen(&projection), width, part);
-        let turned = split_heads::split_heads(
-            &widen(&projection),
-            width,
-            split_heads::Part { positions: Some(&positions), ..part },
-        );
-        let scale = f64::from(shape.scale());
-        let truth: Vec<f64> = turned.iter().map(|x| x * scale).collect();
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
+        let (inputs, dim, scale) = (self.inputs(), self.dim, self.scale());
+        let plain = self.plain(&inputs);
         let mut errors = vec![0.0; plain.len()];
         if self.norm {
-            let heads = widen(&projection);
-            let each = heads.chunks(dim).zip(plain.chunks(dim));
-            errors = each
-                .flat_map(|(head, normed)| affine_errors(&normed_errors(head, f64::from(EPS)), normed, &weight, &bias))
-                .collect();
+            let heads = widen(&inputs.projection);
+            let affine = |(head, normed): (&[f64], &[f64])| {
+                affine_errors(&normed_errors(head, EPS.into()), normed, &inputs.weight, &inputs.bias)
+            };
+            errors = heads.chunks(dim).zip(plain.chunks(dim)).flat_map(affine).collect();
         }
         let partner = |i: usize| if i % (dim / 2) < dim / 4 { i + dim / 4 } else { i - dim / 4 };
-        Ok(Worst::of(&got, &truth, |i| {
+        let bound = |i: usize| {
             // Neither sine nor cosine is above 1.
             let carried = errors[i] + errors[partner(i)];
             let mixed = plain[i].abs() + plain[partner(i)].abs() + carried;
             scale * (carried + 5.0 * U * mixed + 2.0 * TINY) + TINY
-        }))
+        };
+        let bounds = (0..plain.len()).map(bound).collect();
+        [self.turned(&plain, &self.positions()), bounds]
+    }
+
+    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
+        Worst::of(output, truth, |i| bounds[i])
+    }
+
+    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+        let (inputs, positions) = (self.inputs(), self.positions());
+        let plain = self.plain(&inputs);
+        let moved = |change: &dyn Fn([f64; 2]) -> [f64; 2]| {
+            self.turned(&plain, &positions.iter().map(|&at| change(at)).collect::<Vec<_>>())
+        };
+        let normed = |fault, eps| self.turned(&self.wrongly_normed(&inputs, fault, eps), &positions);
+        let values = match fault {
+            Fault::Zero => vec![0.0; truth.len()],
+            Fault::NoRotation => moved(&|_| [0.0; 2]),
+            Fault::Backwards => moved(&|[y, x]| [-y, -x]),
+            Fault::SwappedAxes => moved(&|[y, x]| [x, y]),
+            Fault::NeighbourPosition => moved(&|[y, x]| [y, x + 1.0]),
+            Fault::TurnedCamera => moved(&|_| [1.0; 2]),
+            Fault::NoScale => truth.iter().map(|x| x / self.scale()).collect(),
+            Fault::NoNorm => self.turned(&widen(&inputs.projection), &positions),
+            Fault::NoEpsilon => normed(norm::Fault::NoEpsilon, 0.0),
+            Fault::OnePass => normed(norm::Fault::OnePass, EPS.into()),
+            Fault::NeighbourHead => (0..truth.len()).map(|i| truth[(i + self.dim) % truth.len()]).collect(),
+            Fault::Folded => {
+                let groups = truth.len() / self.dim;
+                let place = |i: usize| i / self.dim % GROUP_FOLD as usize % groups * self.dim + i % self.dim;
+                (0..truth.len()).map(|i| truth[place(i)]).collect()
+            }
+        };
+        vec![values.into_iter().map(|x| x as f32).collect()]
     }
 }
 
-/// The position embedding on other grids, made on the host in f64: nothing but its rounding to f32 is left.
-fn interpolation(rows: usize, columns: usize) -> Worst {
-    let (side, width) = (37, 3);
-    let learned = Noise(8).values((1 + side * side) * width);
-    let got = zipsplat::stages::backbone::interpolate_positions(&learned, side, width, rows, columns);
-    let truth = zipsplat_reference::backbone::positions::interpolate(&widen(&learned), width, rows, columns);
-    // 16 products of magnitudes up to 1.6 in all, in f64.
-    Worst::of(&got, &truth, |i| U * truth[i].abs() + 1e-13)
+/// The position embedding on another grid, made on the host in f64: nothing but its rounding to f32 is left.
+struct Embedding {
+    rows: usize,
+    columns: usize,
+}
+
+const SIDE: usize = 37;
+const WIDTH: usize = 3;
+
+#[derive(Clone, Copy, Debug)]
+enum EmbeddingFault {
+    Zero,
+    /// Patches by columns.
+    Transposed,
+    /// Each patch has its neighbour's embedding.
+    NeighbourPatch,
+    /// The value of the nearest learned patch.
+    NotInterpolated,
+}
+
+impl case::Problem for Embedding {
+    type Output = Vec<f32>;
+    type Truth = Vec<f64>;
+    type Fault = EmbeddingFault;
+
+    fn compute(&self, _: &Device, _: Mode) -> Result<Vec<f32>> {
+        let learned = Noise(8).values((1 + SIDE * SIDE) * WIDTH);
+        Ok(interpolate_positions(&learned, SIDE, WIDTH, self.rows, self.columns))
+    }
+
+    fn truth(&self, _: Mode) -> Vec<f64> {
+        let learned = widen(&Noise(8).values((1 + SIDE * SIDE) * WIDTH));
+        interpolate(&learned, WIDTH, self.rows, self.columns)
+    }
+
+    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+        // 16 products of magnitudes up to 1.6 in all, in f64.
+        Worst::of(output, truth, |i| U * truth[i].abs() + 1e-13)
+    }
+
+    fn faulty(&self, truth: &Vec<f64>, fault: EmbeddingFault, _: Mode) -> Vec<Vec<f32>> {
+        let learned = Noise(8).values((1 + SIDE * SIDE) * WIDTH);
+        let patch = |place: usize| &truth[place * WIDTH..][..WIDTH];
+        let patches = self.rows * self.columns;
+        let of = |place: &dyn Fn(usize) -> usize| -> Vec<f32> {
+            let all = (0..=patches).flat_map(|i| patch(if i == 0 { 0 } else { 1 + place(i - 1) }));
+            all.map(|&x| x as f32).collect()
+        };
+        vec![match fault {
+            EmbeddingFault::Zero => vec![0.0; truth.len()],
+            EmbeddingFault::Transposed => of(&|i| i % self.rows * self.columns + i / self.rows),
+            EmbeddingFault::NeighbourPatch => of(&|i| (i + 1) % patches),
+            EmbeddingFault::NotInterpolated => {
+                let place =
+                    |i: usize| i / self.columns * SIDE / self.rows * SIDE + i % self.columns * SIDE / self.columns;
+                let all = (0..=patches).map(|i| if i == 0 { 0 } else { 1 + place(i - 1) });
+                all.flat_map(|place| learned[place * WIDTH..][..WIDTH].to_vec()).collect()
+            }
+        }]
+    }
 }
 
 pub fn area() -> Area {
+    use Fault::*;
     let mut cases = Vec::new();
-    for (rows, columns) in [(1, 1), (1, 64), (64, 1), (18, 18), (7, 53), (37, 37), (64, 64)] {
+    for (rows, columns) in [(1, 1), (1, 64), (64, 1), (18, 18), (7, 53), (37, 37), (64, 64), (129, 129)] {
         for (global, dim) in [(false, 64), (true, 32)] {
             let problem = Problem { rows, columns, dim, norm: true, global, value: |r| r };
             let name = format!("{rows} x {columns} patches, {}", if global { "across views" } else { "within a view" });
-            cases.push(Case::new(name, rows * columns, move |device, _| problem.check(device)));
+            let turns = Catches::from([Zero, NoRotation, Backwards, NoScale, NoNorm, NeighbourHead]);
+            let catches = match (global, rows == columns) {
+                (true, _) => turns.and(&[TurnedCamera]),
+                (false, true) if rows == 1 => turns.and(&[NeighbourPosition]),
+                _ => turns.and(&[NeighbourPosition, SwappedAxes]),
+            };
+            let beyond = HEADS * (1 + rows * columns) > GROUP_FOLD as usize;
+            let catches = if beyond { catches.and(&[Folded]) } else { catches };
+            cases.push(Case::new(name, rows * columns, catches, move || problem));
         }
     }
     let plain = Problem { rows: 3, columns: 5, dim: 64, norm: true, global: false, value: |r| r };
-    let hard: [(&str, Problem); 6] = [
-        ("q/k norm of zero vectors", Problem { value: |_| 0.0, ..plain }),
-        ("q/k norm of equal channels", Problem { value: |_| 777.7, ..plain }),
-        ("q/k norm, mean 1e4, spread 1e-2", Problem { value: |r| 1e4 + 1e-2 * r, ..plain }),
-        ("q/k norm of activations of 1e4", Problem { value: |r| 1e4 * r, ..plain }),
-        ("activations of 1e4 without norm", Problem { norm: false, value: |r| 1e4 * r, ..plain }),
-        ("subnormal channels without norm", Problem { norm: false, value: |r| 1e-39 * r, ..plain }),
+    let hard: [(&str, [Fault; 2], Problem); 6] = [
+        ("q/k norm of zero vectors", [Zero, NoEpsilon], Problem { value: |_| 0.0, ..plain }),
+        ("q/k norm of equal channels", [Zero, NoEpsilon], Problem { value: |_| 777.7, ..plain }),
+        ("q/k norm, mean 1e4, spread 1e-2", [Zero, OnePass], Problem { value: |r| 1e4 + 1e-2 * r, ..plain }),
+        ("q/k norm of activations of 1e4", [Zero, NoNorm], Problem { value: |r| 1e4 * r, ..plain }),
+        ("activations of 1e4 without norm", [Zero, NoScale], Problem { norm: false, value: |r| 1e4 * r, ..plain }),
+        (
+            "every second channel subnormal, without norm",
+            [Zero, NoRotation],
+            Problem { norm: false, value: |r| if r > 0.0 { 1e-39 * r } else { r }, ..plain },
+        ),
     ];
-    for (name, problem) in hard {
-        cases.push(Case::new(name, 15, move |device, _| problem.check(device)));
+    for (name, catches, problem) in hard {
+        cases.push(Case::new(name, 15, catches, move || problem));
     }
     for (rows, columns) in [(1, 1), (1, 64), (18, 18), (36, 37), (37, 37), (64, 64), (64, 3)] {
         let name = format!("position embedding on {rows} x {columns}");
-        cases.push(Case::new(name, rows * columns, move |_, _| Ok(interpolation(rows, columns))));
+        use EmbeddingFault::*;
+        let catches = Catches::from([Zero]);
+        let catches = if rows * columns > 1 { catches.and(&[NeighbourPatch]) } else { catches };
+        let catches = if rows > 1 && columns > 1 { catches.and(&[Transposed]) } else { catches };
+        let catches = if [rows, columns] != [SIDE; 2] { catches.and(&[NotInterpolated]) } else { catches };
+        cases.push(Case::new(name, rows * columns, catches, move || Embedding { rows, columns }));
     }
     Area { kernel: "ops/split_heads", size: "patches", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }

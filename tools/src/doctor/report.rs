@@ -14,7 +14,7 @@ const DECADES: f64 = 24.0;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#222}\
 h2{margin-top:2.5rem}svg{width:100%;height:auto;font-size:11px}table{border-collapse:collapse;width:100%;font-size:13px}\
-td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #eee}td:first-child,th:first-child{text-align:left}\
+td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #eee}td:first-child,th:first-child,td:last-child,th:last-child{text-align:left}\
 .outside{color:#c00;font-weight:bold}.grid{stroke:#e5e5e5}.truth{stroke:#222}.bound{stroke:#c60;fill:none}\
 .limit{fill:#c60}.exact{fill:#06a}.fast{fill:#083}.matrix{fill:#80a}text{fill:#555}";
 
@@ -122,12 +122,13 @@ fn table(findings: &[&Finding]) -> String {
         let Worst { error, bound, share } = f.worst;
         let (name, percent) = (escape(&f.case), 100.0 * share);
         if let Some(failed) = &f.failed {
-            return format!("<tr{class}><td>{name}<td>{}<td colspan=3>{}", f.size, escape(failed));
+            return format!("<tr{class}><td>{name}<td>{}<td colspan=4>{}", f.size, escape(failed));
         }
-        format!("<tr{class}><td>{name}<td>{}<td>{error:.2e}<td>{bound:.2e}<td>{percent:.2} %", f.size)
+        let catches = escape(&f.catches.join(", "));
+        format!("<tr{class}><td>{name}<td>{}<td>{error:.2e}<td>{bound:.2e}<td>{percent:.2} %<td>{catches}", f.size)
     };
     let rows: String = findings.iter().map(row).collect();
-    format!("<table><tr><th>case<th>size<th>worst error<th>bound<th>share{rows}</table>")
+    format!("<table><tr><th>case<th>size<th>worst error<th>bound<th>share<th>catches{rows}</table>")
 }
 
 fn escape(text: &str) -> String {

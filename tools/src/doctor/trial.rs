@@ -7,7 +7,7 @@ use zipsplat::{
 };
 
 /// Not a number, as f32 and as pairs of f16; far out of range as an index.
-const UNWRITTEN: u32 = 0xffff_ffff;
+pub const UNWRITTEN: u32 = 0xffff_ffff;
 
 /// Something to compute.
 pub struct Trial<'a> {

@@ -1,7 +1,7 @@
 //! A picture's truth and the bound of every value of it: projection and blending once by the reference in f64, once by the
 //! kernels' own formulas in running error analysis.
 
-use super::bound::{Bounded, U, ULP};
+use super::super::bound::{Bounded, U, ULP};
 use glam::DVec3;
 use rayon::prelude::*;
 use zipsplat::types::{Camera, Scene};
@@ -37,7 +37,8 @@ pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
     rasterise::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
 
-fn gaussians(scene: &Scene) -> Gaussians {
+/// The scene as the reference takes it.
+pub fn gaussians(scene: &Scene) -> Gaussians {
     Gaussians {
         means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
         quats: scene.quats.iter().map(|v| v.map(f64::from)).collect(),
@@ -47,7 +48,8 @@ fn gaussians(scene: &Scene) -> Gaussians {
     }
 }
 
-fn reference_camera(camera: &Camera) -> project::Camera {
+/// The camera as the reference takes it.
+pub fn reference_camera(camera: &Camera) -> project::Camera {
     let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
     let k = i.matrix().transpose().to_cols_array();
     project::Camera::new(&view, &k, [i.width as usize, i.height as usize])

@@ -1,0 +1,153 @@
+//! How far attention may be from the truth.
+
+use super::{
+    super::{
+        Mode,
+        bound::{DIVISION, TINY, U, ULP, by_lanes, gamma},
+    },
+    HEADS, Problem, Row,
+};
+use zipsplat::gpu::Element;
+
+/// What rounding may do to the weights of a row.
+struct Weights {
+    highest: f64,
+    /// Place of the highest score.
+    first: usize,
+    /// How often a running maximum may rise.
+    rises: usize,
+    /// The sum of all true weights, of which the highest is 1.
+    total: f64,
+    /// Relative rounding of a weight that is multiplied.
+    unit: f64,
+    /// A weight below it may be flushed.
+    least: f64,
+}
+
+impl Weights {
+    fn new(mode: Mode, scores: &[f64]) -> Self {
+        let (mut highest, mut first, mut rises) = (f64::NEG_INFINITY, 0, 0);
+        for (key, &score) in scores.iter().enumerate() {
+            if score > highest {
+                (highest, first, rises) = (score, key, rises + 1);
+            }
+        }
+        let total = scores.iter().map(|score| (score - highest).exp()).sum();
+        // On lanes weights stay f32.
+        let (unit, least) =
+            if mode.matrix { (mode.factors().unit, mode.factors().tiny.max(TINY)) } else { (0.0, TINY) };
+        Self { highest, first, rises, total, unit, least }
+    }
+
+    /// The most by which the weight of a score so far below the highest is off, relatively: what exp may do to it, and to
+    /// the factors by which it is scaled where the maximum rises. exp(0) is taken to be 1.
+    fn relative(&self, below: f64) -> f64 {
+        (3.0 * (1 + self.rises) as f64 + 2.0 * below) * ULP + self.unit
+    }
+}
+
+/// What is summed up for one channel.
+#[derive(Clone, Copy, Default)]
+struct Channel {
+    /// The weighted deviations of values that may be weighed wrongly.
+    moved: f64,
+    /// The largest distance of a value from the result.
+    range: f64,
+    /// The weighted magnitudes.
+    size: f64,
+    /// As `moved`, where one key outweighs all others.
+    beside: f64,
+    /// What is lost where subnormal values are flushed.
+    lost: f64,
+    /// Values that are not 0.
+    terms: usize,
+}
+
+impl Problem {
+    /// The scores of one query, and how far off they may be.
+    pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), k: &[f64]) -> Row {
+        let factors = mode.factors();
+        let scale = 1.0 / (self.dim as f64).sqrt();
+        // Queries are rounded again when they have been scaled, unless by a power of two.
+        let by_two = self.dim.is_power_of_two() && self.dim.ilog2().is_multiple_of(2);
+        let rounded = if by_two { 0.0 } else { factors.unit };
+        let relative = factors.sum(self.dim + 2) * (1.0 + rounded) + rounded;
+        let least = factors.tiny.max(TINY);
+        let score = |key: usize| {
+            let row = &k[key * self.width() + head * self.dim..][..self.dim];
+            let (mut sum, mut size, mut lost) = (0.0, 0.0, 0.0);
+            for (q, k) in query.iter().zip(row) {
+                let (q, k) = (scale * q, *k);
+                sum += q * k;
+                size += (q * k).abs();
+                if q.abs() < least || k.abs() < least {
+                    lost += (q * k).abs();
+                }
+            }
+            (sum, relative * size + lost + self.dim as f64 * TINY)
+        };
+        let (scores, errors) = (0..self.keys()).map(score).unzip();
+        Row { scores, errors }
+    }
+
+    /// Bounds of the errors of one query's output `out [dim]`.
+    pub fn bounds(&self, mode: Mode, row: &Row, head: usize, v: &[f64], out: &[f64]) -> Vec<f64> {
+        let factors = mode.factors();
+        let weights = Weights::new(mode, &row.scores);
+        let of_head = |key: usize| &v[key * self.width() + head * self.dim..][..self.dim];
+        let least = factors.tiny.max(TINY);
+        let mut channels = vec![Channel::default(); self.dim];
+        // Shares of the weights that are surely kept, that they may grow to, and that may be flushed.
+        let (mut kept, mut grown, mut lost) = (0.0, 0.0, 0.0);
+        let first_error = row.errors[weights.first];
+        let first_value = of_head(weights.first);
+        for (key, (score, error)) in row.scores.iter().zip(&row.errors).enumerate() {
+            let below = weights.highest - score;
+            let (off, relative) = (error + U * below, weights.relative(below));
+            let p = (-below).exp() / weights.total;
+            let most = (off - below).exp() * (1.0 + relative) / weights.total;
+            let apart = (most - p).max(p * (1.0 - (-off).exp() * (1.0 - relative)));
+            kept += p * (-off).exp() * (1.0 - relative).max(0.0);
+            grown += most;
+            if p * weights.total < 2.0 * weights.least {
+                lost += p;
+            }
+            // Relative to the weight of the highest score.
+            let own = weights.relative(0.0);
+            let beside = if key == weights.first {
+                0.0
+            } else {
+                (off + first_error - below).exp() * (1.0 + relative) / (1.0 - own) + (-below).exp()
+            };
+            for (c, ((channel, &v), out)) in channels.iter_mut().zip(of_head(key)).zip(out).enumerate() {
+                let distance = (v - out).abs();
+                channel.moved += apart * distance;
+                channel.range = channel.range.max(distance);
+                channel.beside += beside * (v - first_value[c]).abs();
+                if v != 0.0 {
+                    channel.size += p * v.abs();
+                    channel.terms += 1;
+                    if v.abs() < least {
+                        channel.lost += p * v.abs();
+                    }
+                }
+            }
+        }
+        // A term of the weights' sum goes through a lane's additions and those of the lanes.
+        let total = gamma(by_lanes(self.keys()) + weights.rises + 6);
+        let output = if mode.factor == Element::F32 { 0.0 } else { factors.unit };
+        let bound = |(channel, out): (&Channel, &f64)| {
+            let Channel { moved, range, size, beside, lost: flushed, terms } = *channel;
+            let carried = (moved / kept).min(range).min(beside);
+            // The weights, too, are those that were computed.
+            let size = (size * grown / kept).min(out.abs() + range);
+            let summed = factors.sum(terms + weights.rises + 1) * size;
+            let near = out.abs() + carried + summed;
+            let left = carried + summed + (total + DIVISION + U + output) * near + (2.0 * lost * range).min(range);
+            let subnormal = if output > 0.0 { (near + left).min(factors.tiny) } else { 0.0 };
+            left + flushed + subnormal + (terms + 1) as f64 * TINY * (1.0 + range + out.abs())
+        };
+        debug_assert!(v.len() == self.keys() * HEADS * self.dim);
+        channels.iter().zip(out).map(bound).collect()
+    }
+}

@@ -1,0 +1,103 @@
+//! What faulty attention gives.
+
+use super::{super::bound::half, HEADS, Problem};
+
+/// Ways in which attention may be wrong.
+#[derive(Clone, Copy, Debug)]
+pub enum Fault {
+    Zero,
+    /// Keys from here on are ignored.
+    KeysFrom(usize),
+    /// One key is ignored.
+    Key(usize),
+    /// The last key is ignored.
+    LastKey,
+    /// Every second key is ignored.
+    HalfOfKeys,
+    /// Each key has its neighbour's value.
+    NeighbourValue,
+    /// Each head has the other's values.
+    NeighbourHead,
+    /// Scores are not divided by the root of their channels.
+    NoScale,
+    /// exp of scores in f32, not of their distance from the highest.
+    NoMaximum,
+    /// Earlier sums are not scaled where the maximum rises.
+    SumsNotScaled,
+    /// The sum of weights is not scaled then.
+    TotalNotScaled,
+    /// Nothing is divided by the sum of weights.
+    NoTotal,
+    /// Sums have 11 bits.
+    HalfSum,
+    /// Weights have 11 bits.
+    HalfWeights,
+    /// Scores have 11 bits.
+    HalfScores,
+    /// Padding of a last vector of keys counts.
+    Padding,
+}
+
+impl Fault {
+    /// Whether it is no larger than what 16 bits round.
+    pub fn is_fine(self) -> bool {
+        matches!(self, Fault::LastKey | Fault::HalfSum | Fault::HalfWeights | Fault::HalfScores)
+    }
+}
+
+impl Problem {
+    /// What one query gets, `[dim]`, from its scores.
+    pub fn wrong(&self, scores: &[f64], head: usize, v: &[f64], fault: Fault) -> Vec<f64> {
+        let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
+        let highest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let mut so_far = f64::NEG_INFINITY;
+        let (mut total, mut sums) = (0.0, vec![0.0; self.dim]);
+        for (key, &score) in scores.iter().enumerate().filter(|(key, _)| self.counts(*key, fault)) {
+            so_far = so_far.max(score);
+            let weight = (score - highest).exp();
+            let (weight, counted) = match fault {
+                Fault::NoScale => [((score - highest) * (self.dim as f64).sqrt()).exp(); 2].into(),
+                Fault::NoMaximum => [f64::from((score as f32).exp()); 2].into(),
+                Fault::SumsNotScaled => [(score - so_far).exp(); 2].into(),
+                Fault::TotalNotScaled => (weight, (score - so_far).exp()),
+                Fault::HalfWeights => (half(weight), weight),
+                Fault::HalfScores => [(half(score) - half(highest)).exp(); 2].into(),
+                _ => (weight, weight),
+            };
+            // Most keys are nothing beside one that dominates.
+            if weight < 1e-40 && counted < 1e-40 {
+                continue;
+            }
+            total = round(total + counted);
+            for (sum, v) in sums.iter_mut().zip(self.value(key, head, v, fault)) {
+                *sum = round(*sum + weight * v);
+            }
+        }
+        let total = match fault {
+            Fault::NoTotal => 1.0,
+            Fault::Padding => f64::NAN,
+            _ => total,
+        };
+        let zero = if matches!(fault, Fault::Zero) { 0.0 } else { 1.0 };
+        sums.iter().map(|sum| zero * sum / total).collect()
+    }
+
+    fn counts(&self, key: usize, fault: Fault) -> bool {
+        match fault {
+            Fault::KeysFrom(end) => key < end,
+            Fault::Key(lost) => key != lost,
+            Fault::LastKey => key + 1 < self.keys(),
+            Fault::HalfOfKeys => key.is_multiple_of(2),
+            _ => true,
+        }
+    }
+
+    fn value<'a>(&self, key: usize, head: usize, v: &'a [f64], fault: Fault) -> &'a [f64] {
+        let (key, head) = match fault {
+            Fault::NeighbourValue => ((key + 1) % self.keys(), head),
+            Fault::NeighbourHead => (key, (head + 1) % HEADS),
+            _ => (key, head),
+        };
+        &v[key * self.width() + head * self.dim..][..self.dim]
+    }
+}

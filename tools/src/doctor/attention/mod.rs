@@ -1,0 +1,129 @@
+//! Softmax attention.
+
+mod bounds;
+mod cases;
+mod faults;
+
+pub use cases::area;
+
+use super::{Mode, Worst, case, trial::Trial};
+use crate::noise::Noise;
+use faults::Fault;
+use rayon::prelude::*;
+use zipsplat::{
+    Result,
+    gpu::Device,
+    ops::{Attention, AttentionKernel, Heads, Part},
+};
+use zipsplat_reference::ops::attention::attention;
+
+const HEADS: usize = 2;
+
+/// One sequence: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`.
+struct Problem {
+    dim: usize,
+    q: Vec<f32>,
+    k: Vec<f32>,
+    v: Vec<f32>,
+}
+
+/// A result `[queries, HEADS, dim]`, and what it comes from as the device holds it.
+struct Truth {
+    values: Vec<f64>,
+    bounds: Vec<f64>,
+    /// `[queries * HEADS]`
+    rows: Vec<Row>,
+    v: Vec<f64>,
+}
+
+/// The scores of one head of one query, in the order of the keys.
+struct Row {
+    scores: Vec<f64>,
+    /// The most by which each may be off.
+    errors: Vec<f64>,
+}
+
+impl Problem {
+    /// Random values, times `size` in queries and keys.
+    fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
+        let mut noise = Noise((keys * 64 + queries) as u64);
+        let width = HEADS * dim;
+        let [mut q, mut k] = [queries, keys].map(|tokens| noise.values(tokens * width));
+        q.iter_mut().chain(&mut k).for_each(|x| *x *= size);
+        Self { dim, q, k, v: noise.values(keys * width) }
+    }
+
+    fn width(&self) -> usize {
+        HEADS * self.dim
+    }
+
+    fn keys(&self) -> usize {
+        self.k.len() / self.width()
+    }
+
+    fn queries(&self) -> usize {
+        self.q.len() / self.width()
+    }
+
+    fn kernel(mode: Mode, device: &Device) -> AttentionKernel {
+        match mode.units(device) {
+            Some(units) => AttentionKernel::Matrix(units),
+            None => AttentionKernel::Lanes(mode.factor),
+        }
+    }
+
+    /// Values as the device holds them.
+    fn held(values: &[f32], mode: Mode) -> Vec<f64> {
+        mode.factor.decode(&mode.factor.encode(values)).into_iter().map(f64::from).collect()
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = Truth;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
+        let (kernel, width) = (Self::kernel(mode, device), self.width());
+        let (queries, keys) = (self.queries(), self.keys());
+        let shape = Attention { heads: Heads { count: HEADS, dim: self.dim }, sequences: 1, queries, keys, kernel };
+        let mut trial = Trial::new(device);
+        let tensors = shape.tensors(&mut trial.rec);
+        let queries_part = Part { scale: shape.scale(), ..Part::default() };
+        let keys_part = Part { keys: true, ..Part::default() };
+        let parts = [(&self.q, queries, queries_part), (&self.k, keys, keys_part), (&self.v, keys, Part::default())];
+        for ((values, rows, part), tensor) in parts.into_iter().zip(tensors) {
+            // Padding holds NaN, which must reach nothing.
+            trial.blank(tensor);
+            let input = trial.input(&kernel.element().encode(values));
+            shape.split(&mut trial.rec, (input, width), 0, rows, part, tensor);
+        }
+        let out = shape.record(&mut trial.rec, tensors);
+        trial.rec.output(out);
+        Ok(kernel.element().decode(&trial.result::<u8>(out)?))
+    }
+
+    fn truth(&self, mode: Mode) -> Truth {
+        let [q, k, v] = [&self.q, &self.k, &self.v].map(|values| Self::held(values, mode));
+        let values = attention(&q, &k, &v, HEADS, self.dim);
+        let at = |i: usize| (&q[i * self.dim..][..self.dim], i % HEADS);
+        let rows: Vec<Row> =
+            (0..self.queries() * HEADS).into_par_iter().map(|i| self.scores(mode, at(i), &k)).collect();
+        let bounds = rows.par_iter().zip(values.par_chunks(self.dim)).enumerate();
+        let bounds = bounds.flat_map_iter(|(i, (row, out))| self.bounds(mode, row, i % HEADS, &v, out)).collect();
+        Truth { values, bounds, rows, v }
+    }
+
+    fn judge(&self, truth: &Truth, output: &Vec<f32>, _: Mode) -> Worst {
+        Worst::of(output, &truth.values, |i| truth.bounds[i])
+    }
+
+    fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f32>> {
+        if fault.is_fine() && mode != Mode::EXACT {
+            return Vec::new();
+        }
+        let rows = truth.rows.par_iter().enumerate();
+        let wrong = rows.flat_map_iter(|(i, row)| self.wrong(&row.scores, i % HEADS, &truth.v, fault));
+        vec![wrong.map(|x| x as f32).collect()]
+    }
+}

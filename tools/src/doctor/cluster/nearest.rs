@@ -1,0 +1,228 @@
+//! The nearest target of each point.
+
+use super::{
+    super::{Area, Case, Catches, Mode, Worst, bound::gamma, bound::half, case, trial::Trial},
+    kernel,
+};
+use crate::noise::Noise;
+use zipsplat::{
+    Result,
+    gpu::Device,
+    kernels::limits::{GROUP_FOLD, NEAREST_ROWS},
+    ops::Nearest,
+};
+use zipsplat_reference::{
+    cluster::{
+        nearest::{error_of_products, two_nearest},
+        origin::origin,
+    },
+    widen,
+};
+
+const REASON: &str = "a squared distance is a sum of w squares without cancellation, off by gamma_(w+3) of itself at most; \
+    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and no more. On \
+    matrix units it is |t|^2 - 2 p t about an origin, of two f16 for each value, off by what kernels/cluster/nearest_matrix.comp \
+    derives; what is chosen may be farther by that of both";
+
+/// Points, and targets among which to find the nearest, `[_, width]`.
+pub struct Problem {
+    pub width: usize,
+    pub points: Vec<f32>,
+    pub targets: Vec<f32>,
+}
+
+/// What was chosen for each point, and about what matrix units compared.
+pub struct Chosen {
+    pub targets: Vec<u32>,
+    pub origin: Option<Vec<f32>>,
+}
+
+/// Points, targets, and each point's nearest target with its distance, then the second.
+pub struct Truth {
+    points: Vec<f64>,
+    targets: Vec<f64>,
+    nearest: Vec<[(u32, f64); 2]>,
+}
+
+/// Ways in which it may be wrong.
+#[derive(Clone, Copy, Debug)]
+pub enum Fault {
+    /// The first target for all.
+    First,
+    /// Of two nearest the second.
+    SecondNearest,
+    /// Of equal ones the last.
+    LastOfEqual,
+    /// The index after it.
+    NextIndex,
+    /// The last target is not looked at.
+    LastTarget,
+    /// The last four channels are not looked at.
+    LastChannels,
+    /// |t|^2 - 2 p t in f32, about 0.
+    Products,
+    /// Squares are added up with 11 bits.
+    HalfSum,
+    /// Points from a fold of workgroups on are those before it.
+    Folded,
+}
+
+impl Truth {
+    pub fn new(points: &[f32], targets: &[f32], width: usize) -> Self {
+        let (points, targets) = (widen(points), widen(targets));
+        let nearest = two_nearest(&points, &targets, width);
+        Self { points, targets, nearest }
+    }
+
+    /// The nearest targets.
+    pub fn first(&self) -> Vec<u32> {
+        self.nearest.iter().map(|[first, _]| first.0).collect()
+    }
+
+    /// How much farther the chosen targets are than the nearest, in squared distance: relatively, or where products are
+    /// taken about an origin as such.
+    pub fn excess(&self, chosen: &Chosen, width: usize) -> Worst {
+        let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        let origin = chosen.origin.as_deref().map(widen);
+        let slack = gamma(width + 3);
+        let mut worst = Worst::NONE;
+        let points = self.points.chunks(width).zip(&chosen.targets);
+        for ((point, &index), [(first, nearest), _]) in points.zip(&self.nearest) {
+            let Some(target) = self.targets.chunks(width).nth(index as usize) else {
+                return Worst::one(f64::NAN, 0.0, 0.0);
+            };
+            let best = &self.targets[*first as usize * width..][..width];
+            let nearest = nearest * nearest;
+            let farther = squared(point, target) - nearest;
+            // Of equal targets the first.
+            let farther = if index != *first && target == best { f64::INFINITY } else { farther.max(0.0) };
+            worst = worst.or(match &origin {
+                // Squares below 2^-126 may be flushed.
+                None => Worst::one(farther / nearest.max(1e-30), 0.0, 2.0 * slack / (1.0 - slack)),
+                Some(origin) => {
+                    let error = |row| error_of_products([point, row].map(|row| squared(row, origin).sqrt()), width);
+                    Worst::one(farther, 0.0, error(target) + error(best))
+                }
+            });
+        }
+        worst
+    }
+
+    /// What a fault makes of the nearest targets.
+    pub fn wrong(&self, fault: Fault, width: usize) -> Vec<u32> {
+        let count = self.targets.len() / width;
+        let nearest = || self.nearest.iter().map(|[first, _]| first.0);
+        let used = match fault {
+            Fault::LastChannels => width - 4,
+            _ => width,
+        };
+        // The least of a score, which a fault computes wrongly.
+        let least = |targets: usize, score: &dyn Fn(&[f64], &[f64]) -> f64| -> Vec<u32> {
+            let of = |point: &[f64]| {
+                let scores = self.targets.chunks(width).take(targets).map(|target| score(point, target));
+                let best =
+                    scores.enumerate().fold((0, f64::INFINITY), |best, (t, s)| if s < best.1 { (t, s) } else { best });
+                best.0 as u32
+            };
+            self.points.chunks(width).map(of).collect()
+        };
+        let single = |x: f64| f64::from(x as f32);
+        match fault {
+            Fault::First => vec![0; self.nearest.len()],
+            Fault::SecondNearest => self.nearest.iter().map(|[_, second]| second.0).collect(),
+            Fault::NextIndex => nearest().map(|target| target + 1).collect(),
+            Fault::LastOfEqual => {
+                let rows: Vec<&[f64]> = self.targets.chunks(width).collect();
+                nearest()
+                    .map(|first| (0..count).rev().find(|&t| rows[t] == rows[first as usize]).unwrap_or(0) as u32)
+                    .collect()
+            }
+            Fault::Folded => {
+                let nearest: Vec<u32> = nearest().collect();
+                (0..nearest.len()).map(|i| nearest[i % (GROUP_FOLD * NEAREST_ROWS) as usize]).collect()
+            }
+            Fault::Products => least(count, &|point, target| {
+                let pairs = || point.iter().zip(target);
+                let squares = pairs().fold(0.0, |sum, (_, t)| single(sum + t * t));
+                squares - 2.0 * pairs().fold(0.0, |sum, (p, t)| single(sum + p * t))
+            }),
+            Fault::HalfSum => least(count, &|point, target| {
+                point.iter().zip(target).fold(0.0, |sum, (p, t)| half(sum + (p - t).powi(2)))
+            }),
+            Fault::LastTarget | Fault::LastChannels => {
+                let looked_at = if used == width { count - 1 } else { count };
+                least(looked_at, &|p, t| p[..used].iter().zip(&t[..used]).map(|(p, t)| (p - t).powi(2)).sum())
+            }
+        }
+    }
+}
+
+/// About what matrix units would compare.
+pub fn host_origin(mode: Mode, targets: &[f32], width: usize) -> Option<Vec<f32>> {
+    let count = targets.len() / width;
+    mode.matrix.then(|| origin(&widen(targets), width, count.min(64)).into_iter().map(|x| x as f32).collect())
+}
+
+impl case::Problem for Problem {
+    type Output = Chosen;
+    type Truth = Truth;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Chosen> {
+        let mut trial = Trial::new(device);
+        let [from, to] = [&self.points, &self.targets].map(|rows| (trial.input(rows), rows.len() / self.width));
+        let nearest = Nearest::among(&mut trial.rec, kernel(mode, device), to, self.width);
+        let rows = [from, to].map(|rows| nearest.rows(&mut trial.rec, rows));
+        let out = trial.output::<u32>(from.1);
+        nearest.record_into(&mut trial.rec, rows[0], rows[1], out);
+        let origin = nearest.origin();
+        origin.into_iter().for_each(|origin| trial.rec.output(origin));
+        let run = trial.run()?;
+        Ok(Chosen { targets: run.read(out)?, origin: origin.map(|origin| run.read(origin)).transpose()? })
+    }
+
+    fn truth(&self, _: Mode) -> Truth {
+        Truth::new(&self.points, &self.targets, self.width)
+    }
+
+    fn judge(&self, truth: &Truth, output: &Chosen, _: Mode) -> Worst {
+        truth.excess(output, self.width)
+    }
+
+    fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Chosen> {
+        let origin = host_origin(mode, &self.targets, self.width);
+        vec![Chosen { targets: truth.wrong(fault, self.width), origin }]
+    }
+}
+
+pub fn area() -> Area {
+    use Fault::*;
+    let mut cases = Vec::new();
+    let mut add = |name: &str, catches: Catches<Fault>, shape: [usize; 3], value: fn(f32) -> f32| {
+        let make = move || {
+            let [points, targets, width] = shape;
+            let mut noise = Noise((points + targets + width) as u64);
+            let mut rows = |count: usize| noise.values(count * width).into_iter().map(value).collect::<Vec<f32>>();
+            let (points, mut targets) = (rows(points), rows(targets));
+            // The last target is the nearest of a point.
+            let last = targets.len() - width;
+            targets[last..].copy_from_slice(&points[..width]);
+            Problem { width, points, targets }
+        };
+        cases.push(Case::new(name, shape[2], catches, make));
+    };
+    let any = || Catches::from([First, SecondNearest, NextIndex, LastTarget]);
+    for width in [4, 64, 384, 1536] {
+        let random = if width > 64 { any().and(&[HalfSum]) } else { any() };
+        add("random", random.and(&[LastChannels]), [65, 333, width], |r| r);
+        add("mean 1e4, spread 1", any().and(&[Products]), [65, 333, width], |r| 1e4 + r);
+    }
+    add("near ties: spread of a few units in the last place", any(), [65, 333, 64], |r| 1.0 + 4e-7 * (4.0 * r).round());
+    add("duplicates", [First, LastOfEqual].into(), [65, 333, 4], f32::round);
+    add("one target", [NextIndex].into(), [65, 1, 64], |r| r);
+    add("values of 1e15", any(), [33, 100, 64], |r| 1e15 * r);
+    add("values of 1e-15", any(), [33, 100, 64], |r| 1e-15 * r);
+    let folded = (GROUP_FOLD * NEAREST_ROWS) as usize + 9;
+    add("points beyond a fold of workgroups", [First, Folded].into(), [folded, 5, 4], |r| r);
+    Area { kernel: "cluster/nearest", size: "channels", reason: REASON, modes: Mode::NEAREST, cases }
+}

@@ -1,0 +1,196 @@
+//! What faulty renderers draw.
+
+use super::{
+    super::bound::half,
+    picture::{gaussians, reference_camera},
+};
+use glam::DVec3;
+use rayon::prelude::*;
+use zipsplat::types::{Camera, Scene};
+use zipsplat_reference::render::{
+    project::{Camera as Pinhole, Gaussians, MIN_ALPHA, Splat, project},
+    sh,
+};
+
+/// Ways in which a picture may be wrong.
+#[derive(Clone, Copy, Debug)]
+pub enum Fault {
+    Blank,
+    /// Nothing is written, not even the background.
+    Unwritten,
+    /// The last tile in which something is seen is not drawn.
+    LastTile,
+    /// A Gaussian is missing.
+    Missing,
+    BackToFront,
+    /// Pixels have their centres at their corners.
+    HalfPixel,
+    /// Each Gaussian has its neighbour's colour.
+    NeighbourColour,
+    /// Colours have 11 bits.
+    HalfColours,
+    /// Colours below 0 are drawn.
+    NegativeColours,
+    /// Only band 0 counts.
+    NoBands,
+    /// Colours are seen along the camera's axes, not the world's.
+    DirectionInCamera,
+    /// Antialiased where that was not asked for, or the other way round.
+    OtherAntialiasing,
+    /// Rotations are left out.
+    Unrotated,
+    /// Determinants as differences of products in f32.
+    CancellingDeterminant,
+    /// What lies behind the camera is drawn as if it lay before it.
+    BehindDrawn,
+    /// What lies before the near plane is drawn.
+    NearDrawn,
+    /// Alphas below 1/255 count.
+    FaintDrawn,
+    /// Alphas above 0.999 count.
+    OpaqueUnclamped,
+    /// What a pixel has no light left for is drawn.
+    NeverStops,
+    /// The principal point is the middle.
+    CentredPrincipal,
+    /// Pixels by columns.
+    TransposedPixels,
+    /// Tiles from 65,536 on are those from 0 on.
+    TilesWrap,
+}
+
+/// Planes of a picture: red, green, blue; alpha; accumulated depth.
+pub type Picture = [Vec<f32>; 3];
+
+/// Thresholds of blending.
+#[derive(Clone, Copy)]
+struct Rules {
+    faint: f64,
+    opaque: f64,
+    left: f64,
+}
+
+const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
+
+/// What a renderer with a fault draws. `before` is the picture of which tiles from 0 on are.
+pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
+    let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
+    let i = &mut camera.intrinsics;
+    match fault {
+        Fault::OtherAntialiasing => antialiased = !antialiased,
+        Fault::Unrotated => scene.quats.fill([1.0, 0.0, 0.0, 0.0]),
+        Fault::BehindDrawn => scene.means.iter_mut().for_each(|mean| mean[2] = mean[2].abs()),
+        Fault::NearDrawn => scene.means.iter_mut().for_each(|mean| mean[2] = mean[2].max(0.01)),
+        Fault::CentredPrincipal => (i.cx, i.cy) = (f64::from(i.width) / 2.0, f64::from(i.height) / 2.0),
+        Fault::FaintDrawn => rules.faint = 0.0,
+        Fault::OpaqueUnclamped => rules.opaque = 1.0,
+        Fault::NeverStops => rules.left = 0.0,
+        Fault::TilesWrap => camera = before.copied().unwrap_or(camera),
+        _ => {}
+    }
+    let pinhole = reference_camera(&camera);
+    let mut splats: Vec<Splat> = Vec::new();
+    for (n, splat) in project(&scene, &pinhole, antialiased).into_iter().enumerate() {
+        splats.extend(splat.map(|splat| changed(splat, &scene, n, &pinhole, fault)));
+    }
+    splats.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32)));
+    match fault {
+        Fault::Missing => drop(most_visible(&splats, pinhole.size).map(|place| splats.remove(place))),
+        Fault::BackToFront => splats.reverse(),
+        Fault::NeighbourColour => {
+            let colours: Vec<_> = splats.iter().map(|splat| splat.colour).collect();
+            let next = colours.iter().cycle().skip(1);
+            splats.iter_mut().zip(next).for_each(|(splat, colour)| splat.colour = *colour);
+        }
+        _ => {}
+    }
+    let [width, height] = pinhole.size;
+    let place = |i: usize| match fault {
+        Fault::TransposedPixels => [(i / height) as f64 + 0.5, (i % height) as f64 + 0.5],
+        _ => [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5],
+    };
+    let mut pixels: Vec<[f64; 5]> =
+        (0..width * height).into_par_iter().map(|i| blend(&splats, place(i), rules)).collect();
+    match fault {
+        Fault::Blank => pixels.fill([0.0; 5]),
+        Fault::Unwritten => pixels.fill([f64::NAN; 5]),
+        Fault::LastTile => blank_last_tile(&mut pixels, width),
+        _ => {}
+    }
+    let plane = |channels: std::ops::Range<usize>| {
+        pixels.iter().flat_map(|pixel| pixel[channels.clone()].to_vec()).map(|x| x as f32).collect()
+    };
+    [plane(0..3), plane(3..4), plane(4..5)]
+}
+
+fn changed(mut splat: Splat, scene: &Gaussians, n: usize, camera: &Pinhole, fault: Fault) -> Splat {
+    let coeffs = scene.sh_coeffs.len() / scene.means.len();
+    let coeffs = &scene.sh_coeffs[n * coeffs..][..coeffs];
+    let direction = DVec3::from(scene.means[n]) - camera.centre();
+    match fault {
+        Fault::HalfPixel => splat.mean = splat.mean.map(|at| at + 0.5),
+        Fault::HalfColours => splat.colour = splat.colour.map(half),
+        Fault::NoBands => splat.colour = sh::colour(&coeffs[..3], direction),
+        Fault::DirectionInCamera => splat.colour = sh::colour(coeffs, camera.rotation * direction),
+        Fault::NegativeColours => {
+            let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
+            let basis = sh::basis(degree, direction.normalize());
+            splat.colour =
+                [0, 1, 2].map(|c| 0.5 + basis.iter().zip(coeffs.chunks(3)).map(|(b, k)| b * k[c]).sum::<f64>());
+        }
+        Fault::CancellingDeterminant => {
+            let [a, b, c] = splat.conic;
+            let determinant = a * c - b * b;
+            let [xx, xy, yy] = [c, -b, a].map(|x| (x / determinant) as f32);
+            let determinant = xx * yy - xy * xy;
+            splat.conic = [yy / determinant, -xy / determinant, xx / determinant].map(f64::from);
+        }
+        _ => {}
+    }
+    splat
+}
+
+fn alpha(splat: &Splat, [x, y]: [f64; 2], rules: Rules) -> f64 {
+    let [dx, dy] = [x - splat.mean[0], y - splat.mean[1]];
+    let [xx, xy, yy] = splat.conic;
+    let sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
+    (splat.opacity * (-sigma).exp()).min(rules.opaque)
+}
+
+fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
+    let (mut pixel, mut left) = ([0.0; 5], 1.0);
+    for splat in splats {
+        let alpha = alpha(splat, place, rules);
+        if alpha < rules.faint {
+            continue;
+        }
+        let after = left * (1.0 - alpha);
+        if after <= rules.left {
+            break;
+        }
+        let weight = alpha * left;
+        (0..3).for_each(|c| pixel[c] += weight * splat.colour[c]);
+        pixel[4] += weight * splat.depth;
+        left = after;
+    }
+    pixel[3] = 1.0 - left;
+    pixel
+}
+
+/// The first that hides a twentieth of what lies behind it, at the pixel nearest to its centre; else the one that hides most.
+fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
+    let own = |splat: &Splat| {
+        let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);
+        alpha(splat, nearest, RULES)
+    };
+    let most = (0..splats.len()).max_by(|&a, &b| own(&splats[a]).total_cmp(&own(&splats[b])));
+    splats.iter().position(|splat| own(splat) > 0.05).or(most)
+}
+
+fn blank_last_tile(pixels: &mut [[f64; 5]], width: usize) {
+    let Some(last) = pixels.iter().rposition(|pixel| pixel[3] > 0.01) else { return };
+    let tile = |i: usize| (i / width / 16, i % width / 16);
+    for i in (0..pixels.len()).filter(|&i| tile(i) == tile(last)) {
+        pixels[i] = [0.0; 5];
+    }
+}
