@@ -492,12 +492,20 @@ ZS_ENUM(zs_selection) {
     ZS_SELECT_RANDOM = 2,
 };
 
+// The world that a scene is in.
+ZS_ENUM(zs_world) {
+    // The first photo's camera: x right, y down, z forward.
+    ZS_WORLD_FIRST_CAMERA = 0,
+    // That of `cameras`, which then fit the scene as they are.
+    ZS_WORLD_CAMERAS = 1,
+};
+
 // What to reconstruct.
 typedef struct zs_reconstruct_options {
     // sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
     uint32_t struct_size;
-    // Must be 0.
-    uint32_t reserved;
+    // World of the scene; ZS_WORLD_CAMERAS needs `cameras`. Default ZS_WORLD_FIRST_CAMERA.
+    zs_world world;
     // Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
     // Default 1.
     double ratio;
@@ -515,8 +523,8 @@ typedef struct zs_reconstruct_options {
     uint32_t camera_count;
     // For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
     uint64_t seed;
-    // Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world. Their unit is
-    // kept; `unit` says how far away the scene is in it. Default NULL.
+    // Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world, or `world`
+    // says otherwise. Their unit is kept; `unit` says how far away the scene is in it. Default NULL.
     const struct zs_camera *cameras;
     // Told how far it is; may stop it. Default NULL.
     zs_progress progress;
@@ -528,7 +536,7 @@ typedef struct zs_reconstruct_options {
 zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
 
 // Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
-// camera. `options` may be NULL.
+// camera, or what `options` says. `options` may be NULL.
 zs_status zs_reconstruct(const struct zs_model *model,
                          const struct zs_image *images,
                          size_t image_count,
