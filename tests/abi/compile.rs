@@ -23,7 +23,7 @@ fn as_c99_and_cpp17_shared_and_static() {
 /// Its own line, in a folder with an app.
 #[test]
 fn as_the_readme_says() {
-    let readme = std::fs::read_to_string(root().join("README.md")).expect("the README");
+    let readme = std::fs::read_to_string(root().join("engine/examples/README.md")).expect("how to embed");
     let line = readme.lines().map(str::trim).find(|line| line.starts_with("cc app.c ")).expect("how to compile an app");
     let app = line.split_once(" -o ").map_or("a.out", |(_, rest)| rest.split(' ').next().unwrap_or(rest));
     let folder = tempfile::tempdir().expect("a folder");

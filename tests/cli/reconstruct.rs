@@ -95,10 +95,11 @@ fn photos_in_folders_below_are_hinted_at() {
         .fails(3, &["photos in", "found none", "the folder that has them", &below]);
     std::fs::create_dir(folder.path("photos/left")).expect("an empty folder");
     let quiet = folder.run(&format!("reconstruct @/photos {line}"));
-    assert_eq!(quiet.err, "", "a folder without photos is none to hint at");
+    assert!(!quiet.err.contains("more photos"), "a folder without photos is none to hint at: {}", quiet.err);
     std::fs::copy(folder.path("photos/1.png"), folder.path("photos/left/1.png")).expect("copied");
     let noted = folder.run(&format!("reconstruct @/photos {line}"));
-    assert_eq!(noted.err, folder.line("note: more photos lie in @/photos/left/: name it, too, to take them\n"));
+    let hint = folder.line("note: more photos lie in @/photos/left/: name it, too, to take them\n");
+    assert!(noted.err.contains(&hint), "{}", noted.err);
     assert!(noted.success().contains("from 2 views"));
 }
 
@@ -114,7 +115,9 @@ fn cameras_to_learn_from_are_cameras() {
     run().success();
     // The other name comes first.
     write_transforms(folder.path("place/transforms.json"), &cameras[..1], &names[..1]).expect("cameras");
-    run().fails(3, &["10.png", "the poses (1): train/1.png"]);
+    let outcome = run();
+    assert!(outcome.err.contains("not among the cameras: 10.png"), "{}", outcome.err);
+    outcome.success();
 }
 
 #[test]
@@ -250,6 +253,7 @@ fn photos_without_cameras_are_left_out_and_named() {
     assert!(scene() == left, "the same photos");
     // They are left out before some of many are chosen.
     assert_eq!(folder.run(&format!("reconstruct @/photos {line} --views 2")).json()["views"], 2);
+    let line = line.replace(" --json", "");
     folder.run(&format!("reconstruct @/photos/1.png {line}")).fails(3, &["camera of", "1.png", "3.png"]);
 }
 

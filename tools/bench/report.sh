@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Everything that this project wants to know of a GPU, into text files: limits, hard cases, tiles, rates, pictures, the forward
 # pass, and last what other implementations need for the same on that GPU. A part that fails or takes too long costs no other.
-# usage: tools/bench/report.sh OUT      the numbers for README.md's "Speed"; takes minutes on a large GPU
+# usage: tools/bench/report.sh OUT      the numbers of this folder's README; takes minutes on a large GPU
 #   WEIGHTS   default seeded:vitg     VIEWS  default "24 48 96 192"
 #   RUNS      default "--warmup 1 --repeats 5"; the paper's are "--warmup 5 --repeats 20"
 #   PATIENCE  seconds that a part may take, default 300
