@@ -11,15 +11,16 @@ use zipsplat::{
 use zipsplat_reference::{
     cluster::{
         kmeans::kmeans as reference_kmeans,
-        nearest::{error_of_products, two_nearest},
+        nearest::{TIE, error_of_products, two_nearest},
     },
     widen,
 };
 
 const NEAREST: &str = "a squared distance is a sum of w squares without cancellation, off by gamma_(w+3) of itself at most; \
-    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and no more. On \
-    matrix units it is |t|^2 - 2 p t about an origin, of two f16 for each value, off by what kernels/cluster/nearest_matrix.comp \
-    derives; what is chosen may be farther by that of both";
+    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and by the 2^-16 within \
+    which targets tie, and no more. On matrix units it is |t|^2 - 2 p t about an origin, of two f16 for each value, off by what \
+    kernels/cluster/nearest_matrix.comp derives; what is chosen may be farther by that of both, and by a tie. Of two targets \
+    that only rounding tells apart it must be the first";
 
 const KMEANS: &str = "coordinates are whole multiples of 2^-6 whose squared distances f32 holds exactly, and clusters have a \
     power of two of members, so that every mean and every tie is as in f64: assignments must be equal. The nearest tokens \
@@ -45,36 +46,43 @@ fn check_nearest(device: &Device, mode: Mode, points: &[f32], targets: &[f32], w
     Ok(excess(&run.read::<u32>(out)?, points, targets, origin.as_deref(), width))
 }
 
-/// In squared distance: relatively, or where products are taken about an origin as such.
+fn squared(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
+}
+
+/// In squared distance.
 fn excess(chosen: &[u32], points: &[f32], targets: &[f32], origin: Option<&[f32]>, width: usize) -> Worst {
     let (points, targets, origin) = (widen(points), widen(targets), origin.map(widen));
-    let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-    let slack = gamma(width + 3);
+    let slack = 2.0 * gamma(width + 3) / (1.0 - gamma(width + 3));
     let mut worst = Worst::NONE;
-    for ((point, &index), [(first, nearest), _]) in
+    for ((point, &index), [(first, nearest), (second, next)]) in
         points.chunks(width).zip(chosen).zip(two_nearest(&points, &targets, width))
     {
         let Some(target) = targets.chunks(width).nth(index as usize) else {
             return Worst::one(f64::NAN, 0.0, 0.0);
         };
         let best = &targets[first as usize * width..][..width];
-        let nearest = nearest * nearest;
-        let farther = squared(point, target) - nearest;
-        // Of equal targets the first.
-        let farther = if index != first && target == best { f64::INFINITY } else { farther.max(0.0) };
-        worst = worst.or(match &origin {
-            // Squares below 2^-126 may be flushed.
-            None => Worst::one(farther / nearest.max(1e-30), 0.0, 2.0 * slack / (1.0 - slack)),
+        let [nearest, next] = [nearest, next].map(|distance| distance * distance);
+        let farther = (squared(point, target) - nearest).max(0.0);
+        // Squares below 2^-126 may be flushed.
+        let tie = TIE * nearest.max(1e-30);
+        let bound = match &origin {
+            None => tie + slack * nearest.max(1e-30),
             Some(origin) => {
                 let error = |row| error_of_products([point, row].map(|row| squared(row, origin).sqrt()), width);
-                Worst::one(farther, 0.0, error(target) + error(best))
+                tie + error(target) + error(best)
             }
-        });
+        };
+        let alone = || targets.chunks(width).filter(|row| squared(point, row) <= nearest + 2.0 * bound).count() == 2;
+        let tied = index > second && next * (1.0 + slack) <= nearest * (1.0 + TIE) && alone();
+        let later = index > first && target == best || tied;
+        worst = worst.or(Worst::one(if later { f64::INFINITY } else { farther }, 0.0, bound));
     }
     worst
 }
 
 pub fn nearest() -> Area {
+    const WIDE: usize = 64;
     let mut cases = Vec::new();
     let mut add = |name: &str, [points, targets, width]: [usize; 3], value: fn(f32) -> f32| {
         cases.push(Case::new(name, width, move |device, mode| {
@@ -93,6 +101,12 @@ pub fn nearest() -> Area {
     add("one target", [65, 1, 64], |r| r);
     add("values of 1e15", [33, 100, 64], |r| 1e15 * r);
     add("values of 1e-15", [33, 100, 64], |r| 1e-15 * r);
+    cases.push(Case::new("points midway between two targets", WIDE, |device, mode| {
+        let targets = Noise(7).values(100 * WIDE);
+        let row = |index: usize| targets.chunks(WIDE).nth(index % 100).unwrap_or_default();
+        let midway = |i: usize| row(i).iter().zip(row(3 * i + 1)).map(|(a, b)| 0.5 * (a + b)).collect::<Vec<f32>>();
+        check_nearest(device, mode, &(0..65).flat_map(midway).collect::<Vec<f32>>(), &targets, WIDE)
+    }));
     Area { kernel: "cluster/nearest", size: "channels", reason: NEAREST, modes: Mode::NEAREST, cases }
 }
 
