@@ -1,4 +1,4 @@
-// The nearest target of every point, in squared Euclidean distance; of equal ones the first.
+// The nearest target of every point, in squared Euclidean distance; ties go by shared/nearest_tie.
 //
 // Points  [points, width] f32
 // Targets [targets, width] f32
@@ -7,6 +7,9 @@
 // Differences are summed, not |p|^2 - 2 p t + |t|^2, which cancels where points lie far from the origin. One workgroup
 // (a subgroup) owns ROWS points; lanes go through the targets side by side. The distance matrix never exists (flash
 // k-means).
+//
+// A lane keeps its nearest target and the first that ties with it, and forgets those between. They would matter only where three
+// lie apart by as much as a tie is wide, which rounding does not bring about.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
@@ -26,23 +29,30 @@ layout(push_constant) uniform Push {
     uint point_count;
     uint target_count;
     uint width;
+    float tie;
 };
+
+#include "shared/nearest_tie.glsl"
 
 float squared_length(vec4 d) { return dot(d, d); }
 
 void main() {
-    uint first = group_index() * ROWS;
-    if (first >= point_count) {
+    uint first_point = group_index() * ROWS;
+    if (first_point >= point_count) {
         return;
     }
     uint quads = width / 4;
     uint point_at[ROWS];
     float best[ROWS];
     uint best_target[ROWS];
+    float first[ROWS];
+    uint first_target[ROWS];
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
-        point_at[r] = min(first + r, point_count - 1) * quads;
+        point_at[r] = min(first_point + r, point_count - 1) * quads;
         best[r] = uintBitsToFloat(0x7f800000u);
         best_target[r] = 0;
+        first[r] = best[r];
+        first_target[r] = 0;
     }
     for (uint tile = 0; tile < target_count; tile += gl_WorkGroupSize.x * COLUMNS) {
         uint target_at[COLUMNS];
@@ -65,22 +75,27 @@ void main() {
                                squared_length(p - t3));
             }
         }
-        // A lane's targets rise from tile to tile, so "less" keeps the first of equal ones.
+        // A lane's targets rise from tile to tile, so what it keeps of a tie is the first.
         [[unroll]] for (uint r = 0; r < ROWS; r++) {
             [[unroll]] for (uint c = 0; c < COLUMNS; c++) {
                 uint t = tile + COLUMNS * gl_LocalInvocationID.x + c;
                 if (t < target_count && sum[r][c] < best[r]) {
                     best[r] = sum[r][c];
                     best_target[r] = t;
+                    if (first[r] > tie_limit(best[r])) {
+                        first[r] = best[r];
+                        first_target[r] = t;
+                    }
                 }
             }
         }
     }
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
-        float least = subgroupMin(best[r]);
-        uint nearest = subgroupMin(best[r] == least ? best_target[r] : 0xffffffffu);
-        if (gl_LocalInvocationID.x == 0 && first + r < point_count) {
-            result[first + r] = min(nearest, target_count - 1);
+        float limit = tie_limit(subgroupMin(best[r]));
+        uint own = first[r] <= limit ? first_target[r] : best[r] <= limit ? best_target[r] : target_count - 1;
+        uint nearest = subgroupMin(own);
+        if (gl_LocalInvocationID.x == 0 && first_point + r < point_count) {
+            result[first_point + r] = nearest;
         }
     }
 }

@@ -1,17 +1,18 @@
-// The nearest target of every point within each share of the targets, on matrix units: the least of |t|^2 / 2 - p t.
+// The two nearest targets of every point within each share of the targets, on matrix units: the least of |t|^2 / 2 - p t.
 //
 // Points        [points, pieces, 2, 8] FACTOR: rows about an origin, high and low halves, as cluster/halves leaves them
 // PointScales   [points] f32: what 1 stands for
 // Targets       [targets, pieces, 2, 8] FACTOR, about the same origin
 // TargetScales  [targets] f32, whole vec4
 // TargetNorms   [targets] f32, whole vec4: half the squared length
-// Scores        [shares, points] f32: the least of a share; infinite where none is finite
-// Candidates    [shares, points] index of the target that has it, of equal ones the first
+// Candidates    [shares, points] the two least scores of a share that differ, each as bits and with the first target that has
+//               it; infinite where there is none. cluster/nearest_merge chooses among them
 //
 // p t is the sum of high * high, high * low and low * high. CHUNK channels at a time are added up on matrix units, which may
 // truncate, and these sums in f32. A score so is off by at most
 //     (gamma(6 CHUNK + width / CHUNK + 1) + 3 * 2^-22 + 2^-27 sqrt(width)) |p| |t| + gamma(width / 16 + 134) |t|^2 / 2
 // for the sums, the halves and the norm (gamma(n) = n u / (1 - n u), u = 2^-24), and by 2 u (|p| + |t|)^2 for the rest.
+// Together that is less than 2^-16 (|p| + |t|)^2 up to 2048 channels.
 //
 // One workgroup owns TILE_M points and goes through the targets of a share, TILE_N at a time; each of its subgroups has
 // REPEAT_M x REPEAT_N matrices of their products. Both pass through shared memory twice TILE_K channels deep: while one part is
@@ -48,8 +49,7 @@ layout(set = 0, binding = 1) readonly buffer PointScales { float point_scales[];
 layout(set = 0, binding = 2) readonly buffer Targets { Piece targets[]; };
 layout(set = 0, binding = 3) readonly buffer TargetScales { vec4 target_scales[]; };
 layout(set = 0, binding = 4) readonly buffer TargetNorms { vec4 target_norms[]; };
-layout(set = 0, binding = 5) writeonly buffer Scores { float scores[]; };
-layout(set = 0, binding = 6) writeonly buffer Candidates { uint candidates[]; };
+layout(set = 0, binding = 5) writeonly buffer Candidates { uvec4 candidates[]; };
 
 layout(push_constant) uniform Push {
     uint point_count;
@@ -195,9 +195,6 @@ void main() {
     minimum_end(own_point, gl_SubgroupID % SUBGROUPS_N);
     barrier();
     for (uint row = gl_LocalInvocationID.x; row < TILE_M && first_point + row < point_count; row += THREADS) {
-        uvec2 found = minimum_of(row);
-        uint at = gl_WorkGroupID.x * point_count + first_point + row;
-        scores[at] = uintBitsToFloat(found.x);
-        candidates[at] = found.y;
+        candidates[gl_WorkGroupID.x * point_count + first_point + row] = minimum_of(row);
     }
 }

@@ -1,38 +1,100 @@
-// The nearest target of every point out of the nearest of each share of the targets.
+// The nearest target of every point out of the two nearest of each share of the targets; ties go by shared/nearest_tie.
 //
-// Scores      [shares, points] f32, the less the nearer
-// Candidates  [shares, points] index of a target; indices rise from share to share
-// Out         [points] index of a target; of equally near ones the first
+// Points      [points, width] f32
+// Targets     [targets, width] f32
+// Norms       [points] f32: half the squared distance of a point from the origin
+// Candidates  [shares, points] as cluster/nearest_matrix leaves them
+// Out         [points] index of a target
 //
-// One invocation owns a point.
+// A score is off by up to the bound that cluster/nearest_matrix derives. Where that leaves several targets, their differences
+// from the point decide, in f32. So a tie of two goes to the first; of three within one share matrix units see only two, but
+// for equal rows. One workgroup (a subgroup) owns a point.
 #version 460
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
 
-layout(local_size_x = 64) in;
+layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0) readonly buffer Scores { float scores[]; };
-layout(set = 0, binding = 1) readonly buffer Candidates { uint candidates[]; };
-layout(set = 0, binding = 2) writeonly buffer Out { uint result[]; };
+layout(set = 0, binding = 0) readonly buffer Points { vec4 points[]; };
+layout(set = 0, binding = 1) readonly buffer Targets { vec4 targets[]; };
+layout(set = 0, binding = 2) readonly buffer Norms { float norms[]; };
+layout(set = 0, binding = 3) readonly buffer Candidates { uvec4 candidates[]; };
+layout(set = 0, binding = 4) writeonly buffer Out { uint result[]; };
 
 layout(push_constant) uniform Push {
     uint point_count;
+    uint width;
     uint shares;
+    float tie;
 };
 
+#include "shared/nearest_tie.glsl"
+
+const uint NONE = 0xffffffffu;
+
+// Of a share, the nearest or the second: its target, or none where its score is above `limit`.
+uint candidate(uint point, uint i, float limit) {
+    uvec4 found = candidates[i / 2 * point_count + point];
+    uvec2 one = i % 2 == 0 ? found.xy : found.zw;
+    return uintBitsToFloat(one.x) <= limit ? one.y : NONE;
+}
+
+float squared_distance(uint point, uint target) {
+    uint quads = width / 4;
+    float sum = 0.0;
+    for (uint k = gl_LocalInvocationID.x; k < quads; k += gl_WorkGroupSize.x) {
+        vec4 d = points[point * quads + k] - targets[target * quads + k];
+        sum += dot(d, d);
+    }
+    return subgroupAdd(sum);
+}
+
+// The largest score that may be the least but for errors. |t| is at most |p| + d for a target at distance d.
+float score_limit(float least, float norm) {
+    float sides = 2.0 * sqrt(2.0 * norm) + sqrt(max(2.0 * (least + norm), 0.0));
+    return least + sides * sides / 32768.0;
+}
+
+// The first of the candidates that tie with the nearest.
+uint among(uint point, float limit) {
+    float least = uintBitsToFloat(0x7f800000u);
+    for (uint i = 0; i < 2 * shares; i++) {
+        uint target = candidate(point, i, limit);
+        if (target != NONE) {
+            least = min(least, squared_distance(point, target));
+        }
+    }
+    float tie = tie_limit(least);
+    uint first = NONE;
+    for (uint i = 0; i < 2 * shares; i++) {
+        uint target = candidate(point, i, limit);
+        if (target < first && squared_distance(point, target) <= tie) {
+            first = target;
+        }
+    }
+    return first;
+}
+
 void main() {
-    uint point = global_index();
+    uint point = group_index();
     if (point >= point_count) {
         return;
     }
-    float best = scores[point];
-    uint nearest = candidates[point];
+    uvec2 best = candidates[point].xy;
     for (uint share = 1; share < shares; share++) {
-        float score = scores[share * point_count + point];
-        if (score < best) {
-            best = score;
-            nearest = candidates[share * point_count + point];
-        }
+        uvec2 other = candidates[share * point_count + point].xy;
+        best = uintBitsToFloat(other.x) < uintBitsToFloat(best.x) ? other : best;
     }
-    result[point] = nearest;
+    float least = uintBitsToFloat(best.x);
+    float limit = score_limit(least, norms[point]);
+    uint count = 0;
+    for (uint i = 0; i < 2 * shares; i++) {
+        count += candidate(point, i, limit) == NONE ? 0 : 1;
+    }
+    // One is not worth reading; and where no score is a number, the first target it is.
+    uint nearest = count > 1 && !isinf(least) ? among(point, limit) : best.y;
+    if (gl_LocalInvocationID.x == 0) {
+        result[point] = nearest;
+    }
 }

@@ -1,8 +1,10 @@
-// The least of every row of scores that come SUBGROUP_N columns at a time, and where it is, by the lanes of a workgroup.
+// The two least scores of every row, unlike each other, and where each is first, by the lanes of a workgroup. Scores come
+// SUBGROUP_N columns at a time.
 //
 // A subgroup has REPEAT_M times MATRIX_M rows. MATRIX_M of them at a time lie in shared memory `staged`, a strip of
 // STRIP_STRIDE pieces each. The includer gives `vec4 scores_of(vec4 values, uint own, uint column)`, the scores of four values
-// of the lane's own-th row, and `column_count`. NaN is never the least.
+// of the lane's own-th row, and `column_count`. NaN is never among the least. What is found is (bits of the least, its column,
+// bits of the second, its column); a score that is infinite stands for none.
 
 // Either several lanes share a row, or a lane has several.
 const uint ROW_LANES = LANES > MATRIX_M ? LANES / MATRIX_M : 1;
@@ -15,8 +17,25 @@ const uint PARTS = SUBGROUPS_N * ROW_LANES;
 
 vec4 scores_of(vec4 values, uint own, uint column);
 
-float least[OWN_ROWS];
-uint place[OWN_ROWS];
+uvec4 two_least[OWN_ROWS];
+
+const uvec4 NONE = uvec4(0x7f800000u, 0, 0x7f800000u, 0);
+
+// Takes a score, `column` behind those that were found or before them.
+uvec4 with_score(uvec4 found, float score, uint column) {
+    float least = uintBitsToFloat(found.x), second = uintBitsToFloat(found.z);
+    uvec2 taken = uvec2(floatBitsToUint(score), column);
+    if (score < least) {
+        return uvec4(taken, found.xy);
+    }
+    if (score == least) {
+        return uvec4(found.x, min(found.y, column), found.zw);
+    }
+    if (score < second) {
+        return uvec4(found.xy, taken);
+    }
+    return score == second ? uvec4(found.xyz, min(found.w, column)) : found;
+}
 
 // The row of the subgroup that is the lane's own-th; some lanes may have one beyond the last of a strip.
 uint row_in_strip(uint own) { return own % LANE_ROWS * LANES + gl_SubgroupInvocationID / ROW_LANES; }
@@ -24,13 +43,11 @@ uint row_in_subgroup(uint own) { return own / LANE_ROWS * MATRIX_M + row_in_stri
 
 void minimum_begin() {
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) {
-        least[own] = uintBitsToFloat(0x7f800000u);
-        place[own] = 0;
+        two_least[own] = NONE;
     }
 }
 
-// Takes the m-th strip, whose columns are those from `first_column` on. A lane's columns rise, so "less" keeps the first of
-// equal ones.
+// Takes the m-th strip, whose columns are those from `first_column` on.
 void minimum(uint strip, uint m, uint first_column) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
         uint own = m * LANE_ROWS + i;
@@ -42,9 +59,8 @@ void minimum(uint strip, uint m, uint first_column) {
             }
             vec4 scores = scores_of(uintBitsToFloat(staged[row + quad]), own, column);
             [[unroll]] for (uint c = 0; c < 4; c++) {
-                if (scores[c] < least[own] && column + c < column_count) {
-                    least[own] = scores[c];
-                    place[own] = column + c;
+                if (scores[c] < uintBitsToFloat(two_least[own].z) && column + c < column_count) {
+                    two_least[own] = with_score(two_least[own], scores[c], column + c);
                 }
             }
         }
@@ -57,18 +73,18 @@ void minimum_end(uint own_row, uint subgroup_column) {
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) {
         if (row_in_strip(own) < MATRIX_M) {
             uint at = (own_row + row_in_subgroup(own)) * PARTS + part;
-            staged[at] = Piece(floatBitsToUint(least[own]), place[own], 0, 0);
+            staged[at] = Piece(two_least[own]);
         }
     }
 }
 
-// The least of a row, as bits, and where it is, of equal ones the first; after minimum_end and a barrier.
-uvec2 minimum_of(uint row) {
-    uvec2 found = staged[row * PARTS].xy;
+// What was found in a row; after minimum_end and a barrier.
+uvec4 minimum_of(uint row) {
+    uvec4 found = staged[row * PARTS];
     [[unroll]] for (uint part = 1; part < PARTS; part++) {
-        uvec2 other = staged[row * PARTS + part].xy;
-        float here = uintBitsToFloat(found.x), there = uintBitsToFloat(other.x);
-        found = there < here || (there == here && other.y < found.y) ? other : found;
+        uvec4 other = staged[row * PARTS + part];
+        found = with_score(found, uintBitsToFloat(other.x), other.y);
+        found = with_score(found, uintBitsToFloat(other.z), other.w);
     }
     return found;
 }

@@ -130,18 +130,16 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
     assert_nearest(&key("nearest_idx"), &nearest, &golden.i64(&key("nearest_top2")), &golden.f32(&key("nearest_gap")));
 }
 
-/// Of k-means of half of the tokens the final assignment, and which cluster each chosen token then was in.
+/// Of k-means of half of the tokens the final assignment, and the tokens that are chosen.
 fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
     let model = model(config, arithmetic);
     let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
     let (observed, _run) = observe(&model, images, &request);
     let indices = |name: &str| observed[name].iter().map(|bits| bits.to_bits()).collect::<Vec<_>>();
-    let (assigned, nearest) = (indices("assign"), indices("nearest"));
-    let chosen = nearest.iter().map(|token| assigned[*token as usize]).collect();
-    [assigned, chosen]
+    [indices("assign"), indices("nearest")]
 }
 
-/// From the same tokens k-means makes the same clusters on matrix units as on lanes, but for ties that rounding decides.
+/// From the same tokens k-means makes the same clusters and chooses the same tokens on matrix units as on lanes.
 #[test]
 fn matrix_units_cluster_as_lanes() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
@@ -150,9 +148,24 @@ fn matrix_units_cluster_as_lanes() {
             let matrix = clusters(config, arithmetic, &images);
             let lanes = clusters(config, Arithmetic { nearest: None, ..arithmetic }, &images);
             for (found, truth) in matrix.iter().zip(&lanes) {
-                let apart = found.iter().zip(truth).filter(|(a, b)| a != b).count();
-                assert!(!truth.is_empty() && 50 * apart <= truth.len(), "{file}: {apart} of {} differ", truth.len());
+                assert_same(file, found, truth);
             }
+        }
+    }
+}
+
+/// From tokens that are off by the rounding of factors k-means chooses nearly the same: what differs are tokens that lie as near
+/// to two centroids as that rounding is large, not those of clusters of two.
+#[test]
+fn every_arithmetic_chooses_about_the_same_tokens() {
+    for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
+        let images = images(&Golden::committed(file));
+        let [_, truth] = clusters(config, Arithmetic::EXACT, &images);
+        for arithmetic in fast_arithmetics().into_iter().filter(|a| a.element == Element::F16 && a.quantised.is_none())
+        {
+            let [_, found] = clusters(config, arithmetic, &images);
+            let apart = found.iter().zip(&truth).filter(|(a, b)| a != b).count();
+            assert!(20 * apart <= truth.len(), "{file}: {apart} of {} differ, {arithmetic:?}", truth.len());
         }
     }
 }

@@ -38,7 +38,9 @@ enum Space {
 /// Rows as the kernel takes them.
 #[derive(Clone, Copy, Debug)]
 pub struct NearestRows {
-    /// f32, or halves.
+    /// f32.
+    rows: Tensor,
+    /// What is multiplied: f32, or halves.
     values: Tensor,
     /// Of halves, see cluster/halves; else of no matter.
     scales: Tensor,
@@ -47,6 +49,10 @@ pub struct NearestRows {
 }
 
 impl Nearest {
+    /// The share of the least squared distance by which those of targets that tie exceed it at most: some twenty times what
+    /// the rounding of a sum does to it.
+    pub const TIE: f32 = 1.0 / 65536.0;
+
     /// For rows of `width`, a multiple of 4, that lie among those of `sample` `[count, width]` f32.
     pub fn among(rec: &mut Recorder, kernel: NearestKernel, (sample, count): (Tensor, usize), width: usize) -> Self {
         let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
@@ -78,7 +84,7 @@ impl Nearest {
     /// `rows` `[count, width]` f32 as they are now.
     pub fn rows(&self, rec: &mut Recorder, (rows, count): (Tensor, usize)) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
-            return NearestRows { values: rows, scales: rows, norms: rows, count };
+            return NearestRows { rows, values: rows, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
         // Read by four.
@@ -93,10 +99,11 @@ impl Nearest {
             width: self.width as u32,
         };
         rec.dispatch_groups(kernel, count);
-        NearestRows { values: halves, scales, norms, count }
+        NearestRows { rows, values: halves, scales, norms, count }
     }
 
-    /// The target nearest to each point, `[points]` u32; of equal ones the first.
+    /// The target nearest to each point, `[points]` u32. Of targets that tie ([`Nearest::TIE`]) the first is taken, so that
+    /// rounding does not choose. The rows are read again: they must be what they were for [`Nearest::rows`].
     pub fn record(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows) -> Tensor {
         let out = rec.tensor::<u32>("nearest", points.count);
         self.record_into(rec, points, targets, out);
@@ -119,6 +126,7 @@ impl Nearest {
             point_count: points.count as u32,
             target_count: targets.count as u32,
             width: self.width as u32,
+            tie: Self::TIE,
         };
         let groups = points.count.div_ceil(NEAREST_ROWS as usize);
         rec.dispatch_groups(kernel, groups).flops(self.flops(points, targets));
@@ -129,15 +137,13 @@ impl Nearest {
         let ([tile_points, tile_targets], NearestTile(part)) = (tile.sides(units.shape), tile);
         let share = targets.count.div_ceil(SHARES).next_multiple_of(tile_targets);
         let shares = targets.count.div_ceil(share);
-        let scores = rec.tensor::<f32>("scores", shares * points.count);
-        let candidates = rec.tensor::<u32>("candidates", shares * points.count);
+        let candidates = rec.tensor::<[u32; 4]>("candidates", shares * points.count);
         let kernel = kernels::NearestMatrix {
             points: points.values,
             point_scales: points.scales,
             targets: targets.values,
             target_scales: targets.scales,
             target_norms: targets.norms,
-            scores,
             candidates,
             point_count: points.count as u32,
             column_count: targets.count as u32,
@@ -156,9 +162,18 @@ impl Nearest {
         // Shares run fastest: workgroups that run at once have the same few points, which so stay in the cache.
         let groups = [shares, points.count.div_ceil(tile_points), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(points, targets));
-        let merge =
-            kernels::NearestMerge { scores, candidates, out, point_count: points.count as u32, shares: shares as u32 };
-        rec.dispatch(merge, points.count);
+        let merge = kernels::NearestMerge {
+            points: points.rows,
+            targets: targets.rows,
+            norms: points.norms,
+            candidates,
+            out,
+            point_count: points.count as u32,
+            width: self.width as u32,
+            shares: shares as u32,
+            tie: Self::TIE,
+        };
+        rec.dispatch_groups(merge, points.count);
     }
 
     fn flops(&self, points: NearestRows, targets: NearestRows) -> u64 {

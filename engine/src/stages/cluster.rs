@@ -64,6 +64,9 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
 
 /// Records k-means on `tokens` `[count, width]`. `initial` `[clusters]` holds the first centroids' tokens
 /// ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
+///
+/// The mean of a cluster of two lies midway between both, and up to half of all clusters have two: of tokens that tie
+/// ([`Nearest::record`]) the first is taken, so that the order of a sum does not choose what is reconstructed.
 pub fn record(
     rec: &mut Recorder,
     kernel: NearestKernel,

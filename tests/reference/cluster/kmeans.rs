@@ -1,7 +1,8 @@
-//! k-means (Lloyd 1982), five rounds from evenly spaced tokens; distances from differences, never from products.
+//! k-means (Lloyd 1982), five rounds from evenly spaced tokens; distances from differences, never from products. Of targets
+//! that tie the first is the nearest.
 
 use super::mean::mean;
-use super::nearest::two_nearest;
+use super::nearest::{nearest, two_nearest};
 use crate::ops::gather_rows::gather_rows;
 
 const ITERATIONS: usize = 5;
@@ -12,10 +13,10 @@ pub struct Clusters {
     pub centroids: Vec<f64>,
     /// Cluster of each token in every round; the last is the result, found before the last centroids.
     pub assignments: Vec<Vec<u32>>,
-    /// Token nearest to each final centroid, the first of equals.
+    /// Token nearest to each final centroid, the first of those that tie.
     pub nearest: Vec<u32>,
-    /// The second nearest token, and how much farther it is relatively.
-    pub second: Vec<(u32, f64)>,
+    /// How much farther the second nearest token is, relatively.
+    pub gaps: Vec<f64>,
 }
 
 /// K of a compression ratio: `max(1, floor(tokens * ratio))`, multiplied in f64.
@@ -41,17 +42,16 @@ pub fn kmeans(x: &[f64], width: usize, k: usize) -> Clusters {
     let mut centroids = gather_rows(x, width, &initial_indices(x.len() / width, k));
     let mut assignments = Vec::new();
     for _ in 0..ITERATIONS {
-        let assignment: Vec<u32> = two_nearest(x, &centroids, width).iter().map(|[first, _]| first.0).collect();
+        let assignment = nearest(x, &centroids, width);
         centroids = mean(x, &assignment, k, width);
         assignments.push(assignment);
     }
-    let pairs = two_nearest(&centroids, x, width);
     // Relative to the farther; two tokens on the centroid itself are a tie.
     let gap = |near: f64, far: f64| if far > 0.0 { (far - near) / far } else { 0.0 };
     Clusters {
+        nearest: nearest(&centroids, x, width),
+        gaps: two_nearest(&centroids, x, width).iter().map(|[near, far]| gap(near.1, far.1)).collect(),
         centroids,
         assignments,
-        nearest: pairs.iter().map(|[first, _]| first.0).collect(),
-        second: pairs.iter().map(|[first, second]| (second.0, gap(first.1, second.1))).collect(),
     }
 }

@@ -2,6 +2,20 @@
 
 use rayon::prelude::*;
 
+/// Squared distances that differ by no more than this share of the less are equal.
+pub const TIE: f64 = 1.0 / 65536.0;
+
+/// For each of `points [N, width]` the first of those of `targets [M, width]` whose squared distance ties with the least.
+pub fn nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<u32> {
+    let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+    let nearest_of = |point: &[f64]| {
+        let distances: Vec<f64> = targets.chunks(width).map(|target| squared(point, target)).collect();
+        let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+        distances.iter().position(|distance| *distance <= least * (1.0 + TIE)).expect("a target") as u32
+    };
+    points.par_chunks(width).map(nearest_of).collect()
+}
+
 /// For each of `points [N, width]` the two nearest of `targets [M, width]` with their distances, lower indices first among
 /// equals; a lone target twice. Distances from differences, never from products.
 pub fn two_nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<[(u32, f64); 2]> {

@@ -13,16 +13,17 @@ use zipsplat::{
 };
 use zipsplat_reference::{
     cluster::{
-        nearest::{error_of_products, two_nearest},
+        nearest::{TIE, error_of_products, two_nearest},
         origin::origin,
     },
     widen,
 };
 
 const REASON: &str = "a squared distance is a sum of w squares without cancellation, off by gamma_(w+3) of itself at most; \
-    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and no more. On \
-    matrix units it is |t|^2 - 2 p t about an origin, of two f16 for each value, off by what kernels/cluster/nearest_matrix.comp \
-    derives; what is chosen may be farther by that of both";
+    what is chosen may so be farther than the nearest by 2 gamma_(w+3) / (1 - gamma_(w+3)), relatively, and by the 2^-16 within \
+    which targets tie, and no more. On matrix units it is |t|^2 - 2 p t about an origin, of two f16 for each value, off by what \
+    kernels/cluster/nearest_matrix.comp derives; what is chosen may be farther by that of both, and by a tie. Of two targets \
+    that only rounding tells apart it must be the first";
 
 /// Points, and targets among which to find the nearest, `[_, width]`.
 pub struct Problem {
@@ -53,6 +54,8 @@ pub enum Fault {
     SecondNearest,
     /// Of equal ones the last.
     LastOfEqual,
+    /// Of the two nearest the one that comes later.
+    LaterOfTwo,
     /// The index after it.
     NextIndex,
     /// The last target is not looked at.
@@ -79,31 +82,35 @@ impl Truth {
         self.nearest.iter().map(|[first, _]| first.0).collect()
     }
 
-    /// How much farther the chosen targets are than the nearest, in squared distance: relatively, or where products are
-    /// taken about an origin as such.
+    /// How much farther the chosen targets are than the nearest, in squared distance.
     pub fn excess(&self, chosen: &Chosen, width: usize) -> Worst {
         let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         let origin = chosen.origin.as_deref().map(widen);
-        let slack = gamma(width + 3);
+        let slack = 2.0 * gamma(width + 3) / (1.0 - gamma(width + 3));
         let mut worst = Worst::NONE;
         let points = self.points.chunks(width).zip(&chosen.targets);
-        for ((point, &index), [(first, nearest), _]) in points.zip(&self.nearest) {
+        for ((point, &index), &[(first, nearest), (second, next)]) in points.zip(&self.nearest) {
             let Some(target) = self.targets.chunks(width).nth(index as usize) else {
                 return Worst::one(f64::NAN, 0.0, 0.0);
             };
-            let best = &self.targets[*first as usize * width..][..width];
-            let nearest = nearest * nearest;
-            let farther = squared(point, target) - nearest;
-            // Of equal targets the first.
-            let farther = if index != *first && target == best { f64::INFINITY } else { farther.max(0.0) };
-            worst = worst.or(match &origin {
-                // Squares below 2^-126 may be flushed.
-                None => Worst::one(farther / nearest.max(1e-30), 0.0, 2.0 * slack / (1.0 - slack)),
-                Some(origin) => {
-                    let error = |row| error_of_products([point, row].map(|row| squared(row, origin).sqrt()), width);
-                    Worst::one(farther, 0.0, error(target) + error(best))
-                }
-            });
+            let best = &self.targets[first as usize * width..][..width];
+            let [nearest, next] = [nearest, next].map(|distance| distance * distance);
+            let farther = (squared(point, target) - nearest).max(0.0);
+            // Squares below 2^-126 may be flushed.
+            let least = nearest.max(1e-30);
+            let bound = TIE * least
+                + match &origin {
+                    None => slack * least,
+                    Some(origin) => {
+                        let error = |row| error_of_products([point, row].map(|row| squared(row, origin).sqrt()), width);
+                        error(target) + error(best)
+                    }
+                };
+            let rows = || self.targets.chunks(width);
+            let alone = || rows().filter(|row| squared(point, row) <= nearest + 2.0 * bound).count() == 2;
+            let tied = index > second && next * (1.0 + slack) <= nearest * (1.0 + TIE) && alone();
+            let later = index > first && target == best || tied;
+            worst = worst.or(Worst::one(if later { f64::INFINITY } else { farther }, 0.0, bound));
         }
         worst
     }
@@ -130,6 +137,7 @@ impl Truth {
         match fault {
             Fault::First => vec![0; self.nearest.len()],
             Fault::SecondNearest => self.nearest.iter().map(|[_, second]| second.0).collect(),
+            Fault::LaterOfTwo => self.nearest.iter().map(|[first, second]| first.0.max(second.0)).collect(),
             Fault::NextIndex => nearest().map(|target| target + 1).collect(),
             Fault::LastOfEqual => {
                 let rows: Vec<&[f64]> = self.targets.chunks(width).collect();
@@ -224,5 +232,14 @@ pub fn area() -> Area {
     add("values of 1e-15", any(), [33, 100, 64], |r| 1e-15 * r);
     let folded = (GROUP_FOLD * NEAREST_ROWS) as usize + 9;
     add("points beyond a fold of workgroups", [First, Folded].into(), [folded, 5, 4], |r| r);
+    let midway = || {
+        const WIDTH: usize = 64;
+        let targets = Noise(7).values(100 * WIDTH);
+        let row = |index: usize| targets.chunks(WIDTH).nth(index % 100).unwrap_or_default();
+        let midway = |i: usize| row(i).iter().zip(row(3 * i + 1)).map(|(a, b)| 0.5 * (a + b)).collect::<Vec<f32>>();
+        let points = (0..65).flat_map(midway).collect();
+        Problem { width: WIDTH, points, targets }
+    };
+    cases.push(Case::new("points midway between two targets", 64, [First, NextIndex, LaterOfTwo], midway));
     Area { kernel: "cluster/nearest", size: "channels", reason: REASON, modes: Mode::NEAREST, cases }
 }
