@@ -1,6 +1,6 @@
 //! Clustering: which tokens stand for all of them. k-means on the deepest tokens; the nearest token of each centroid.
 //!
-//! Source: ZipSplat, section 3.2.
+//! Source: ZipSplat, section 3.1, "Compression by clustering".
 
 use crate::{
     gpu::{Recorder, Tensor},

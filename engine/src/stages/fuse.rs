@@ -1,6 +1,6 @@
 //! Fusion: the chosen tokens gather from all tokens of every layer, and from each other.
 //!
-//! Source: ZipSplat, section 3.3.
+//! Source: ZipSplat, section 3.1, "Token refinement".
 
 use crate::{
     gpu::{Recorder, Tensor},

@@ -1,6 +1,6 @@
 //! Gaussians: every scene token, with colour from the pixels themselves, becomes a group of Gaussians.
 //!
-//! Source: ZipSplat, section 3.4.
+//! Source: ZipSplat, section 3.2 and appendix A.
 
 use super::{ViewGrid, embed_patches};
 use crate::{
