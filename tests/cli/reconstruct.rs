@@ -160,9 +160,10 @@ fn cropping_much_is_said() {
 fn another_size_than_the_trained_one_is_said() {
     let folder = Folder::new();
     let run = |size: &str| folder.run(&format!("reconstruct @/photos/1.png {size} -o @/s.ply")).err;
+    let side = Checkpoint::embedded().expect("it is built in").picture_side();
     let note = run("--size 28x28");
-    assert!(note.contains("trained with pictures of 84x84") && note.contains("28x28"), "{note}");
-    for size in ["", "--size 84x84"] {
+    assert!(note.contains(&format!("trained with pictures of {side}x{side}")) && note.contains("28x28"), "{note}");
+    for size in ["", &format!("--size {side}x{side}")] {
         assert!(!run(size).contains("trained"), "{size}");
     }
 }
