@@ -108,7 +108,7 @@ impl Truth {
                 };
             let rows = || self.targets.chunks(width);
             let alone = || rows().filter(|row| squared(point, row) <= nearest + 2.0 * bound).count() == 2;
-            let tied = index > second && next * (1.0 + slack) <= nearest * (1.0 + TIE) && alone();
+            let tied = index > first.min(second) && next * (1.0 + slack) <= nearest * (1.0 + TIE) && alone();
             let later = index > first && target == best || tied;
             worst = worst.or(Worst::one(if later { f64::INFINITY } else { farther }, 0.0, bound));
         }
