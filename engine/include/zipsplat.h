@@ -496,7 +496,7 @@ ZS_ENUM(zs_selection) {
 ZS_ENUM(zs_world) {
     // The first photo's camera: x right, y down, z forward.
     ZS_WORLD_FIRST_CAMERA = 0,
-    // That of `cameras`, which then fit the scene as they are.
+    // The world of `cameras`, which then fit the scene as they are.
     ZS_WORLD_CAMERAS = 1,
 };
 

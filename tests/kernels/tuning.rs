@@ -42,8 +42,10 @@ fn measures_every_tile_and_can_be_stopped() {
         assert!(measured.tiles.iter().all(|(_, ms)| *ms > 0.0), "{measured:?}");
     }
     if !tuning.measured.is_empty() {
+        let known = tuning.clone();
         let stopped = tuning.measure(device(), |_, _| ControlFlow::Break(()));
         assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+        assert_eq!(tuning, known, "what was known stays");
         let mut others = Tuning { unusable: vec![first.clone()], ..Tuning::default() };
         let stopped = others.measure(device(), |tile, _| {
             assert_ne!(tile, first, "it is not tried again");

@@ -39,7 +39,7 @@ pub(super) type zs_selection_value = i32;
 pub enum zs_world {
     /// The first photo's camera: x right, y down, z forward.
     ZS_WORLD_FIRST_CAMERA = 0,
-    /// That of `cameras`, which then fit the scene as they are.
+    /// The world of `cameras`, which then fit the scene as they are.
     ZS_WORLD_CAMERAS = 1,
 }
 

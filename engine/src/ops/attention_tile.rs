@@ -4,7 +4,7 @@ use super::{Units, tile::TILES};
 use crate::gpu::{Limits, MatrixShape};
 use std::fmt;
 
-/// What a workgroup of ops/attention_matrix owns.
+/// The share of an attention that a workgroup of ops/attention_matrix owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AttentionTile {
     /// Subgroups, each with its own queries.

@@ -40,7 +40,7 @@ enum Space {
 pub struct NearestRows {
     /// f32.
     rows: Tensor,
-    /// What is multiplied: f32, or halves.
+    /// The factors of products: f32, or halves.
     values: Tensor,
     /// Of halves, see cluster/halves; else of no matter.
     scales: Tensor,

@@ -35,11 +35,11 @@ impl Tiles {
     }
 }
 
-/// What a workgroup of ops/linear_matrix owns.
+/// The share of a linear layer that a workgroup of ops/linear_matrix owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinearTile(pub(super) SubgroupTile);
 
-/// What a workgroup owns, matrices of subgroups.
+/// The matrices that the subgroups of a workgroup own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SubgroupTile {
     /// Subgroups along rows and columns.

@@ -89,7 +89,7 @@ impl Tuning {
     }
 
     /// Measures every tile of every matrix kernel that is not known to be unusable. `progress` gets what comes next and the share
-    /// that is done, and may stop. What was measured before an error stays.
+    /// that is done, and may stop. Each time replaces what was known of its tile; the rest stays, also behind an error.
     ///
     /// # Errors
     /// [`Error::DeviceLost`], after which the tile that was at work is unusable; [`Error::Cancelled`].
@@ -106,7 +106,6 @@ impl Tuning {
                 candidates.map(move |(index, name)| Tile { kernel, units, index, name })
             })
             .collect();
-        self.measured.clear();
         for (i, tile) in tiles.iter().enumerate() {
             let name = tile.full_name();
             if self.unusable.contains(&name) {
@@ -118,6 +117,9 @@ impl Tuning {
             let outcome = tile.times(device);
             if !matches!(outcome, Ok(_) | Err(Error::Memory { .. })) {
                 self.unusable.push(name);
+                let of_kernel = |m: &&mut Measured| (m.kernel, m.factor) == (tile.kernel, tile.units.factor);
+                let measured = self.measured.iter_mut().filter(of_kernel);
+                measured.for_each(|m| m.tiles.retain(|(name, _)| *name != tile.name));
             }
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
@@ -136,7 +138,11 @@ impl Tuning {
             self.measured.push(Measured { kernel, factor, values, tiles: Vec::new() });
             self.measured.len() - 1
         });
-        self.measured[at].tiles.push((tile.name.clone(), ms));
+        let tiles = &mut self.measured[at].tiles;
+        match tiles.iter_mut().find(|(name, _)| *name == tile.name) {
+            Some(known) => known.1 = ms,
+            None => tiles.push((tile.name.clone(), ms)),
+        }
     }
 
     /// An arithmetic with the tiles that were fastest. Names that are no candidate's are left out.

@@ -1,4 +1,4 @@
-//! What can be drawn: the range of what kernels compute with.
+//! The range of numbers that kernels compute with, and with it what can be drawn.
 
 use super::RenderRequest;
 use crate::{Error, Result, types::Camera};
