@@ -38,6 +38,9 @@ mod ops {
     mod sort;
     mod split_heads;
 }
+mod refine {
+    mod adam;
+}
 mod render {
     mod intersect;
     mod normals;

@@ -12,6 +12,7 @@ pub mod gaussians;
 pub mod measure;
 pub mod model;
 pub mod ops;
+pub mod refine;
 pub mod render;
 
 /// f32 values as the references take them.
