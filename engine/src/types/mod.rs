@@ -25,10 +25,11 @@ pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encodin
 pub use file::{Unfinished, open_file, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
+pub(crate) use camera::unit_quaternion;
 pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
-pub use ply::{read_ply, read_points, write_ply, write_points};
+pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
 pub use scene_file::{
     SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked,
