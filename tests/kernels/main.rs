@@ -39,6 +39,7 @@ mod ops {
     mod split_heads;
 }
 mod render {
+    mod backward;
     mod intersect;
     mod normals;
     mod pack;
