@@ -21,6 +21,9 @@ mod cluster {
 mod gaussians {
     mod activate;
 }
+mod loss {
+    mod gradient;
+}
 mod measure {
     mod copy;
     mod fma;

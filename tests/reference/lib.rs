@@ -9,6 +9,7 @@ pub mod cluster;
 pub mod forward;
 pub mod fuse;
 pub mod gaussians;
+pub mod loss;
 pub mod measure;
 pub mod model;
 pub mod ops;

@@ -18,23 +18,13 @@ use crate::{
     kernels::limits::TILE,
 };
 
+pub use super::FrameShape;
 pub use backward::{CAMERA_NUMBERS, Gradients, SceneGradients, record_with_gradients};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
 pub use range::MAX_SIDE;
 pub use renderer::Renderer;
-
-/// The pictures of one plan: all of one size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FrameShape {
-    /// Pictures.
-    pub cameras: usize,
-    /// Pixels a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
 
 /// What [`record`] leaves on the device.
 #[derive(Clone, Copy, Debug)]
