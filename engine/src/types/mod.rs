@@ -21,11 +21,11 @@ mod squares;
 mod trajectory;
 mod world;
 
+pub(crate) use camera::unit_quaternion;
 pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
 pub use file::{Unfinished, open_file, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, contact_sheet};
-pub(crate) use camera::unit_quaternion;
 pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
