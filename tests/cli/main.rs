@@ -9,6 +9,7 @@ mod info;
 mod measure;
 mod outputs;
 mod reconstruct;
+mod refine;
 mod render;
 mod trajectories;
 mod weights;

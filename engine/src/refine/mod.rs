@@ -62,17 +62,17 @@ pub struct Refine {
 }
 
 impl Default for Refine {
-    /// 100 steps of 2 photos, one held out of 9 or more.
+    /// 100 steps of 4 photos, one held out of 9 or more.
     fn default() -> Self {
         Self {
             steps: 100,
-            views_per_step: 2,
+            views_per_step: 4,
             size: None,
             hold_out: None,
             loss: Loss::L1Dssim,
             rates: Rates::default(),
             opacity_penalty: 0.0,
-            scale_penalty: 0.0,
+            scale_penalty: 0.1,
             coarse: true,
             seed: 0,
             profile: false,
@@ -97,7 +97,7 @@ pub struct Rates {
 
 impl Default for Rates {
     fn default() -> Self {
-        Self { means: 1e-3, scales: 2e-2, quats: 1e-2, opacities: 1e-1, sh_coeffs: 2e-2 }
+        Self { means: 5e-3, scales: 0.1, quats: 0.03, opacities: 0.2, sh_coeffs: 0.03 }
     }
 }
 

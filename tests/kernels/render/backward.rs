@@ -4,8 +4,8 @@ use crate::case::Case;
 use zipsplat::{
     gpu::Limits,
     stages::render::{
-        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderRequest, SceneGradients, SceneTensors, camera_rows,
-        record_with_gradients,
+        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderRequest, SceneGradients, SceneTensors,
+        camera_rows, record_with_gradients,
     },
     types::{Camera, Scene},
 };
@@ -134,7 +134,11 @@ fn deviation(name: &str, got: &[f32], truth: &[f64], width: usize, rms: f64, row
     });
     let (of_row, i) = worst.fold((0.0, 0), |a, b| if b.0 > a.0 { b } else { a });
     let show = |at: usize| (&got[at * width..][..width], &truth[at * width..][..width]);
-    assert!(whole <= 1.0 && of_row <= 1.0, "{name}: rms {whole:.3}, row {i} {of_row:.3} of what is allowed: {:?}", show(i));
+    assert!(
+        whole <= 1.0 && of_row <= 1.0,
+        "{name}: rms {whole:.3}, row {i} {of_row:.3} of what is allowed: {:?}",
+        show(i)
+    );
     [whole, of_row]
 }
 
@@ -179,7 +183,13 @@ fn equals_the_goldens() {
 
 fn compare(golden: &Golden, key: &str, found: &Found, expected: bool) {
     let hard = golden.file().contains("hard");
-    let rms = if expected { 3e-4 } else if hard { 1e-4 } else { 3e-5 };
+    let rms = if expected {
+        3e-4
+    } else if hard {
+        1e-4
+    } else {
+        3e-5
+    };
     let row = if expected { [1e-2, 1e-4] } else { [1e-3, 1e-6] };
     let truth = |field: &str| golden.f64(&format!("{key}/d_{field}"));
     let mut margins = Vec::new();

@@ -1,0 +1,97 @@
+//! `zipsplat refine`, and `zipsplat eval --refine`.
+
+use crate::{Folder, command};
+use std::sync::atomic::AtomicBool;
+use zipsplat::types::{World, poses::read_poses, read_scene, read_world, write_ply};
+use zipsplat_tests::scenes;
+
+/// A place of 10 photos in `@/place`.
+fn place() -> Folder {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 10 --size 42x28 -o @/place").success();
+    folder
+}
+
+const PHOTOS: &str = "@/place/images --poses @/place/transforms.json";
+
+#[test]
+fn points_become_a_scene_that_looks_like_the_photos() {
+    let folder = place();
+    let line = format!("refine {PHOTOS} --start points --steps 30 -o @/scene.ply --explain --json");
+    let json = folder.run(&line).json();
+    let scene = read_scene(folder.path("scene.ply")).expect("a scene");
+    let losses: Vec<f64> =
+        json["refined"]["losses"].as_array().expect("losses").iter().filter_map(|v| v.as_f64()).collect();
+    assert_eq!((scene.len() as u64, losses.len()), (json["gaussians"].as_u64().expect("a number"), 30));
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+    assert!(mean(&losses[25..]) < 0.8 * mean(&losses[..5]), "{losses:?}");
+    // Of 10 photos one is held out.
+    let held_out = json["refined"]["held_out"].as_array().expect("looks");
+    let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
+    assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
+    assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
+    // The scene is in the world of the cameras, and says so.
+    let first = read_poses(folder.path("place")).expect("cameras").frames[0].camera.pose;
+    let Some(World::Cameras(pose)) = read_world(folder.path("scene.ply")).expect("a world") else {
+        panic!("another world")
+    };
+    assert!(pose.translation.abs_diff_eq(first.translation, 1e-9));
+    let again = format!("refine {PHOTOS} --start points --steps 30 -o @/again.ply");
+    let text = folder.run(&again).success();
+    assert!(text.contains("held-out photos"), "{text}");
+    assert_eq!(read_scene(folder.path("again.ply")).expect("a scene"), scene);
+}
+
+#[test]
+fn a_scene_is_refined_in_its_own_world() {
+    let folder = place();
+    let reconstruct = "reconstruct @/place/images --poses @/place --weights @/micro.safetensors --size 28x28";
+    folder.run(&format!("{reconstruct} -o @/first.ply")).success();
+    folder.run(&format!("{reconstruct} --world cameras -o @/cameras.ply")).success();
+    let refined = |name: &str, options: &str| {
+        let line = format!("refine @/{name}.ply {PHOTOS} --steps 5 {options} -o @/refined.ply --overwrite --json");
+        let json = folder.run(&line).json();
+        let world = read_world(folder.path("refined.ply")).expect("a world");
+        assert_eq!(world, read_world(folder.path(&format!("{name}.ply"))).expect("a world"));
+        let losses = json["refined"]["losses"].as_array().expect("losses").clone();
+        (
+            losses.iter().filter_map(|loss| loss.as_f64()).collect::<Vec<_>>(),
+            read_scene(folder.path("refined.ply")).expect("a scene").len(),
+        )
+    };
+    let ((first, count), (cameras, _)) = (refined("first", ""), refined("cameras", ""));
+    let alike = first.iter().zip(&cameras).all(|(a, b)| (a - b).abs() < 1e-3);
+    assert!(alike && first.len() == 5, "{first:?} and {cameras:?}");
+    let points = read_poses(folder.path("place")).expect("cameras").points.expect("a cloud");
+    let points = zipsplat::types::read_points(points).expect("points").positions.len();
+    assert_eq!(refined("first", "--start both").1, count + points);
+}
+
+#[test]
+fn what_cannot_be_refined_is_refused() {
+    let folder = place();
+    write_ply(&scenes::random_scene(50, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    let scene = format!("refine @/scene.ply {PHOTOS}");
+    folder.run(&format!("{scene} -o @/out.txt")).fails(3, &["--output"]);
+    folder.run(&format!("{scene} --hold-out 10 -o @/out.ply")).fails(3, &["held-out", "fewer than the 10"]);
+    folder.run("refine @/scene.ply --poses @/place -o @/out.ply").fails(3, &["photos", "none"]);
+    std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
+    folder.run(&format!("refine {PHOTOS} --start points -o @/out.ply")).fails(3, &["no point cloud", "--start scene"]);
+    command(&folder.line(&format!("{scene} -o @/out.ply")), &AtomicBool::new(true)).fails(130, &["cancelled"]);
+    assert!(!folder.path("out.ply").exists());
+}
+
+#[test]
+fn held_out_photos_are_compared_after_a_refinement() {
+    let folder = place();
+    let line =
+        "eval @/place --views 6 --targets 2 --weights @/micro.safetensors --size 28x28 --score-size 30x20 --json";
+    let psnr = |options: &str| folder.run(&format!("{line} {options}")).json()["mean"]["psnr"].as_f64().expect("dB");
+    let (before, points) = (psnr(""), psnr("--refine 0 --start points"));
+    let refined = folder.run(&format!("{line} --refine 30:gaussians --start points")).json();
+    assert_eq!((&refined["score_width"], &refined["width"]), (&30.into(), &28.into()));
+    let after = refined["mean"]["psnr"].as_f64().expect("dB");
+    assert!(after > points + 1.0 && after > before + 1.0, "{before}, {points} and {after} dB");
+    assert!(folder.run(&format!("{line} --refine 3 --start both")).json()["gaussians"].as_u64() > Some(6 * 2 * 4));
+    folder.run(&format!("{line} --refine tokens")).fails(2, &["steps"]);
+}
