@@ -3,13 +3,14 @@
 use super::{Kept, Shape};
 use crate::{
     Result,
-    gpu::{Limits, Recorder, Run, Tensor},
+    gpu::{Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
         backbone::{Backbone, BackboneInputs, POSE_VALUES},
         cluster,
         fuse::Fuse,
-        gaussians::{GaussianTensors, Gaussians},
+        gaussians::Gaussians,
+        render::SceneTensors,
     },
     types::Scene,
     weights::Architecture,
@@ -28,9 +29,21 @@ pub struct Network {
 #[derive(Clone, Copy, Debug)]
 pub struct Tensors {
     pub(super) inputs: BackboneInputs,
+    /// `[1]` f32: the world's unit.
+    pub(super) unit: Tensor,
     /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
     pub(super) indices: Option<Tensor>,
-    scene: GaussianTensors,
+    scene: SceneTensors,
+}
+
+/// A plan from photos to Gaussians that stay on the device.
+pub struct NetworkPlan {
+    /// The commands; they need the weights, and a memory of `layout`.
+    pub plan: Plan,
+    /// What goes in and comes out.
+    pub tensors: Tensors,
+    /// The memory of the Gaussians.
+    pub layout: ResidentLayout,
 }
 
 impl Network {
@@ -51,10 +64,33 @@ impl Network {
         self.parameters.bytes()
     }
 
-    /// Records the whole forward pass.
+    /// Records the whole forward pass, whose Gaussians the host reads.
     pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
+        let into = SceneTensors::output(rec, self.gaussians_of(shape), self.architecture.sh_degree as u32);
+        self.record_into(rec, shape, into)
+    }
+
+    /// Plans the whole forward pass, whose Gaussians stay on the device; needs none.
+    ///
+    /// # Errors
+    /// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+    pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
+        let mut layout = ResidentLayout::new(limits);
+        let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);
+        let mut rec = Recorder::new(limits);
+        let tensors = self.record_into(&mut rec, shape, into);
+        Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
+    }
+
+    /// Gaussians of a scene.
+    pub fn gaussians_of(&self, shape: Shape) -> usize {
+        shape.tokens * self.architecture.gaussians_per_token
+    }
+
+    fn record_into(&self, rec: &mut Recorder, shape: Shape, scene: SceneTensors) -> Tensors {
         let Shape { grid, tokens, .. } = shape;
         let inputs = self.inputs(rec, shape);
+        let unit = rec.input::<f32>("unit", 1);
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
 
         let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, grid));
@@ -66,13 +102,9 @@ impl Network {
             (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
-        let scene = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
-        let scene = rec.scope("gaussians", |rec| self.gaussians.record(rec, scene, inputs.images, grid, chosen));
-
-        for tensor in [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs] {
-            rec.output(tensor);
-        }
-        Tensors { inputs, indices, scene }
+        let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
+        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, inputs.images, grid, chosen, (unit, &scene)));
+        Tensors { inputs, unit, indices, scene }
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {
@@ -89,18 +121,23 @@ impl Network {
 }
 
 impl Tensors {
-    /// Reads the scene after a run.
+    /// The Gaussians' tensors.
+    pub fn scene(&self) -> &SceneTensors {
+        &self.scene
+    }
+
+    /// Reads the scene after a run of [`Network::record`].
     ///
     /// # Errors
     /// Where a transfer fails.
-    pub fn read(&self, run: &Run, sh_degree: u32) -> Result<Scene> {
+    pub fn read(&self, run: &Run) -> Result<Scene> {
         Ok(Scene {
             means: run.read(self.scene.means)?,
             scales: run.read(self.scene.scales)?,
             quats: run.read(self.scene.quats)?,
             opacities: run.read(self.scene.opacities)?,
             sh_coeffs: run.read(self.scene.sh_coeffs)?,
-            sh_degree,
+            sh_degree: self.scene.sh_degree,
         })
     }
 }

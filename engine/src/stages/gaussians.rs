@@ -2,7 +2,7 @@
 //!
 //! Source: ZipSplat, section 3.2 and appendix A.
 
-use super::{ViewGrid, embed_patches};
+use super::{ViewGrid, embed_patches, render::SceneTensors};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::gaussians as kernels,
@@ -20,23 +20,6 @@ pub struct Gaussians {
     color_embed: Linear,
     color_cross: CrossBlock,
     head: [Linear; 3],
-}
-
-/// The scene on the device, N = tokens * Gaussians a token, token-major.
-#[derive(Clone, Copy, Debug)]
-pub struct GaussianTensors {
-    /// N.
-    pub count: usize,
-    /// `[N, 3]` f32.
-    pub means: Tensor,
-    /// `[N, 3]` f32, standard deviations.
-    pub scales: Tensor,
-    /// `[N, 4]` f32, wxyz.
-    pub quats: Tensor,
-    /// `[N]` f32, 0..1.
-    pub opacities: Tensor,
-    /// `[N, (degree + 1)^2, 3]` f32.
-    pub sh_coeffs: Tensor,
 }
 
 impl Gaussians {
@@ -58,7 +41,7 @@ impl Gaussians {
     }
 
     /// Records the head for scene tokens `[count, width]` that stand for the tokens `chosen` (all, where `None`) of
-    /// `images`.
+    /// `images`. A token's Gaussians lie one after the other in `into`, whose lengths are `unit` times the network's.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -66,7 +49,8 @@ impl Gaussians {
         images: Tensor,
         grid: ViewGrid,
         chosen: Option<(Tensor, usize)>,
-    ) -> GaussianTensors {
+        (unit, into): (Tensor, &SceneTensors),
+    ) {
         let a = &self.architecture;
         let count = chosen.map_or(grid.tokens(), |c| c.1);
         let color = rec.scope("color", |rec| self.color(rec, images, grid, chosen, count));
@@ -80,7 +64,7 @@ impl Gaussians {
             third.apply(rec, "raw", narrow, count, Epilogue::default())
         });
         rec.observe("raw", raw);
-        activate(rec, raw, count * a.gaussians_per_token, a.sh_degree)
+        activate(rec, raw, unit, into);
     }
 
     fn color(
@@ -105,22 +89,15 @@ impl Gaussians {
     }
 }
 
-/// Activates `raw` `[count, 11 + 3 (sh_degree + 1)^2]`.
-pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize) -> GaussianTensors {
-    let bases = (sh_degree + 1) * (sh_degree + 1);
-    let tensors = GaussianTensors {
-        count,
-        means: rec.tensor::<[f32; 3]>("means", count),
-        scales: rec.tensor::<[f32; 3]>("scales", count),
-        quats: rec.tensor::<[f32; 4]>("quats", count),
-        opacities: rec.tensor::<f32>("opacities", count),
-        sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", count * bases),
-    };
-    let GaussianTensors { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
-    for part in row_chunks(rec, count, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
+/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]` into a scene whose lengths are `unit` (`[1]` f32) times the network's.
+pub fn activate(rec: &mut Recorder, raw: Tensor, unit: Tensor, into: &SceneTensors) {
+    let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree } = *into;
+    let bases = (sh_degree as usize + 1).pow(2);
+    for part in row_chunks(rec, len, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
         let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
         let kernel = kernels::Activate {
             raw: rows_of(raw, 11 + 3 * bases),
+            unit,
             means: rows_of(means, 3),
             scales: rows_of(scales, 3),
             quats: rows_of(quats, 4),
@@ -131,5 +108,4 @@ pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize)
         };
         rec.dispatch(kernel, part.len());
     }
-    tensors
 }

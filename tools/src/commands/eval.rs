@@ -111,12 +111,18 @@ impl Eval {
             ratio: self.quality.ratio,
             selection: self.quality.select.clone(),
             cameras: posed.then_some(cameras),
+            unit: 1.0,
         };
-        let (mut result, took) = session.reconstruct(&model, &images, &request)?;
-        self.quality.prune(&mut result.scene, checkpoint.architecture());
-        world.iter().for_each(|world| result.scene.place(1.0, world));
+        let (result, took) = session.reconstruct(&model, &images, &request)?;
+        let mut scene = result.scene()?;
+        self.quality.prune(&mut scene, checkpoint.architecture());
+        world.iter().for_each(|world| scene.place(1.0, world));
         let mut renderer = Renderer::new(&device);
-        renderer.load(&result.scene)?;
+        match &world {
+            // Nothing was changed on the host.
+            None if scene.len() == result.gaussians.len() => renderer.show(&result.gaussians)?,
+            _ => renderer.load(&scene)?,
+        }
         let targets = &capture.targets;
         let (drawn, alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
@@ -140,11 +146,11 @@ impl Eval {
             outputs::make_folder(folder)?;
             // Drawn and compared in the network's unit, kept in that of the cameras that it was given.
             if posed {
-                result.scene.scale(capture.unit.length as f32);
+                scene.scale(capture.unit.length as f32);
             }
             let world = posed.then(|| World::Photo(capture.inputs[0].name.clone()));
             let options = WriteOptions::default();
-            outputs::save_scene(&folder.join(SCENE), &result.scene, &options, world.as_ref())?;
+            outputs::save_scene(&folder.join(SCENE), &scene, &options, world.as_ref())?;
             outputs::save_picture(&folder.join(COMPARISON), &comparison(&capture, &drawn)?)?;
         }
         let mean = Score::mean(&scores);
@@ -154,7 +160,7 @@ impl Eval {
             "{table}{} of {size} from {} of its photos, {} Gaussians of {} tokens in {:.2} s; {}",
             self.folder.display(),
             capture.inputs.len(),
-            result.scene.len(),
+            scene.len(),
             result.tokens,
             took.as_secs_f64(),
             capture.unit
@@ -162,7 +168,7 @@ impl Eval {
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
-            "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
+            "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
             "peak_bytes": result.peak_bytes,
             "mean": mean, "aligned": alignment, "views": scores,
         });

@@ -1,5 +1,6 @@
 //! `zipsplat reconstruct`: photos to a scene.
 
+use super::render::Render;
 use crate::{
     explain::Explanation,
     options::{Quality, Size, Weights, parse_length},
@@ -17,6 +18,7 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::{MAX_VIEWS, Request, Shape},
+    stages::render::Renderer,
     types::{
         SceneFormat, World, WriteOptions,
         poses::{Frame, read_poses},
@@ -32,6 +34,7 @@ use zipsplat::{
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
+  zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
 seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
@@ -67,6 +70,12 @@ pub struct Reconstruct {
     /// Also print the stages that ran, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
+    /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
+    #[arg(long, value_name = "FOLDER")]
+    pictures: Option<PathBuf>,
+    /// Options of zipsplat render for --pictures, behind -- [default: --wiggle]
+    #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
+    drawing: Vec<String>,
 }
 
 /// Steps of positions that show: over how far away the scene is.
@@ -100,6 +109,7 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        let drawing = self.drawing()?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
@@ -133,7 +143,7 @@ impl Reconstruct {
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
-        let Views { images, mut cameras, note } = views;
+        let Views { images, cameras, note } = views;
         note.iter().for_each(|note| session.note(note));
         let unit = match (&poses, frames.first()) {
             (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.camera.pose)?),
@@ -141,18 +151,17 @@ impl Reconstruct {
         };
         unit.iter().filter_map(Unit::doubt).for_each(|note| session.note(note));
         let length = unit.as_ref().map_or(1.0, |unit| unit.length);
-        cameras.iter_mut().for_each(|camera| camera.pose.translation /= length);
         let (cameras, turned) = fit.told(cameras);
         let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let request = Request { ratio: *ratio, selection: select.clone(), cameras };
-        let (mut result, _) = session.reconstruct(&model, &images, &request)?;
-        self.quality.prune(&mut result.scene, checkpoint.architecture());
-        turned.iter().for_each(|first| result.scene.place(1.0, first));
+        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit: length };
+        let (result, _) = session.reconstruct(&model, &images, &request)?;
+        let mut scene = result.scene()?;
+        self.quality.prune(&mut scene, checkpoint.architecture());
+        turned.iter().for_each(|first| scene.place(1.0, first));
         let world = frames.first().map(|first| self.world.of(first));
-        result.scene.scale(length as f32);
         if let Some(World::Cameras(first)) = &world {
-            result.scene.place(1.0, first);
+            scene.place(1.0, first);
             // Positions are f32.
             let step = first.translation.length() * f64::from(f32::EPSILON);
             if step > COARSE * length {
@@ -162,12 +171,24 @@ impl Reconstruct {
             }
         }
         if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
-            spz_coarsening(&result.scene).into_iter().for_each(|note| session.note(note));
+            spz_coarsening(&scene).into_iter().for_each(|note| session.note(note));
         }
-        let (scene, options) = (&result.scene, WriteOptions::default());
-        let save = || outputs::save_scene(&self.output, scene, &options, world.as_ref());
+        let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
         let (note, write) = session.stage("write", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
+        let drawn = drawing.map(|drawing| {
+            let mut renderer = Renderer::new(&device);
+            // What the host thinned or moved it has to bring back.
+            let own =
+                scene.len() == result.gaussians.len() && turned.is_none() && !matches!(world, Some(World::Cameras(_)));
+            let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
+                true => renderer.show(&result.gaussians),
+                false => renderer.load(&scene),
+            };
+            drawing.draw(session, &mut renderer, (&scene, 0), world.as_ref(), load)
+        });
+        let drawn = drawn.transpose()?;
+        let peak_bytes = result.peak_bytes.max(device.allocated_bytes());
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
@@ -180,20 +201,20 @@ impl Reconstruct {
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "photos": photos.len(), "views": images.len(), "width": width, "height": height, "tokens": result.tokens,
             "all_tokens": tokens, "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
-            "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
-            "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
+            "gaussians": scene.len(), "gaussians_per_token": scene.len() / result.tokens,
+            "peak_bytes": peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,
         });
         let mut text = format!(
             "{}: {} from {} of {size}\n{} of {}, {} each, {} precision; at most {} of {}\n",
             self.output.display(),
-            counted(result.scene.len(), "Gaussian"),
+            counted(scene.len(), "Gaussian"),
             counted(images.len(), "view"),
             HumanCount(result.tokens as u64),
             counted(tokens, "token"),
-            counted(result.scene.len() / result.tokens, "Gaussian"),
+            counted(scene.len() / result.tokens, "Gaussian"),
             precision.name(),
-            bytes(result.peak_bytes),
+            bytes(peak_bytes),
             device.limits().name,
         );
         if let Some(unit) = &unit {
@@ -209,6 +230,20 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
+        if let Some((pictures, told)) = drawn {
+            json["pictures"] = pictures;
+            text += &told;
+        }
         session.report(&json, text)
+    }
+
+    /// The drawing of --pictures, checked before anything that takes time.
+    fn drawing(&self) -> Result<Option<Render>> {
+        let Some(folder) = &self.pictures else { return Ok(None) };
+        let default = ["--wiggle".to_owned()];
+        let words = if self.drawing.is_empty() { &default[..] } else { &self.drawing };
+        let drawing = Render::of_words(&self.output, folder, self.overwrite.is_given(), words)?;
+        drawing.check()?;
+        Ok(Some(drawing))
     }
 }

@@ -11,6 +11,7 @@ mod project;
 mod range;
 mod rasterise;
 mod renderer;
+mod scene;
 
 use crate::{
     gpu::{Recorder, Tensor},
@@ -21,7 +22,8 @@ pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
 pub use range::MAX_SIDE;
-pub use renderer::Renderer;
+pub use renderer::{RenderPlan, Renderer};
+pub use scene::{DeviceScene, SceneMemory, WeakScene};
 
 /// The pictures of one plan: all of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
