@@ -1,8 +1,10 @@
 //! Photos to a scene: a model on a device, and what a reconstruction is asked for and gives.
 
+mod features;
 mod network;
 mod request;
 
+pub use features::Features;
 pub use network::{Network, NetworkPlan, Tensors};
 pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
@@ -11,13 +13,14 @@ use crate::{
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes},
     ops::Arithmetic,
     stages::{
-        backbone::{POSE_VALUES, interpolate_positions, rotary_tables},
+        backbone::{BackboneInputs, POSE_VALUES, interpolate_positions, rotary_tables},
         cluster::{even_indices, random_indices},
         render::{DeviceScene, SceneMemory},
     },
     types::{Camera, Image, LeftOut, Scene, prior_encoding},
     weights::{Architecture, Checkpoint},
 };
+use network::Choice;
 use request::check_cameras;
 use std::{
     ops::ControlFlow,
@@ -25,7 +28,7 @@ use std::{
 };
 
 /// A scene and how it came about.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct Reconstruction {
     /// The Gaussians, on the device; the world is the first view's camera.
     pub gaussians: DeviceScene,
@@ -252,16 +255,28 @@ impl Model {
         images: &[Image],
         request: &Request,
     ) -> Result<()> {
+        self.write_photos(run, &tensors.inputs, shape, images, request)?;
+        write_choice(run, tensors.choice, shape, request)
+    }
+
+    /// Writes what the backbone reads.
+    fn write_photos(
+        &self,
+        run: &mut Run,
+        inputs: &BackboneInputs,
+        shape: Shape,
+        images: &[Image],
+        request: &Request,
+    ) -> Result<()> {
         let (a, grid) = (self.architecture(), shape.grid);
-        run.write(tensors.inputs.images, &planar(images))?;
-        run.write(tensors.unit, &[request.unit as f32])?;
+        run.write(inputs.images, &planar(images))?;
         let positions =
             interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
-        run.write(tensors.inputs.positions, &positions)?;
-        for (tensor, table) in tensors.inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
+        run.write(inputs.positions, &positions)?;
+        for (tensor, table) in inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
             run.write(*tensor, &table)?;
         }
-        if let (Some(tensor), Some(cameras)) = (tensors.inputs.poses, &request.cameras) {
+        if let (Some(tensor), Some(cameras)) = (inputs.poses, &request.cameras) {
             let in_units = |camera: &Camera| {
                 let mut camera = *camera;
                 camera.pose.translation /= request.unit;
@@ -274,16 +289,22 @@ impl Model {
                 .collect();
             run.write(tensor, &padded)?;
         }
-        if let Some(tensor) = tensors.indices {
-            let indices = match &request.selection {
-                Selection::Kmeans(_) | Selection::Stride => even_indices(grid.tokens(), shape.tokens),
-                Selection::Random(seed) => random_indices(grid.tokens(), shape.tokens, *seed),
-                Selection::Given(indices) => indices.clone(),
-            };
-            run.write(tensor, &indices)?;
-        }
         Ok(())
     }
+}
+
+/// Writes what is said of the scene.
+fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
+    run.write(choice.unit, &[request.unit as f32])?;
+    if let Some(tensor) = choice.indices {
+        let indices = match &request.selection {
+            Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
+            Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
+            Selection::Given(indices) => indices.clone(),
+        };
+        run.write(tensor, &indices)?;
+    }
+    Ok(())
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.

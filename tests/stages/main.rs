@@ -1,5 +1,6 @@
 //! Stages against goldens, and the references themselves.
 
+mod arena;
 mod cameras;
 mod flops;
 mod forward;

@@ -1,6 +1,6 @@
 //! One memory for plans that take turns.
 
-use super::{Device, commands::driver, device::lock, lost::is_under_way, memory::Memory};
+use super::{Device, Plan, commands::driver, device::lock, lost::is_under_way, memory::Memory};
 use crate::Result;
 use ash::vk;
 use std::sync::{
@@ -33,6 +33,11 @@ impl Arena {
     pub fn new(device: &Device) -> Self {
         let (device, lanes, claimed) = (device.clone(), Default::default(), AtomicBool::new(false));
         Self(Arc::new(Lanes { device, lanes, claimed }))
+    }
+
+    /// Bytes of a lane that these plans take turns in.
+    pub fn lane_bytes<'a>(plans: impl IntoIterator<Item = &'a Plan>) -> u64 {
+        plans.into_iter().fold(Vec::new(), |sizes, plan| grown(&sizes, plan.block_bytes())).iter().sum()
     }
 
     /// The device that the memory is on.
@@ -122,9 +127,7 @@ impl Lane {
         let fits =
             blocks.len() <= state.sizes.len() && blocks.iter().zip(&state.sizes).all(|(need, have)| need <= have);
         if !fits {
-            let grown = (0..blocks.len().max(state.sizes.len()))
-                .map(|i| blocks.get(i).copied().unwrap_or(0).max(state.sizes.get(i).copied().unwrap_or(0)))
-                .collect::<Vec<u64>>();
+            let grown = grown(&state.sizes, blocks);
             // Given back before as much and more is taken.
             state.empty(&self.device)?;
             let memory = |sizes: &[u64]| Memory::new(&self.device, "arena", sizes);
@@ -196,6 +199,12 @@ impl Lane {
     pub fn settle(&self) -> Result<()> {
         self.wait(self.signalled.load(Ordering::Relaxed))
     }
+}
+
+/// Blocks that hold either.
+fn grown(sizes: &[u64], blocks: &[u64]) -> Vec<u64> {
+    let bytes = |of: &[u64], i: usize| of.get(i).copied().unwrap_or(0);
+    (0..sizes.len().max(blocks.len())).map(|i| bytes(sizes, i).max(bytes(blocks, i))).collect()
 }
 
 impl State {

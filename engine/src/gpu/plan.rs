@@ -129,6 +129,11 @@ pub struct ArenaRow {
 }
 
 impl Plan {
+    /// Bytes of each block of the arena.
+    pub fn block_bytes(&self) -> &[u64] {
+        &self.blocks
+    }
+
     /// Bytes of the arena: the most that is alive at once, as laid out.
     pub fn arena_bytes(&self) -> u64 {
         self.blocks.iter().sum()

@@ -6,6 +6,7 @@ use crate::{
     gpu::{Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
+        ViewGrid,
         backbone::{Backbone, BackboneInputs, POSE_VALUES},
         cluster,
         fuse::Fuse,
@@ -29,11 +30,35 @@ pub struct Network {
 #[derive(Clone, Copy, Debug)]
 pub struct Tensors {
     pub(super) inputs: BackboneInputs,
-    /// `[1]` f32: the world's unit.
-    pub(super) unit: Tensor,
-    /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
-    pub(super) indices: Option<Tensor>,
+    pub(super) choice: Choice,
     scene: SceneTensors,
+}
+
+/// What the host says of the scene that is made of features.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Choice {
+    /// `[1]` f32: the world's unit.
+    pub unit: Tensor,
+    /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
+    pub indices: Option<Tensor>,
+}
+
+/// What the first half of the network leaves for the second.
+#[derive(Clone, Debug)]
+pub(super) struct FeatureTensors {
+    /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
+    pub images: Tensor,
+    /// `[tokens, width]` f32 each, deepest first.
+    pub layers: Vec<Tensor>,
+}
+
+impl FeatureTensors {
+    /// The features of a shape, laid out to be kept.
+    pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
+        let mut layer = |_| layout.add::<f32>(grid.tokens() * architecture.width);
+        let layers = architecture.out_layers.iter().map(&mut layer).collect();
+        Self { images: layout.add::<f32>(grid.values()), layers }
+    }
 }
 
 /// A plan from photos to Gaussians that stay on the device.
@@ -88,12 +113,33 @@ impl Network {
     }
 
     fn record_into(&self, rec: &mut Recorder, shape: Shape, scene: SceneTensors) -> Tensors {
-        let Shape { grid, tokens, .. } = shape;
         let inputs = self.inputs(rec, shape);
+        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let choice = self.record_decoding(rec, shape, &FeatureTensors { images: inputs.images, layers }, &scene);
+        Tensors { inputs, choice, scene }
+    }
+
+    /// Records the first half, up to features that stay on the device in `into`.
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> BackboneInputs {
+        let inputs = self.inputs(rec, shape);
+        rec.copy(inputs.images, into.images);
+        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer, *kept));
+        inputs
+    }
+
+    /// Records the second half, from features to Gaussians.
+    pub(super) fn record_decoding(
+        &self,
+        rec: &mut Recorder,
+        shape: Shape,
+        features: &FeatureTensors,
+        scene: &SceneTensors,
+    ) -> Choice {
+        let Shape { grid, tokens, .. } = shape;
+        let FeatureTensors { images, layers } = features;
         let unit = rec.input::<f32>("unit", 1);
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
-
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, grid));
         let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
                 let sizes = [grid.tokens(), tokens, self.architecture.width];
@@ -102,9 +148,9 @@ impl Network {
             (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
-        let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
-        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, inputs.images, grid, chosen, (unit, &scene)));
-        Tensors { inputs, unit, indices, scene }
+        let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, layers, grid.tokens(), chosen));
+        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, *images, grid, chosen, (unit, scene)));
+        Choice { unit, indices }
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {

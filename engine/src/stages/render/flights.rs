@@ -9,6 +9,12 @@ const PIXELS_TOGETHER: usize = 1 << 20;
 /// Pairs of a Gaussian and a camera that are drawn together, at most.
 const PAIRS_TOGETHER: usize = 1 << 21;
 
+/// Pictures of one submission where `most` are allowed.
+pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
+    let pixels = width as usize * height as usize;
+    most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
+}
+
 /// Pictures that are being drawn.
 struct Flight {
     cameras: Range<usize>,
@@ -41,8 +47,7 @@ impl Renderer {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-            let pixels = width as usize * height as usize;
-            let most = self.together.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / self.gaussians().max(1)).max(1);
+            let most = pictures_together(self.together, self.gaussians(), [width, height]);
             match groups.last_mut() {
                 Some((range, shape)) if (shape.width, shape.height) == (width, height) && shape.cameras < most => {
                     range.end += 1;

@@ -22,7 +22,7 @@ pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
 pub use range::MAX_SIDE;
-pub use renderer::{RenderPlan, Renderer};
+pub use renderer::{Renderer, plan_pictures};
 pub use scene::{DeviceScene, SceneMemory, WeakScene};
 
 /// The pictures of one plan: all of one size.

@@ -2,7 +2,7 @@
 
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneMemory, SceneTensors,
-    camera_rows, range::check, record, scene::used_degree,
+    camera_rows, flights::pictures_together, range::check, record, scene::used_degree,
 };
 use crate::{
     Error, Result,
@@ -52,32 +52,28 @@ pub(super) struct Planned {
     outputs: RenderOutputs,
 }
 
-/// What the drawing of one shape takes in an arena, planned without a device.
-pub struct RenderPlan(Plan);
+/// Plans what [`Renderer::render_each`] begins with for many pictures of `[width, height]` pixels of a scene; needs no device.
+///
+/// # Errors
+/// [`Error::Memory`] where a device of these limits cannot hold or bind a tensor.
+pub fn plan_pictures(
+    limits: &Limits,
+    scene: &SceneTensors,
+    [width, height]: [u32; 2],
+    request: &RenderRequest,
+) -> Result<Plan> {
+    let cameras = pictures_together(together(limits), scene.len, [width, height]);
+    let shape = FrameShape { cameras, width, height };
+    let mut rec = Recorder::new(limits);
+    let rows = rec.input::<CameraRows>("cameras", cameras);
+    let capacity = planned_capacity(limits, first_capacity(scene.len), shape);
+    record(&mut rec, scene, rows, shape, request, capacity);
+    rec.finish()
+}
 
-impl RenderPlan {
-    /// The plan of a first picture of `len` Gaussians, with room for as many intersections as a renderer begins with.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] where a device of these limits cannot hold or bind it.
-    pub fn new(
-        limits: &Limits,
-        (len, sh_degree): (usize, u32),
-        shape: FrameShape,
-        request: &RenderRequest,
-    ) -> Result<Self> {
-        let tensors = SceneTensors::lay_out(&mut ResidentLayout::new(limits), len, sh_degree);
-        let capacity = planned_capacity(limits, first_capacity(len), shape);
-        let mut rec = Recorder::new(limits);
-        let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
-        record(&mut rec, &tensors, cameras, shape, request, capacity);
-        Ok(Self(rec.finish()?))
-    }
-
-    /// The plan.
-    pub fn plan(&self) -> &Plan {
-        &self.0
-    }
+/// Most pictures of one submission.
+fn together(limits: &Limits) -> usize {
+    if limits.cpu { 1 } else { GPU_TOGETHER }
 }
 
 /// Intersections of a picture that a renderer has room for before it has drawn any.
@@ -113,7 +109,7 @@ impl Renderer {
             capacity: 0,
             intersections: 0,
             cameras_at_once: usize::MAX,
-            together: if arena.device().limits().cpu { 1 } else { GPU_TOGETHER },
+            together: together(arena.device().limits()),
         }
     }
 

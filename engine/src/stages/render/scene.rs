@@ -33,6 +33,12 @@ struct Gaussians {
     stored_degree: u32,
 }
 
+impl std::fmt::Debug for DeviceScene {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "DeviceScene of {} Gaussians", self.len())
+    }
+}
+
 /// A scene's memory, which takes one scene after the other: the next one when nobody has the last one any more.
 pub struct SceneMemory {
     memory: Arc<Resident>,
