@@ -3,6 +3,7 @@
 mod cameras;
 mod flops;
 mod forward;
+mod gradients;
 mod images;
 mod poses;
 mod references;

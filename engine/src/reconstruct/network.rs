@@ -67,7 +67,10 @@ impl Network {
         });
         let chosen = chosen.map(|indices| (indices, tokens));
         let scene = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
-        let scene = rec.scope("gaussians", |rec| self.gaussians.record(rec, scene, inputs.images, grid, chosen));
+        let scene = rec.scope("gaussians", |rec| {
+            let tokens = self.gaussians.tokens(rec, scene, inputs.images, grid, chosen);
+            self.gaussians.record(rec, tokens)
+        });
 
         for tensor in [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs] {
             rec.output(tensor);
