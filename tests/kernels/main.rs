@@ -47,6 +47,7 @@ mod refine {
     mod adam;
 }
 mod render {
+    mod backward;
     mod intersect;
     mod normals;
     mod pack;

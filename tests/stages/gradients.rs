@@ -9,7 +9,7 @@ use zipsplat::weights::Checkpoint;
 use zipsplat_tests::architectures;
 use zipsplat_tests::compare::{Tolerance, assert_close, columns};
 use zipsplat_tests::device::device;
-use zipsplat_tests::golden::Golden;
+use zipsplat_tests::golden::{self, Golden};
 
 fn rms(rms: f64) -> Tolerance {
     Tolerance { max: f64::INFINITY, rms }
@@ -27,7 +27,7 @@ fn head(config: &str) -> (Head, Arc<zipsplat::gpu::Resident>) {
 
 #[test]
 fn head_of_the_goldens() {
-    for golden in Golden::gradients("grad_head") {
+    for golden in golden::list("grad_head").iter().filter_map(|file| Golden::open(file)) {
         let (head, resident) = head(golden.metadata("config"));
         let (count, gaussians, width) =
             (golden.shape("tokens")[0], golden.shape("step0/gauss")[0], golden.shape("step0/gauss")[1]);

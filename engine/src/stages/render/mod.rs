@@ -3,6 +3,7 @@
 //! Gaussians are sorted by depth first, so that the intersections, several times as many, are only sorted by tile.
 //! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
 
+mod backward;
 mod flights;
 mod frame;
 mod intersect;
@@ -18,6 +19,7 @@ use crate::{
 };
 
 pub use super::FrameShape;
+pub use backward::{CAMERA_NUMBERS, Gradients, SceneGradients, record_with_gradients};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
