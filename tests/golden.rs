@@ -4,6 +4,7 @@
 //! when that folder exists, and a test that needs an absent one says so and passes.
 
 use std::collections::BTreeSet;
+use std::env;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -14,10 +15,12 @@ use safetensors::{Dtype, SafeTensors};
 /// A safetensors file starts with the length of its header, a u64.
 const LENGTH_BYTES: usize = 8;
 
-/// Where goldens lie, nearest first: committed ones, then those beside the repository.
-fn folders() -> [PathBuf; 2] {
+/// Where goldens lie, nearest first: what ZIPSPLAT_GRADIENTS names, for more gradients, committed ones, then those beside the
+/// repository.
+fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
-    [tests.join("data"), tests.join("../../shared/golden/data")]
+    let beside = [tests.join("data"), tests.join("../../shared/golden/data")];
+    env::var_os("ZIPSPLAT_GRADIENTS").map(PathBuf::from).into_iter().chain(beside).collect()
 }
 
 /// The path of a golden file of any kind, or `None` with a printed line when it is in neither folder.

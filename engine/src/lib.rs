@@ -1,12 +1,13 @@
 //! ZipSplat on Vulkan: photos without poses to a compact 3D Gaussian scene in one forward pass.
 //!
-//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `reconstruct` <- `ffi`.
+//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `refine` <- `reconstruct` <- `ffi`.
 
 mod error;
 pub mod ffi;
 pub mod gpu;
 pub mod ops;
 pub mod reconstruct;
+pub mod refine;
 pub mod stages;
 pub mod types;
 pub mod weights;

@@ -43,8 +43,6 @@ layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_co
 const float NEAR = 0.01;
 const float FAR = 1e10;
 const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 falls below ALPHA_MIN
-const float LONG = 1e8;        // pixels: powers of what is longer would overflow
-const float LONGEST = 1e15;    // pixels: what is longer is the same in every picture, unless its centre is as far off
 
 // Smallest d' conic d over the pixel centres between `from` and `to`. The form is convex with its minimum at the centre, so
 // it lies there or on an edge that faces it.

@@ -35,9 +35,7 @@ layout(scalar, set = 0, binding = 6) readonly buffer Normals { vec3 normals[]; }
 layout(set = 0, binding = 7) writeonly buffer Frames { float frames[]; };
 layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; vec3 background; };
 
-const uint LANES = gl_WorkGroupSize.x;
-const float LOG2_E = 1.4426950408889634;
-const float ROUNDING = 0.05; // of exponents, well above what it is in images of 2^15 pixels a side
+#include "shared/runs.glsl"
 
 // Of one Gaussian, or blended.
 struct Values {
@@ -52,22 +50,6 @@ struct Pixel {
     float transmittance; // negative once the pixel is done
     Values sum;
 };
-
-// Where the first pixel of a run lies in its tile, and where an invocation's pixel lies from there.
-uvec2 run_start(uint run) {
-    const uint groups = TILE * TILE / (RUNS * LANES);
-    uint p = (gl_WorkGroupID.x % groups * RUNS + run) * LANES;
-    return uvec2(p % TILE, p / TILE);
-}
-
-uvec2 lane_offset() {
-    uint lane = gl_LocalInvocationID.x;
-    return LANES <= TILE ? uvec2(lane, 0) : uvec2(lane % TILE, lane / TILE);
-}
-
-uvec2 tile() { return uvec2(gl_WorkGroupID.x * RUNS * LANES / (TILE * TILE), first_tile_row + gl_WorkGroupID.y); }
-
-uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset(); }
 
 // A byte a channel of the PCG hash (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
 vec3 token_colour(uint token) {

@@ -5,6 +5,8 @@ const float ALPHA_MIN = 1.0 / 255.0;      // weaker contributions are skipped
 const float ALPHA_MAX = 0.999;            // stronger ones are clamped
 const float TRANSMITTANCE_MIN = 1e-4;     // a pixel is done before it would get here
 const float BLUR = 0.3;                   // pixels^2 added to both variances: a Gaussian is never thinner than a pixel
+const float LONG = 1e8;                   // pixels: powers of what is longer would overflow
+const float LONGEST = 1e15;               // pixels: what is longer is the same in every picture, unless its centre is as far off
 const float FAR_OFF = 256;                // pixels beyond a picture from which on a splat's place is its ridge's
 const uint CULLED_DEPTH = 0x7f800000;     // bits of +infinity: what is not drawn sorts behind everything
 

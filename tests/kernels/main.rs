@@ -20,6 +20,10 @@ mod cluster {
 }
 mod gaussians {
     mod activate;
+    mod activate_backward;
+}
+mod loss {
+    mod gradient;
 }
 mod measure {
     mod copy;
@@ -30,6 +34,7 @@ mod ops {
     mod add;
     mod attention;
     mod gather_rows;
+    mod gelu;
     mod layer_norm;
     mod linear;
     mod place_columns;
@@ -38,7 +43,11 @@ mod ops {
     mod sort;
     mod split_heads;
 }
+mod refine {
+    mod adam;
+}
 mod render {
+    mod backward;
     mod intersect;
     mod normals;
     mod pack;

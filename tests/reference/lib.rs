@@ -9,9 +9,11 @@ pub mod cluster;
 pub mod forward;
 pub mod fuse;
 pub mod gaussians;
+pub mod loss;
 pub mod measure;
 pub mod model;
 pub mod ops;
+pub mod refine;
 pub mod render;
 
 /// f32 values as the references take them.

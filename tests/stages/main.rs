@@ -4,6 +4,7 @@ mod arena;
 mod cameras;
 mod flops;
 mod forward;
+mod gradients;
 mod images;
 mod poses;
 mod references;

@@ -3,10 +3,10 @@
 use crate::source::{Source, files, paths, tokens};
 
 /// The engine's layers, each of which uses only those before it. `error` stands for the crate's `Error` and `Result`.
-const LAYERS: [&str; 8] = ["error", "gpu", "types", "weights", "ops", "stages", "reconstruct", "ffi"];
+const LAYERS: [&str; 9] = ["error", "gpu", "types", "weights", "ops", "stages", "refine", "reconstruct", "ffi"];
 
 /// Layers that dispatch kernels. The kernel table is made from `gpu`, which in turn needs the constants of both sides.
-const DISPATCHING: [&str; 2] = ["ops", "stages"];
+const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 
 /// Folders whose matter is unsafe code; the last calls the C ABI.
 const UNSAFE_FOLDERS: [&str; 3] = ["engine/src/gpu/", "engine/src/ffi/", "tests/abi/"];

@@ -6,9 +6,13 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 10] = [
+const STEPS: [(&str, &str); 18] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
+    ("loss/dssim", "loss/gradient"),
+    ("loss/moments", "loss/gradient"),
+    ("loss/spread", "loss/gradient"),
+    ("loss/value", "loss/gradient"),
     ("ops/attention_matrix", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
@@ -16,6 +20,10 @@ const STEPS: [(&str, &str); 10] = [
     ("ops/key_starts", "ops/sort"),
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
+    ("render/cameras_backward", "render/backward"),
+    ("render/colour_backward", "render/backward"),
+    ("render/project_backward", "render/backward"),
+    ("render/rasterise_backward", "render/backward"),
     ("render/tile_counts", "render/intersect"),
 ];
 

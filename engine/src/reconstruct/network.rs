@@ -149,7 +149,10 @@ impl Network {
         });
         let chosen = chosen.map(|indices| (indices, tokens));
         let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, layers, grid.tokens(), chosen));
-        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, *images, grid, chosen, (unit, scene)));
+        rec.scope("gaussians", |rec| {
+            let tokens = self.gaussians.tokens(rec, tokens, *images, grid, chosen);
+            self.gaussians.record(rec, tokens, unit, scene);
+        });
         Choice { unit, indices }
     }
 

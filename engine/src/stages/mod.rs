@@ -4,6 +4,7 @@ pub mod backbone;
 pub mod cluster;
 pub mod fuse;
 pub mod gaussians;
+pub mod loss;
 pub mod render;
 
 use crate::gpu::{Recorder, Tensor};
@@ -36,6 +37,17 @@ impl ViewGrid {
     pub fn values(&self) -> usize {
         3 * self.tokens() * self.patch * self.patch
     }
+}
+
+/// The pictures of one plan: all of one size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameShape {
+    /// Pictures.
+    pub cameras: usize,
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
 }
 
 /// Every patch embedded by a convolution whose stride is its size: `[tokens, width]`.

@@ -1,5 +1,6 @@
 //! Gaussians to pictures, by the rules of gsplat 1.5.3.
 
+pub mod backward;
 pub mod normals;
 pub mod pack;
 pub mod project;

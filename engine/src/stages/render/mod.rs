@@ -3,6 +3,7 @@
 //! Gaussians are sorted by depth first, so that the intersections, several times as many, are only sorted by tile.
 //! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
 
+mod backward;
 mod flights;
 mod frame;
 mod intersect;
@@ -18,23 +19,14 @@ use crate::{
     kernels::limits::TILE,
 };
 
+pub use super::FrameShape;
+pub use backward::{CAMERA_NUMBERS, Gradients, SceneGradients, record_with_gradients};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
 pub use range::MAX_SIDE;
 pub use renderer::{Renderer, plan_pictures};
 pub use scene::{DeviceScene, SceneMemory, WeakScene};
-
-/// The pictures of one plan: all of one size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FrameShape {
-    /// Pictures.
-    pub cameras: usize,
-    /// Pixels a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
 
 /// What [`record`] leaves on the device.
 #[derive(Clone, Copy, Debug)]

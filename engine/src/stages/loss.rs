@@ -1,0 +1,140 @@
+//! Losses: how far pictures are from photos, and the gradient of that.
+//!
+//! Source: SSIM, Wang et al. 2004, with the window, padding and mix of 3D Gaussian splatting (Kerbl et al. 2023).
+
+use super::FrameShape;
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::loss as kernels,
+    ops::row_chunks,
+};
+
+/// Pixels of a line that one invocation owns: a filter of 11 taps then loads (RUN + 10) / RUN values for each.
+const RUN: usize = 8;
+
+/// A loss of a picture: a mean over its pixels and colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// |frame - target|.
+    L1,
+    /// (frame - target)^2.
+    Mse,
+    /// 1 - SSIM: 11 x 11 pixels of a Gaussian of sigma 1.5, zero outside the picture.
+    Dssim,
+    /// 0.8 L1 + 0.2 Dssim.
+    L1Dssim,
+}
+
+/// What [`record_loss`] leaves on the device.
+#[derive(Clone, Copy, Debug)]
+pub struct LossTensors {
+    /// `[cameras]` f32: the loss of each picture.
+    pub value: Tensor,
+    /// `[cameras, height, width, channels]` f32: the gradient.
+    pub d_frames: Tensor,
+}
+
+impl Loss {
+    /// The numbers that `loss/gradient` has for losses of single pixels, their weight, and that of 1 - SSIM.
+    fn parts(self) -> (u32, f32, Option<f32>) {
+        match self {
+            Loss::L1 => (1, 1.0, None),
+            Loss::Mse => (2, 1.0, None),
+            Loss::Dssim => (0, 0.0, Some(1.0)),
+            Loss::L1Dssim => (1, 0.8, Some(0.2)),
+        }
+    }
+}
+
+/// Records the loss of `frames` `[cameras, height, width, channels]`, red, green, blue first, against `targets`
+/// `[cameras, height, width, 3]`, both f32. The gradient is that of `scale` times the sum of the losses of all cameras;
+/// it is 0 in other channels.
+///
+/// SSIM takes scratch of 84 bytes a pixel, in which pictures take turns where they are many; the 48 bytes a pixel of its
+/// moments of a picture must fit into a binding.
+pub fn record_loss(
+    rec: &mut Recorder,
+    loss: Loss,
+    frames: Tensor,
+    targets: Tensor,
+    shape: FrameShape,
+    channels: usize,
+    scale: f32,
+) -> LossTensors {
+    let pixels = shape.width as usize * shape.height as usize;
+    let value = rec.tensor::<f32>("loss", shape.cameras);
+    let d_frames = rec.tensor::<f32>("d_frames", shape.cameras * pixels * channels);
+    rec.scope("loss", |rec| {
+        let scratch = if loss.parts().2.is_some() { 84 * pixels } else { 0 };
+        for part in row_chunks(rec, shape.cameras, &[4 * pixels * channels, 12 * pixels, scratch]) {
+            let of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
+            let (shape, values) = (FrameShape { cameras: part.len(), ..shape }, pixels * channels);
+            let pictures = Pictures { frames: of(frames, values), targets: of(targets, 3 * pixels), shape, channels };
+            pictures.record(rec, loss, scale, of(d_frames, values), (value, part.start));
+        }
+    });
+    LossTensors { value, d_frames }
+}
+
+/// Pictures that are compared at once.
+struct Pictures {
+    frames: Tensor,
+    targets: Tensor,
+    shape: FrameShape,
+    channels: usize,
+}
+
+impl Pictures {
+    /// Records the loss into `d_frames` and into `value` from a place on.
+    fn record(&self, rec: &mut Recorder, loss: Loss, scale: f32, d_frames: Tensor, value: (Tensor, usize)) {
+        let FrameShape { cameras, width, height } = self.shape;
+        let lanes = rec.limits().subgroup_size;
+        let groups = [(3 * width).div_ceil(lanes), height.div_ceil(RUN as u32), cameras as u32];
+        let group_count = (groups[0] * groups[1]) as usize;
+        let sums = rec.tensor::<f32>("sums", cameras * group_count);
+        let (pointwise, weight, dssim) = loss.parts();
+        let partials = dssim.map(|weight| self.dssim(rec, weight, groups, sums));
+        let mean = 1.0 / (3.0 * width as f32 * height as f32);
+        let kernel = kernels::Gradient {
+            frames: self.frames,
+            targets: self.targets,
+            partials: partials.unwrap_or(self.frames),
+            sums,
+            d_frames,
+            size: [width, height],
+            channels: self.channels as u32,
+            weight,
+            scale: scale * mean,
+            run: RUN as u32,
+            pointwise,
+            dssim: dssim.is_some(),
+        };
+        rec.dispatch_groups(kernel, groups);
+        let (values, first) = (value.0, value.1 as u32);
+        let kernel = kernels::Value { sums, values, first, count: group_count as u32, scale: mean };
+        rec.dispatch_groups(kernel, cameras);
+    }
+
+    /// The derivatives of 1 - SSIM by what its window filters, filtered along rows again; what it is goes to `sums`.
+    fn dssim(&self, rec: &mut Recorder, weight: f32, groups: [u32; 3], sums: Tensor) -> Tensor {
+        let FrameShape { cameras, width, height } = self.shape;
+        let (rows, columns, run) = (cameras * height as usize, width as usize, RUN as u32);
+        let threads = rows * columns.div_ceil(RUN) * 3;
+        let moments = rec.tensor::<[f32; 4]>("moments", rows * columns * 3);
+        let kernel = kernels::Moments {
+            frames: self.frames,
+            targets: self.targets,
+            moments,
+            rows: rows as u32,
+            width,
+            channels: self.channels as u32,
+            run,
+        };
+        rec.dispatch(kernel, threads);
+        let partials = rec.tensor::<[f32; 3]>("partials", rows * columns * 3);
+        rec.dispatch_groups(kernels::Dssim { moments, partials, sums, size: [width, height], weight, run }, groups);
+        let out = rec.tensor::<[f32; 3]>("spread", rows * columns * 3);
+        rec.dispatch(kernels::Spread { partials, out, rows: rows as u32, width, run }, threads);
+        out
+    }
+}

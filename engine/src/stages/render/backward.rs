@@ -1,0 +1,238 @@
+//! Pictures' gradients to those of Gaussians and cameras.
+//!
+//! Every intersection of a Gaussian with a tile has a slot, which the tile's workgroup writes once. Slots lie Gaussian by
+//! Gaussian, so that each Gaussian adds up its own in a fixed order: nothing is added atomically.
+
+use super::{
+    Depth, FrameShape, RenderOutputs, RenderRequest, SceneTensors,
+    intersect::{self, TileLists},
+    project::{self, Splats},
+    rasterise,
+};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{
+        limits::TILE,
+        render::{CamerasBackward, ColourBackward, ProjectBackward, RasteriseBackward, TileCounts},
+    },
+    ops::scan::exclusive_scan,
+};
+
+/// Gradients of a scene, each like the values in [`SceneTensors`], as these are stored: quaternions of any length, for one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneGradients {
+    /// `[len, 3]`.
+    pub means: Tensor,
+    /// `[len, 3]`.
+    pub scales: Tensor,
+    /// `[len, 4]`.
+    pub quats: Tensor,
+    /// `[len]`.
+    pub opacities: Tensor,
+    /// `[len, (sh_degree + 1)^2, 3]`.
+    pub sh_coeffs: Tensor,
+}
+
+/// Where [`record_with_gradients`] adds gradients; what is `None` is not computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gradients {
+    /// Of the Gaussians.
+    pub scene: Option<SceneGradients>,
+    /// `[cameras, 10]` f32, of each camera: w x, y, z, v x, y, z, where the camera-to-world pose moves as
+    /// pose o (exp(w^), v); fx, fy, cx, cy.
+    pub cameras: Option<Tensor>,
+}
+
+/// Numbers of a camera that have a gradient.
+pub const CAMERA_NUMBERS: usize = 10;
+/// Numbers of a pair of a Gaussian and a camera that have one.
+const PAIR_NUMBERS: usize = 10;
+/// Bindings are bounded, as in [`project`].
+const PART: usize = 64;
+/// Rows after which a picture may be cut, as in [`rasterise`].
+const BAND: usize = 64;
+/// Operations of one Gaussian on one pixel.
+const FLOPS: u64 = 60;
+
+/// Records the drawing of `scene` as [`super::record`] does, then `loss`, which is given the frames `[cameras, height, width,
+/// channels]` and gives the gradient of each of their values, then what adds to `gradients`. They are not added to where there
+/// was too little room for all intersections.
+///
+/// # Panics
+/// Where `request` asks for what has no gradient: normals, token colours, pixels of another layout, and expected depth
+/// without alpha.
+#[expect(clippy::too_many_arguments)]
+pub fn record_with_gradients(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    request: &RenderRequest,
+    capacity: usize,
+    loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
+    gradients: &Gradients,
+) -> RenderOutputs {
+    assert!(!request.normals && request.token_group.is_none(), "normals and token colours have no gradient");
+    assert!(request.layout.is_none(), "pixels of another layout have no gradient");
+    assert!(request.alpha || request.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
+    let (splats, lists, frames) = rec.scope("render", |rec| {
+        let splats = project::record(rec, scene, cameras, shape, request);
+        let lists = intersect::record(rec, &splats, shape, capacity);
+        let frames = rasterise::record(rec, &splats, &lists, shape, request);
+        rec.output(frames);
+        rec.output(lists.status);
+        (splats, lists, frames)
+    });
+    let d_frames = loss(rec, frames);
+    assert_eq!(d_frames.bytes(), frames.bytes(), "gradients of frames");
+    rec.scope("render_backward", |rec| {
+        let backward = Backward { scene, cameras, shape, request, capacity, splats: &splats, lists: &lists };
+        let slots = backward.rasterise(rec, frames, d_frames);
+        backward.splats(rec, &slots, gradients);
+    });
+    RenderOutputs { frames, pixels: frames, status: lists.status }
+}
+
+/// What was drawn and how.
+struct Backward<'a> {
+    scene: &'a SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    request: &'a RenderRequest,
+    capacity: usize,
+    splats: &'a Splats,
+    lists: &'a TileLists,
+}
+
+/// Gradients of every intersection.
+struct Slots {
+    /// `[pairs + 1]` where each pair's start.
+    starts: Tensor,
+    /// `[capacity, 6]`.
+    moments: Tensor,
+    /// `[capacity, values]`.
+    d_values: Tensor,
+}
+
+impl Backward<'_> {
+    /// Pixels to intersections.
+    fn rasterise(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
+        let &Backward { splats, lists, shape, request, capacity, .. } = self;
+        let starts = rec.tensor::<u32>("slots", splats.pairs + 1);
+        let (tile_sets, indices, pairs) = (splats.tile_sets, splats.indices, splats.pairs as u32);
+        rec.dispatch(TileCounts { tile_sets, indices, tile_counts: starts, pairs }, splats.pairs + 1);
+        exclusive_scan(rec, starts, splats.pairs + 1);
+
+        let values = 3 * usize::from(request.rgb) + usize::from(request.depth.is_some());
+        let moments = rec.tensor::<[f32; 6]>("moments", capacity);
+        let d_values = rec.tensor::<f32>("d_values", capacity * values.max(1));
+        let height = shape.height as usize;
+        let row = shape.width as usize * request.channels();
+        let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
+        let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
+        let runs = TILE * TILE / rec.limits().subgroup_size;
+        let blends = capacity as u64 * u64::from(TILE * TILE);
+        for first in (0..height).step_by(bands) {
+            let rows = bands.min(height - first);
+            let band = |frames: Tensor| frames.slice::<f32>(first * row, shape.cameras * rows * row);
+            let kernel = RasteriseBackward {
+                pair_indices: lists.pair_indices,
+                tile_offsets: lists.tile_offsets,
+                tile_sets,
+                slots: starts,
+                xy_opacities: splats.xy_opacities,
+                conics: splats.conics,
+                // What is not asked for is not touched; something has to be bound.
+                colours: splats.colours.unwrap_or(splats.conics),
+                depths: splats.depths,
+                frames: band(frames),
+                d_frames: band(d_frames),
+                moments,
+                d_values,
+                size: [shape.width, shape.height],
+                grid: shape.grid(),
+                first_tile_row: first as u32 / TILE,
+                row_count: rows as u32,
+                capacity: capacity as u32,
+                runs,
+                colour: request.rgb,
+                alpha: request.alpha,
+                depth: request.depth.is_some(),
+                expected_depth: request.depth == Some(Depth::Expected),
+            };
+            let groups = [shape.grid()[0], (rows as u32).div_ceil(TILE), shape.cameras as u32];
+            rec.dispatch_groups(kernel, groups).flops(blends * FLOPS * rows as u64 / height as u64);
+        }
+        Slots { starts, moments, d_values }
+    }
+
+    /// Intersections to Gaussians and cameras.
+    fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) {
+        let &Backward { scene, cameras, shape, request, splats, lists, .. } = self;
+        let lanes = rec.limits().subgroup_size as usize;
+        let stride = (scene.sh_degree as usize + 1).pow(2);
+        let d_pairs = rec.tensor::<[f32; PAIR_NUMBERS]>("d_pairs", splats.pairs.max(1));
+        let parts = gradients.cameras.map(|_| {
+            rec.tensor::<[f32; CAMERA_NUMBERS]>("d_camera_parts", scene.len.div_ceil(lanes).max(1) * shape.cameras)
+        });
+        let largest = [16, 12 * stride, 4 * PAIR_NUMBERS * shape.cameras].into_iter().fold(0, usize::max);
+        let part = (rec.limits().max_binding_bytes as usize / largest / PART * PART).max(PART);
+        for first in (0..scene.len).step_by(part) {
+            let len = part.min(scene.len - first);
+            let of = |tensor: Tensor, words: usize| tensor.slice::<u32>(words * first, words * len);
+            let pair = |tensor: Tensor, words: usize| of(tensor, words * shape.cameras);
+            // A kernel without the scene's gradients does not touch what is bound in their place.
+            let d = gradients.scene.map(|d| [(d.means, 3), (d.scales, 3), (d.quats, 4), (d.opacities, 1)]);
+            let [d_means, d_scales, d_quats, d_opacities] =
+                d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));
+            let means = of(scene.means, 3);
+            let kernel = ColourBackward {
+                means,
+                sh_coeffs: of(scene.sh_coeffs, 3 * stride),
+                cameras,
+                colours: splats.colours.map_or(d_pairs, |colours| pair(colours, 3)),
+                status: lists.status,
+                slots: slots.starts.slice::<u32>(first * shape.cameras, len * shape.cameras + 1),
+                moments: slots.moments,
+                d_values: slots.d_values,
+                d_pairs: pair(d_pairs, PAIR_NUMBERS),
+                d_sh_coeffs: gradients.scene.map_or(d_means, |d| of(d.sh_coeffs, 3 * stride)),
+                gaussians: len as u32,
+                camera_count: shape.cameras as u32,
+                colour: request.rgb,
+                depth: request.depth.is_some(),
+                sh_degree: scene.sh_degree,
+                scene_gradients: gradients.scene.is_some(),
+            };
+            rec.dispatch(kernel, len);
+            let kernel = ProjectBackward {
+                means,
+                scales: of(scene.scales, 3),
+                quats: of(scene.quats, 4),
+                opacities: of(scene.opacities, 1),
+                cameras,
+                conics: pair(splats.conics, 3),
+                d_pairs: pair(d_pairs, PAIR_NUMBERS),
+                d_means,
+                d_scales,
+                d_quats,
+                d_opacities,
+                d_cameras: parts.unwrap_or(d_means),
+                gaussians: len as u32,
+                first_group: (first / lanes) as u32,
+                camera_count: shape.cameras as u32,
+                width: shape.width,
+                height: shape.height,
+                antialiased: request.antialiased,
+                scene_gradients: gradients.scene.is_some(),
+                camera_gradients: gradients.cameras.is_some(),
+            };
+            rec.dispatch(kernel, len);
+        }
+        if let (Some(d_cameras), Some(parts)) = (gradients.cameras, parts) {
+            let numbers = shape.cameras * CAMERA_NUMBERS;
+            let rows = scene.len.div_ceil(lanes) as u32;
+            rec.dispatch_groups(CamerasBackward { parts, d_cameras, rows, numbers: numbers as u32 }, numbers);
+        }
+    }
+}

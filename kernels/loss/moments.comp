@@ -1,0 +1,42 @@
+// Finds means and variances of pictures along rows, for SSIM.
+//
+// a: frames [rows, width, channels], red, green, blue first; b: targets [rows, width, 3]; both 0 outside. moments [rows,
+// width, 3, 4] under the window along x: the means of a and of a - b, the sum of the variances of a and b, and the variance
+// of a - b. SSIM (Wang et al. 2004) needs no more.
+// One invocation owns RUN pixels of a row in one colour.
+#version 460
+#extension GL_EXT_control_flow_attributes : require
+layout(local_size_x = 64) in;
+layout(constant_id = 1) const uint RUN = 8;
+#include "shared/index.glsl"
+#include "shared/moments.glsl"
+#include "shared/window.glsl"
+
+layout(set = 0, binding = 0) readonly buffer Frames { float frames[]; };
+layout(set = 0, binding = 1) readonly buffer Targets { float targets[]; };
+layout(set = 0, binding = 2) writeonly buffer Moments { vec4 moments[]; };
+layout(push_constant) uniform Push { uint rows; uint width; uint channels; };
+
+// Of a single pixel, without variance.
+vec4 moments_of(uint pixel, uint colour) {
+    float a = frames[pixel * channels + colour];
+    return vec4(a, a - targets[pixel * 3 + colour], 0, 0);
+}
+
+void main() {
+    uint runs = (width + RUN - 1) / RUN;
+    uint colour = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
+    if (row >= rows) return;
+    vec2 centre = moments_of(row * width + min(run * RUN + RUN / 2, width - 1), colour).xy;
+    vec4 filtered[RUN];
+    [[unroll]] for (uint p = 0; p < RUN; ++p) filtered[p] = vec4(0);
+    [[unroll]] for (int k = 0; k < REACH; ++k) {
+        int x = int(run * RUN) + k - RADIUS;
+        vec4 value = moments_of(row * width + clamp(x, 0, int(width) - 1), colour);
+        add_tap(filtered, k, squared(x >= 0 && x < width ? value : vec4(0), centre));
+    }
+    [[unroll]] for (uint p = 0; p < RUN; ++p) {
+        uint x = run * RUN + p;
+        if (x < width) moments[(row * width + x) * 3 + colour] = centred(filtered[p], centre);
+    }
+}

@@ -1,0 +1,165 @@
+// Finds how much every splat moves the loss through each tile that it touches, from how much every pixel does.
+//
+// pair_indices [intersections], tile_offsets [tiles + 1], xy_opacities, conics, colours [pairs, 3], depths [pairs], frames
+// [C, rows, width, channels] as render/rasterise has them, without normals and tokens; d_frames, the gradient of frames.
+// tile_sets [pairs, 3] of render/project; slots [pairs + 1], where each pair's slots start: it has one for each of its tiles,
+// in their order. Of each slot, moments [capacity, 6]: the sums over the tile's pixels of g (1, e, y, e e, e y, y y), where g is
+// the gradient of ln alpha, e = dx - k dy and y = dy as in render/project; d_values [capacity, 3 or 4 or 1]: the gradients of
+// colour and of depth, those asked for.
+// One workgroup owns one tile, in runs of pixels as in render/rasterise, and writes every slot that the tile's list has once;
+// sums are in the order of runs, then of lanes.
+// What lies behind a splat is the picture less what was seen so far, as in brush (2024).
+#version 460
+#extension GL_EXT_scalar_block_layout : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_vote : require
+layout(local_size_x_id = 0) in;
+#include "shared/limits.glsl"
+#include "shared/splat.glsl"
+
+layout(constant_id = 1) const uint RUNS = 8;
+layout(constant_id = 2) const bool COLOUR = true;
+layout(constant_id = 3) const bool ALPHA = false;
+layout(constant_id = 4) const bool DEPTH = false;
+layout(constant_id = 5) const bool EXPECTED_DEPTH = false;
+
+layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
+layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
+layout(scalar, set = 0, binding = 2) readonly buffer TileSets { uvec3 tile_sets[]; };
+layout(set = 0, binding = 3) readonly buffer Slots { uint slots[]; };
+layout(scalar, set = 0, binding = 4) readonly buffer XyOpacities { vec3 xy_opacities[]; };
+layout(scalar, set = 0, binding = 5) readonly buffer Conics { vec3 conics[]; };
+layout(scalar, set = 0, binding = 6) readonly buffer Colours { vec3 colours[]; };
+layout(set = 0, binding = 7) readonly buffer Depths { float depths[]; };
+layout(set = 0, binding = 8) readonly buffer Frames { float frames[]; };
+layout(set = 0, binding = 9) readonly buffer DFrames { float d_frames[]; };
+layout(scalar, set = 0, binding = 10) writeonly buffer Moments { vec3 moments[]; };
+layout(set = 0, binding = 11) writeonly buffer DValues { float d_values[]; };
+layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; uint capacity; };
+
+#include "shared/runs.glsl"
+
+const uint CHANNELS = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
+const uint VALUES = (COLOUR ? 3 : 0) + (DEPTH ? 1 : 0);
+
+struct Pixel {
+    float transmittance; // negative once the pixel is done
+    float behind;        // of the picture what was not seen so far, times its gradient
+    vec3 d_rgb;
+    float d_depth;
+    float d_alpha;
+};
+
+// Of one splat, through one tile.
+struct Gradient {
+    vec3 first;  // moments: 1, e, y
+    vec3 second; // e e, e y, y y
+    vec3 rgb;
+    float depth;
+};
+
+vec3 load(uint at) { return vec3(d_frames[at], d_frames[at + 1], d_frames[at + 2]); }
+
+Pixel pixel(uvec2 position) {
+    Pixel pixel = Pixel(-1, 0, vec3(0), 0, 0);
+    if (any(greaterThanEqual(position, size))) return pixel;
+    pixel.transmittance = 1;
+    uint row = gl_WorkGroupID.z * row_count + position.y - first_tile_row * TILE;
+    uint at = (row * size.x + position.x) * CHANNELS;
+    if (COLOUR) {
+        pixel.d_rgb = load(at);
+        pixel.behind = dot(vec3(frames[at], frames[at + 1], frames[at + 2]), pixel.d_rgb);
+        at += 3;
+    }
+    float alpha = 0;
+    if (ALPHA) {
+        alpha = frames[at];
+        pixel.d_alpha = d_frames[at];
+        pixel.behind += alpha * pixel.d_alpha;
+        at += 1;
+    }
+    if (DEPTH) pixel.d_depth = d_frames[at];
+    if (DEPTH && !EXPECTED_DEPTH) pixel.behind += frames[at] * pixel.d_depth;
+    // Over all splats what the quotient's two gradients see is nothing.
+    if (EXPECTED_DEPTH) {
+        pixel.d_depth = alpha > 1e-10 ? pixel.d_depth / alpha : 0;
+        pixel.d_alpha -= pixel.d_depth * frames[at];
+    }
+    return pixel;
+}
+
+void put(uint slot, Gradient gradient) {
+    if (slot >= capacity) return;
+    moments[2 * slot] = gradient.first;
+    moments[2 * slot + 1] = gradient.second;
+    if (COLOUR)
+        for (uint c = 0; c < 3; ++c) d_values[slot * VALUES + c] = gradient.rgb[c];
+    if (DEPTH) d_values[slot * VALUES + VALUES - 1] = gradient.depth;
+}
+
+// The slot of a pair and this tile.
+uint slot_of(uint pair) {
+    TileSet set = unpack(tile_sets[pair]);
+    uvec2 at = tile() - set.first;
+    uint t = at.y * set.size.x + at.x;
+    return slots[pair] + (set.mask != 0 ? bitCount(set.mask & (1u << t) - 1) : t);
+}
+
+void main() {
+    const Gradient nothing = Gradient(vec3(0), vec3(0), vec3(0), 0);
+    Pixel pixels[RUNS];
+    for (uint run = 0; run < RUNS; ++run) pixels[run] = pixel(position(run));
+
+    uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
+    uint i = tile_offsets[list], end = tile_offsets[list + 1];
+    bool live = true;
+    for (; i < end && live; ++i) {
+        uint pair = pair_indices[i];
+        vec3 rgb = COLOUR ? colours[pair] : vec3(0);
+        float depth = DEPTH ? depths[pair] : 0;
+        float opacity = xy_opacities[pair].z;
+        vec2 place = xy_opacities[pair].xy, first = vec2(tile() * TILE) + 0.5;
+        // As in render/rasterise.
+        vec3 corner = vec3(first - place, first.y - ridge_row(place.y, size.y));
+        vec3 conic = conics[pair] * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E);
+        float faint = log2(ALPHA_MIN / opacity) - ROUNDING;
+        Gradient sum = nothing;
+        bool reached = false, lit = false;
+        for (uint run = 0; run < RUNS; ++run) {
+            vec3 from = corner + run_start(run).xyy + vec3(0, lane_offset().yy);
+            float shear = conic.y * from.z, across = conic.z * from.y * from.y;
+            float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
+            if (conic.x * nearest * nearest + across >= faint) {
+                Pixel pixel = pixels[run];
+                float e = from.x + lane_offset().x - shear, y = from.y;
+                float full = opacity * exp2(conic.x * e * e + across), alpha = min(ALPHA_MAX, full);
+                bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
+                float left = pixel.transmittance * (1 - alpha);
+                bool drawn = seen && left > TRANSMITTANCE_MIN;
+                float weight = drawn ? alpha * pixel.transmittance : 0;
+                float share = weight * (dot(rgb, pixel.d_rgb) + depth * pixel.d_depth + pixel.d_alpha);
+                float behind = pixel.behind - share;
+                float g = drawn && full <= ALPHA_MAX ? share - behind * alpha / (1 - alpha) : 0;
+                vec3 moment = g * vec3(1, e, y);
+                sum.first += moment;
+                sum.second += vec3(moment.yz * e, moment.z * y);
+                if (COLOUR) sum.rgb += weight * pixel.d_rgb;
+                if (DEPTH) sum.depth += weight * pixel.d_depth;
+                pixels[run].behind = behind;
+                pixels[run].transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
+                reached = true;
+            }
+            lit = lit || pixels[run].transmittance > 0;
+        }
+        if (subgroupAny(reached)) {
+            sum.first = subgroupAdd(sum.first);
+            sum.second = subgroupAdd(sum.second);
+            if (COLOUR) sum.rgb = subgroupAdd(sum.rgb);
+            if (DEPTH) sum.depth = subgroupAdd(sum.depth);
+        }
+        if (subgroupElect()) put(slot_of(pair), sum);
+        live = subgroupAny(lit);
+    }
+    // Nothing is seen of the others.
+    for (i += gl_LocalInvocationID.x; i < end; i += LANES) put(slot_of(pair_indices[i]), nothing);
+}

@@ -1,0 +1,158 @@
+//! Losses and their gradients: the goldens, random pictures of many sizes, and what is not red, green or blue.
+
+use crate::case::{Case, random};
+use zipsplat::gpu::Limits;
+use zipsplat::stages::{
+    FrameShape,
+    loss::{Loss, record_loss},
+};
+use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
+use zipsplat_tests::device::device;
+use zipsplat_tests::golden::{self, Golden};
+use zipsplat_tests::reference::{loss::gradient as reference, widen};
+
+const LOSSES: [(Loss, &str); 4] =
+    [(Loss::L1, "l1"), (Loss::Mse, "mse"), (Loss::Dssim, "dssim_same"), (Loss::L1Dssim, "l1_dssim_3dgs")];
+
+/// Pictures `[cameras, height, width, 3]` under test.
+struct Pictures {
+    shape: FrameShape,
+    frames: Vec<f32>,
+    targets: Vec<f32>,
+}
+
+impl Pictures {
+    fn random([cameras, width, height]: [usize; 3]) -> Self {
+        let len = cameras * width * height * 3;
+        let picture = |seed| random(seed, len).iter().map(|x| 0.5 + 0.6 * x).collect();
+        let shape = FrameShape { cameras, width: width as u32, height: height as u32 };
+        Self { shape, frames: picture(1), targets: picture(2) }
+    }
+
+    /// Loss of every picture and gradient, in frames of `channels`.
+    fn compared(&self, limits: &Limits, loss: Loss, channels: usize, scale: f32) -> [Vec<f32>; 2] {
+        let mut case = Case::within(limits);
+        let pixel = |rgb: &[f32]| rgb.iter().copied().chain([7.0; 8]).take(channels).collect::<Vec<_>>();
+        let frames = case.input(&self.frames.chunks(3).flat_map(pixel).collect::<Vec<_>>());
+        let targets = case.input(&self.targets);
+        let found = record_loss(&mut case.rec, loss, frames, targets, self.shape, channels, scale);
+        [found.value, found.d_frames].iter().for_each(|tensor| case.rec.output(*tensor));
+        let run = case.run();
+        [found.value, found.d_frames].map(|tensor| run.read(tensor).unwrap())
+    }
+
+    fn truth(&self, loss: Loss, scale: f32) -> [Vec<f64>; 2] {
+        let width = self.shape.width as usize;
+        let values = 3 * width * self.shape.height as usize;
+        let pairs = self.frames.chunks(values).zip(self.targets.chunks(values));
+        let all: Vec<_> = pairs.map(|(a, b)| of(loss, &widen(a), &widen(b), width)).collect();
+        let gradient = all.iter().flat_map(|(_, gradient)| gradient.iter().map(|x| x * f64::from(scale)));
+        [all.iter().map(|(value, _)| *value).collect(), gradient.collect()]
+    }
+}
+
+fn of(loss: Loss, a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
+    match loss {
+        Loss::L1 => reference::l1(a, b),
+        Loss::Mse => reference::mse(a, b),
+        Loss::Dssim => reference::dssim(a, b, width),
+        Loss::L1Dssim => reference::l1_dssim(a, b, width),
+    }
+}
+
+fn rms(rms: f64) -> Tolerance {
+    Tolerance { max: f64::INFINITY, rms }
+}
+
+/// `[N, 3, H, W]` as `[N, H, W, 3]`.
+fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
+    let picture = |planes: &[T]| (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect::<Vec<_>>();
+    planes.chunks(3 * pixels).flat_map(picture).collect()
+}
+
+#[test]
+fn equals_the_goldens() {
+    for golden in golden::list("grad_loss").iter().filter_map(|file| Golden::open(file)) {
+        for case in golden.stems("/l1/loss") {
+            let shape = golden.shape(&format!("{case}/a"));
+            let (cameras, height, width) = (shape[0], shape[2] as u32, shape[3] as u32);
+            let picture = |key: &str| interleaved(&golden.f32(&format!("{case}/{key}")), shape[2] * shape[3]);
+            let shape = FrameShape { cameras, width, height };
+            let pictures = Pictures { shape, frames: picture("a"), targets: picture("b") };
+            for (loss, name) in LOSSES {
+                let [values, d_frames] = pictures.compared(device().limits(), loss, 3, 1.0 / cameras as f32);
+                let name = format!("{} {case}/{name}", golden.file());
+                let key = |what: &str| format!("{case}/{}/{what}", name.rsplit('/').next().unwrap());
+                let mean = widen(&values).iter().sum::<f64>() / cameras as f64;
+                let value = assert_close(&name, &[mean], &golden.f64(&key("loss")), rms(1e-6));
+                let truth = interleaved(&golden.f64(&key("d_a")), (width * height) as usize);
+                // Variances of what is flat cancel.
+                let tolerance = rms(if case == "flat" { 3e-4 } else { 3e-5 });
+                let gradient = assert_close(&format!("{name} d_a"), &d_frames, &truth, tolerance);
+                println!("{name}: loss {:.1e}, d_a {:.1e}", value.rms, gradient.rms);
+            }
+        }
+    }
+}
+
+#[test]
+fn equals_the_reference() {
+    for size in [[1, 1, 1], [1, 3, 2], [2, 8, 16], [3, 11, 5], [1, 40, 23], [5, 7, 9]] {
+        let pictures = Pictures::random(size);
+        for (loss, name) in LOSSES {
+            let got = pictures.compared(device().limits(), loss, 3, 0.3);
+            let truth = pictures.truth(loss, 0.3);
+            assert_close(&format!("{name} of {size:?}"), &got[0], &truth[0], rms(1e-6));
+            assert_close(&format!("gradient of {name} of {size:?}"), &got[1], &truth[1], rms(3e-5));
+        }
+    }
+}
+
+#[test]
+fn equal_pictures_lose_nothing() {
+    let mut pictures = Pictures::random([2, 20, 13]);
+    pictures.frames = pictures.targets.clone();
+    for (loss, name) in LOSSES {
+        let [values, d_frames] = pictures.compared(device().limits(), loss, 3, 1.0);
+        assert_same(name, &values, &[0.0; 2]);
+        assert_same(&format!("gradient of {name}"), &d_frames, &vec![0.0; 2 * 20 * 13 * 3]);
+    }
+}
+
+#[test]
+fn other_channels_have_no_gradient() {
+    let pictures = Pictures::random([2, 9, 14]);
+    for (loss, name) in LOSSES {
+        let [values, d_frames] = pictures.compared(device().limits(), loss, 3, 1.0);
+        let [same, wide] = pictures.compared(device().limits(), loss, 5, 1.0);
+        assert_same(name, &same, &values);
+        let widened: Vec<f32> = d_frames.chunks(3).flat_map(|rgb| [rgb[0], rgb[1], rgb[2], 0.0, 0.0]).collect();
+        assert_same(&format!("gradient of {name}"), &wide, &widened);
+    }
+}
+
+#[test]
+fn parts_give_the_same_bits() {
+    // 16 x 16 pixels: the moments of one picture are 12 KiB.
+    let narrow = Limits { max_binding_bytes: 40 << 10, ..device().limits().clone() };
+    let pictures = Pictures::random([9, 16, 16]);
+    for (loss, name) in LOSSES {
+        let [got, truth] = [&narrow, device().limits()].map(|limits| pictures.compared(limits, loss, 3, 1.0));
+        assert_same(name, &got[0], &truth[0]);
+        assert_same(&format!("gradient of {name}"), &got[1], &truth[1]);
+    }
+}
+
+#[test]
+fn the_reference_has_the_gradient_of_its_value() {
+    let pictures = Pictures::random([1, 9, 12]);
+    let (a, b) = (widen(&pictures.frames), widen(&pictures.targets));
+    let direction = widen(&random(3, a.len()));
+    for (loss, name) in LOSSES {
+        let moved =
+            |step: f64| of(loss, &a.iter().zip(&direction).map(|(a, d)| a + step * d).collect::<Vec<_>>(), &b, 9);
+        let difference = (moved(1e-6).0 - moved(-1e-6).0) / 2e-6;
+        let slope: f64 = moved(0.0).1.iter().zip(&direction).map(|(g, d)| g * d).sum();
+        assert!((difference - slope).abs() < 1e-6 * slope.abs(), "{name}: {slope}, by differences {difference}");
+    }
+}

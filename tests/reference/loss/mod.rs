@@ -1,0 +1,3 @@
+//! Losses of pictures.
+
+pub mod gradient;

@@ -1,0 +1,3 @@
+//! Steps that make a scene fit its photos.
+
+pub mod adam;
