@@ -99,7 +99,7 @@ fn the_unit_of_the_cameras_does_not_matter() {
     }
     std::fs::write(&path, cameras.to_string()).expect("written");
     let points = folder.path("place/points.ply");
-    let cloud = zipsplat::types::read_points(&points).expect("points");
+    let cloud = zipsplat::types::read_points(&points).expect("points").positions;
     let scaled: Vec<_> = cloud.iter().map(|point| (point.map(|value| 8.0 * value), [0; 3])).collect();
     zipsplat::types::write_points(&points, &scaled).expect("written");
     let after = mean(line);

@@ -74,7 +74,7 @@ pub fn colmap(extension: &str, bytes: &[u8]) {
 
 /// A capture's points in a file of this name.
 pub fn points(name: &str, bytes: &[u8]) {
-    for point in read_cloud(stored(name, bytes)).unwrap_or_default() {
+    for point in read_cloud(stored(name, bytes)).unwrap_or_default().positions {
         assert!(point.iter().all(|x| x.is_finite()), "what is read is finite");
     }
 }

@@ -153,47 +153,56 @@ impl CameraArgs {
         };
         let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
         let size = self.size.or(alike.then_some(own));
-        let (origin, note) = self.origin(&poses, world, path)?;
+        let (place, note) = origin(self.relative_to.as_deref(), &poses, world, path)?;
         let camera = |camera: Camera| Camera {
             intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
-            pose: origin.map_or(camera.pose, |origin| camera.pose.relative_to(&origin)),
+            pose: place.map_or(camera.pose, |place| camera.pose.relative_to(&place)),
         };
         let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect();
         poses.notes.extend(note);
         Ok((cameras, poses.notes))
     }
+}
 
-    /// The pose of the scene's world among the cameras of a file, where it is not theirs, and what there is to say about it.
-    fn origin(&self, poses: &Poses, world: Option<&World>, path: &Path) -> Result<(Option<Pose>, Option<String>)> {
-        if let Some(photo) = &self.relative_to {
-            return Ok((Some(origin_pose(poses, photo)?), None));
-        }
-        let path = path.display();
-        Ok(match world {
-            Some(World::Cameras(_)) => (None, None),
-            Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
-                Ok(pose) => {
-                    let note =
-                        format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
-                    (Some(pose), Some(note))
-                }
-                Err(_) => {
-                    let note = format!(
-                        "the scene's world is the camera of {photo}, which {path} has not: its cameras are taken as if they \
-                         counted from that photo; `reconstruct --world cameras` makes scenes in the world of the cameras"
-                    );
-                    (None, Some(note))
-                }
-            },
-            None => {
+/// The pose of the scene's world among the cameras of a file, where it is not theirs, and what there is to say about it. `world`
+/// is what the scene's file says of it.
+///
+/// # Errors
+/// Where the cameras have none for the photo `relative_to`.
+pub fn origin(
+    relative_to: Option<&Path>,
+    poses: &Poses,
+    world: Option<&World>,
+    path: &Path,
+) -> Result<(Option<Pose>, Option<String>)> {
+    if let Some(photo) = relative_to {
+        return Ok((Some(origin_pose(poses, photo)?), None));
+    }
+    let path = path.display();
+    Ok(match world {
+        Some(World::Cameras(_)) => (None, None),
+        Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
+            Ok(pose) => {
+                let note =
+                    format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
+                (Some(pose), Some(note))
+            }
+            Err(_) => {
                 let note = format!(
-                    "the scene's file does not say which world it is in: the cameras of {path} are taken to be in the same; \
-                     --relative-to PHOTO where it is the camera of that photo"
+                    "the scene's world is the camera of {photo}, which {path} has not: its cameras are taken as if they \
+                     counted from that photo; `reconstruct --world cameras` makes scenes in the world of the cameras"
                 );
                 (None, Some(note))
             }
-        })
-    }
+        },
+        None => {
+            let note = format!(
+                "the scene's file does not say which world it is in: the cameras of {path} are taken to be in the same; \
+                 --relative-to PHOTO where it is the camera of that photo"
+            );
+            (None, Some(note))
+        }
+    })
 }
 
 /// The scene in the world of the first view's camera, in front of which it lies.

@@ -4,6 +4,7 @@ use crate::{
     metrics::{mean_colour, psnr, ssim, values},
     options::Size,
     photos,
+    refinement::placed,
     session::Stage,
     unit::Unit,
     views::{Fit, Views, seen_through},
@@ -16,9 +17,9 @@ use zipsplat::{
     Error, Result,
     stages::render::{RenderRequest, Renderer},
     types::{
-        Camera, Image, Pose,
-        poses::{Frame, Poses, read_poses},
-        preprocess::{fit, whole},
+        Camera, Image, PointCloud, Pose,
+        poses::{Frame, Poses, read_cloud, read_poses},
+        preprocess::{cropped, whole},
         resample::resize_lanczos,
     },
 };
@@ -37,7 +38,9 @@ pub struct Seeing {
     pub fit: Fit,
     /// Of pictures that it sees.
     pub size: Size,
-    /// Whether photos are compared as a whole, at the scale of `size`, and not only what cropping to it leaves.
+    /// Size at which photos are compared.
+    pub compared: Size,
+    /// Whether photos are compared as a whole, at the scale of `compared`, and not only what cropping to it leaves.
     pub whole: bool,
 }
 
@@ -103,6 +106,16 @@ impl Choice {
         &self.poses.notes
     }
 
+    /// The points of the capture's cloud in the world of the first input and in a unit, where there is a cloud.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
+        let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
+        let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
+        Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
+    }
+
     /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, or else that of [`Unit::of`].
     ///
     /// # Errors
@@ -138,7 +151,7 @@ impl Choice {
 impl Seeing {
     /// The middle of each photo, which is all that is compared.
     pub fn cropped(size: Size) -> Self {
-        Self { fit: Fit::Crop, size, whole: false }
+        Self { fit: Fit::Crop, size, compared: size, whole: false }
     }
 }
 
@@ -239,8 +252,8 @@ fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
 
 /// A frame's photo as it is compared, in the world of a camera that stands at `world`.
 fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
-    let Size(width, height) = seeing.size;
-    let view = if seeing.whole { whole(photo, width, height) } else { fit(photo, width, height) }?;
+    let Size(width, height) = seeing.compared;
+    let view = if seeing.whole { whole(photo, width, height) } else { cropped(photo, width, height) }?;
     let camera = seen_through(&frame.camera, &view.map, label)?;
     let camera = Camera { pose: camera.pose.relative_to(world), ..camera };
     Ok(Posed { name: frame.name.clone(), image: view.image, camera })

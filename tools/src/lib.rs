@@ -19,6 +19,7 @@ mod photos;
 mod pictures;
 mod plot;
 pub mod procedural;
+mod refinement;
 mod released;
 mod session;
 mod signals;

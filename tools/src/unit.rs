@@ -115,19 +115,12 @@ impl Serialize for Source {
 /// The median distance from the first of `cameras` of the points that any of them sees.
 fn of_points(path: &Path, cameras: &[Camera], origin: &Pose) -> Result<Option<f64>> {
     let to_world = origin.inverse();
-    let distances: Vec<f64> = (read_cloud(path)?.into_iter())
+    let distances: Vec<f64> = (read_cloud(path)?.positions.into_iter())
         .map(|point| to_world.transform(DVec3::from(point.map(f64::from))))
-        .filter(|point| cameras.iter().any(|camera| sees(camera, *point)))
+        .filter(|point| cameras.iter().any(|camera| camera.sees(*point)))
         .map(DVec3::length)
         .collect();
     Ok(median(distances).filter(|length| *length > 0.0))
-}
-
-/// Whether a world point falls into a camera's picture.
-fn sees(camera: &Camera, point: DVec3) -> bool {
-    let (i, p) = (&camera.intrinsics, camera.pose.inverse().transform(point));
-    let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
-    p.z > 0.0 && (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y)
 }
 
 /// How far from the first camera the point is that all optical axes come nearest to, in the sense of least squares, where they

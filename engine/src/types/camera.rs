@@ -122,6 +122,13 @@ impl Camera {
         self.pose.view_matrix()
     }
 
+    /// Whether a point in the world falls into the picture.
+    pub fn sees(&self, point: DVec3) -> bool {
+        let (i, p) = (&self.intrinsics, self.pose.inverse().transform(point));
+        let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
+        p.z > 0.0 && (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y)
+    }
+
     /// Checks that everything is finite, the picture not empty, the focal lengths positive and the rotation one.
     ///
     /// # Errors
@@ -190,7 +197,7 @@ pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {
 }
 
 /// A quaternion of any length but zero, of length 1: in f64, where no square of an f32 overflows or vanishes.
-pub(super) fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
+pub(crate) fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
     let quat = quat.map(f64::from);
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
     quat.map(|q| (q / length) as f32)

@@ -21,6 +21,7 @@ mod squares;
 mod trajectory;
 mod world;
 
+pub(crate) use camera::unit_quaternion;
 pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
 pub use file::{Unfinished, open_file, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
@@ -28,7 +29,7 @@ pub use image::{Image, contact_sheet};
 pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
-pub use ply::{read_ply, read_points, write_ply, write_points};
+pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
 pub use scene_file::{
     SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked,

@@ -91,6 +91,14 @@ pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
 /// [`Error::Argument`] when a side is not a positive multiple of [`PATCH`], or the photo's fields disagree.
 pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
     check_size(width, height)?;
+    cropped(photo, width, height)
+}
+
+/// As [`fit`], to any size.
+///
+/// # Errors
+/// [`Error::Argument`] when a side is zero, or the photo's fields disagree.
+pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let rect = crop_to_aspect(photo.width, photo.height, f64::from(width) / f64::from(height));
     let crop = photo.crop(rect.left, rect.top, rect.width, rect.height)?;
@@ -100,12 +108,11 @@ pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
     Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
 }
 
-/// A whole photo at the scale that [`fit`] brings it to before it crops.
+/// A whole photo at the scale that [`cropped`] brings it to before it crops.
 ///
 /// # Errors
-/// As [`fit`].
+/// As [`cropped`].
 pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
-    check_size(width, height)?;
     photo.validate()?;
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
     let [width, height] = [photo.width, photo.height].map(|length| (f64::from(length) * scale).round() as u32);

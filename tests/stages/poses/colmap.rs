@@ -166,7 +166,7 @@ fn point_clouds_are_found_and_read() {
     let points = [[1.5, -2.0, 3.25], [0.0, 4.0, 8.0]];
     text_model(&path("text"), "PINHOLE 64 48 70.0 71.5 31.25 24.5", &truth, &names);
     assert_eq!(read_poses(path("text")).unwrap().points, None);
-    let lines = "# 3D point list\n7 1.5 -2.0 3.25 10 20 30 0.5 1 2 2 9\n9 0 4 8 1 2 3 0.25\n";
+    let lines = "# 3D point list\n7 1.5 -2.0 3.25 1 2 3 0.5 1 2 2 9\n9 0 4 8 1 2 3 0.25\n";
     fs::write(path("text/points3D.txt"), lines).unwrap();
 
     binary_model(&path("binary"), 1, &PINHOLE, &truth, &names);
@@ -174,7 +174,8 @@ fn point_clouds_are_found_and_read() {
     for (i, point) in points.iter().enumerate() {
         bytes.extend((i as u64).to_le_bytes());
         point.iter().for_each(|value: &f64| bytes.extend(value.to_le_bytes()));
-        bytes.extend([1; 11]);
+        bytes.extend([1, 2, 3]);
+        bytes.extend(0.5f64.to_le_bytes());
         bytes.extend((i as u64).to_le_bytes());
         bytes.extend(vec![2; 8 * i]);
     }
@@ -189,7 +190,8 @@ fn point_clouds_are_found_and_read() {
     for (model, file) in [("text", "points3D.txt"), ("binary", "points3D.bin"), ("json", "points.ply")] {
         let found = read_poses(path(model)).unwrap().points;
         assert_eq!(found, Some(path(model).join(file)));
-        assert_eq!(read_cloud(found.unwrap()).unwrap(), narrow, "{file}");
+        let cloud = read_cloud(found.unwrap()).unwrap();
+        assert_eq!((cloud.positions, cloud.colors), (narrow.to_vec(), vec![[1, 2, 3]; narrow.len()]), "{file}");
     }
     for (file, bytes, reason) in [
         ("binary/points3D.bin", bytes[..bytes.len() - 1].to_vec(), "truncated"),

@@ -3,8 +3,9 @@
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN, align},
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
-    options::{Quality, Weights, parse_length},
+    options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
+    refinement::{self, Start, Steps},
     session::Session,
     table::Table,
     views::{Fit, FitOption},
@@ -13,10 +14,12 @@ use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{
-    Result,
+    Error, Result,
+    gpu::Device,
     reconstruct::{Request, Shape},
+    refine::{Refine, Refined, Stopped},
     stages::render::Renderer,
-    types::{Image, World, WriteOptions, contact_sheet},
+    types::{Camera, Image, PointCloud, Scene, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -64,6 +67,16 @@ pub struct Eval {
     /// Compare whole photos, at the scale of --size, also where the network sees only their middle; --fit squares always does
     #[arg(long)]
     whole: bool,
+    /// Compare at this size, which the network need not see [default: that of --size]
+    #[arg(long, value_name = "WxH")]
+    score_size: Option<Size>,
+    /// Refine the scene against the input photos as they are compared, in so many steps; :gaussians moves the Gaussians, as
+    /// without it
+    #[arg(long, value_name = "N[:gaussians]", conflicts_with = "pose_free")]
+    refine: Option<Steps>,
+    /// What the refinement starts from. Points of a capture may come from the held-out photos, too
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene", requires = "refine")]
+    start: Start,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
@@ -100,7 +113,8 @@ impl Eval {
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
-        let seeing = Seeing { fit, size, whole: self.whole || fit == Fit::Squares };
+        let compared = self.score_size.unwrap_or(size);
+        let seeing = Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares };
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, self.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
 
@@ -117,10 +131,19 @@ impl Eval {
         let mut scene = result.scene()?;
         self.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
+        let refined = match self.refine {
+            Some(Steps(steps)) => {
+                let cloud = choice.points(&capture.unit)?;
+                let refined = self.refine(session, &device, &capture, (steps, scene), cloud.as_ref())?;
+                scene = refined.scene.clone();
+                Some(refined)
+            }
+            None => None,
+        };
         let mut renderer = Renderer::new(&device);
         match &world {
             // Nothing was changed on the host.
-            None if scene.len() == result.gaussians.len() => renderer.show(&result.gaussians)?,
+            None if refined.is_none() && scene.len() == result.gaussians.len() => renderer.show(&result.gaussians)?,
             _ => renderer.load(&scene)?,
         }
         let targets = &capture.targets;
@@ -164,15 +187,38 @@ impl Eval {
             result.tokens,
             took.as_secs_f64(),
             capture.unit
-        ) + &alignment.as_ref().map_or_else(String::new, Alignment::told);
+        ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
+            + &refined.as_ref().map_or_else(String::new, |refined| format!("\n{}", refinement::summary(refined)));
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
+            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(refinement::as_json),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
             "peak_bytes": result.peak_bytes,
             "mean": mean, "aligned": alignment, "views": scores,
         });
         session.report(&json, text)
+    }
+
+    /// Refines a scene against the inputs as they are compared.
+    fn refine(
+        &self,
+        session: &mut Session<'_>,
+        device: &Device,
+        capture: &Capture,
+        (steps, scene): (usize, Scene),
+        cloud: Option<&PointCloud>,
+    ) -> Result<Refined> {
+        let cameras: Vec<Camera> = capture.inputs.iter().map(|input| input.camera).collect();
+        let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
+        let start = self.start.scene(Some(scene), cloud, &cameras)?;
+        let request = Refine { steps, ..Refine::default() };
+        let refined = refinement::refine(session, device, &start, &photos, &cameras, &request)?;
+        refinement::doubt(&refined).iter().for_each(|note| session.note(note));
+        match refined.stopped {
+            Some(Stopped::Cancelled) => Err(Error::Cancelled),
+            _ => Ok(refined),
+        }
     }
 }
 

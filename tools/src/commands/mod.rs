@@ -6,6 +6,7 @@ mod doctor;
 mod eval;
 mod info;
 mod reconstruct;
+mod refine;
 mod render;
 mod scene;
 mod tune;
@@ -19,6 +20,7 @@ use zipsplat::{Error, Result};
 #[derive(Subcommand)]
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
+    Refine(refine::Refine),
     Render(render::Render),
     Info(info::Info),
     Convert(convert::Convert),
@@ -41,6 +43,7 @@ impl Command {
         }
         match self {
             Command::Reconstruct(command) => command.run(session),
+            Command::Refine(command) => command.run(session),
             Command::Render(command) => command.run(session),
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),

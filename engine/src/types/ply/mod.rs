@@ -28,7 +28,7 @@ pub(super) const FORMAT: Format = Format {
     write: |scene, _, world| Ok(encoder(scene, &start(world))),
 };
 
-pub use points::{read_points, write_points};
+pub use points::{PointCloud, read_points, write_points};
 
 /// Gaussians that are encoded before they are written.
 const BATCH: usize = 1 << 16;

@@ -6,28 +6,44 @@ use super::super::{file::write_atomic, source::Source};
 use super::table::{Parsed, Ply};
 use crate::Result;
 
-/// Reads the positions of a PLY's vertices, in the file's frame and unit.
+/// Points in the world of the cameras that saw them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointCloud {
+    /// `[N]` x, y, z in the file's frame and unit.
+    pub positions: Vec<[f32; 3]>,
+    /// `[N]` red, green, blue, or empty where the file has none.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// Reads the positions and 8-bit colours of a PLY's vertices, in the file's frame and unit.
 ///
 /// # Errors
 /// [`Error::Io`](crate::Error::Io) when the file cannot be read; [`Error::Format`](crate::Error::Format) when it is
 /// truncated, lacks x, y or z, or holds values that are not finite.
-pub fn read_points(path: impl AsRef<Path>) -> Result<Vec<[f32; 3]>> {
+pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
-    positions(Source::open(path)?).map_err(|fault| fault.of(path))
+    cloud(Source::open(path)?).map_err(|fault| fault.of(path))
 }
 
-fn positions(source: Source<'_>) -> Parsed<Vec<[f32; 3]>> {
+fn cloud(source: Source<'_>) -> Parsed<PointCloud> {
     let mut ply = Ply::open(source)?;
     let table = ply.table("vertex")?;
-    let columns = [table.column("x")?, table.column("y")?, table.column("z")?];
-    let mut points: Vec<[f32; 3]> = Vec::new();
+    let at = [table.column("x")?, table.column("y")?, table.column("z")?];
+    let color = ["red", "green", "blue"].map(|name| table.column(name).ok());
+    let color = if let [Some(red), Some(green), Some(blue)] = color { Some([red, green, blue]) } else { None };
+    let PointCloud { mut positions, mut colors } = PointCloud::default();
     ply.rows(&table, |_, rows| {
-        points.extend(rows.chunks_exact(table.row_bytes).map(|row| super::read(&columns, row)));
+        positions.extend(rows.chunks_exact(table.row_bytes).map(|row| super::read(&at, row)));
+        if let Some(color) = &color {
+            let rows = rows.chunks_exact(table.row_bytes);
+            // Casting saturates.
+            colors.extend(rows.map(|row| super::read(color, row).map(|value| value as u8)));
+        }
         Ok(())
     })?;
-    match points.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
-        Some(i) => Err(table.fault(format!("vertex {i}: found {:?}, expected finite numbers", points[i]))),
-        None => Ok(points),
+    match positions.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
+        Some(i) => Err(table.fault(format!("vertex {i}: found {:?}, expected finite numbers", positions[i]))),
+        None => Ok(PointCloud { positions, colors }),
     }
 }
 

@@ -7,7 +7,7 @@ use std::str::SplitAsciiWhitespace;
 use glam::DVec3;
 
 use super::super::camera::{Intrinsics, Pose, matrix_from_quaternion};
-use super::super::{Distortion, Lens, file::read_file};
+use super::super::{Distortion, Lens, PointCloud, file::read_file};
 use super::{Frame, Poses, undistorted};
 use crate::{Error, Result};
 
@@ -28,8 +28,6 @@ const ONE_FOCAL: [&str; 5] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMP
 
 /// Bytes of one 2D point in `images.bin`: x and y as f64 and the 3D point's id.
 const POINT_BYTES: u64 = 24;
-/// Bytes of a 3D point in `points3D.bin` between its position and its track: red, green, blue and an f64.
-const COLOUR_AND_ERROR_BYTES: u64 = 3 + 8;
 /// Bytes of one image that sees it: the image's id and the 2D point's, u32 each.
 const TRACK_BYTES: u64 = 8;
 
@@ -72,15 +70,18 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
     Ok(poses)
 }
 
-/// Positions of a `points3D.bin` or `points3D.txt`, in the model's world.
-pub(super) fn read_points(path: &Path) -> Result<Vec<[f32; 3]>> {
+/// The points of a `points3D.bin` or `points3D.txt`, in the model's world.
+pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
     let bytes = read_file(path)?;
     let binary = path.extension().is_some_and(|extension| extension == "bin");
     let points = if binary { binary_points(&bytes) } else { text_points(&bytes) };
     let points = points.map_err(|fault| fault.in_file(path))?;
-    match points.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
-        Some(i) => Err(Error::format(path, None, format!("point {i}: found {:?}, expected finite numbers", points[i]))),
-        None => Ok(points),
+    let (positions, colors): (Vec<[f32; 3]>, Vec<[u8; 3]>) = points.into_iter().unzip();
+    match positions.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
+        Some(i) => {
+            Err(Error::format(path, None, format!("point {i}: found {:?}, expected finite numbers", positions[i])))
+        }
+        None => Ok(PointCloud { positions, colors }),
     }
 }
 
@@ -103,6 +104,9 @@ impl Fault {
 }
 
 type Parsed<T> = std::result::Result<T, Fault>;
+
+/// A point's position and colour.
+type Point = ([f32; 3], [u8; 3]);
 
 struct View {
     name: String,
@@ -213,10 +217,11 @@ fn text_images(bytes: &[u8]) -> Parsed<Vec<View>> {
     Ok(views)
 }
 
-fn text_points(bytes: &[u8]) -> Parsed<Vec<[f32; 3]>> {
+fn text_points(bytes: &[u8]) -> Parsed<Vec<Point>> {
     let point = |mut line: Line| {
         let _: u64 = line.next("POINT3D_ID")?;
-        Ok([line.next("X")?, line.next("Y")?, line.next("Z")?])
+        let at = [line.next("X")?, line.next("Y")?, line.next("Z")?];
+        Ok((at, [line.next("R")?, line.next("G")?, line.next("B")?]))
     };
     lines(bytes)?.filter(|line| !is_comment(line)).map(point).collect()
 }
@@ -304,13 +309,14 @@ fn binary_images(bytes: &[u8]) -> Parsed<Vec<View>> {
     Ok(views)
 }
 
-fn binary_points(bytes: &[u8]) -> Parsed<Vec<[f32; 3]>> {
+fn binary_points(bytes: &[u8]) -> Parsed<Vec<Point>> {
     let mut values = Values { bytes, at: 0 };
     let mut points = Vec::new();
     for _ in 0..values.u64("number of points")? {
         values.u64("point id")?;
-        points.push([values.f64("x")?, values.f64("y")?, values.f64("z")?].map(|value| value as f32));
-        values.skip(1, COLOUR_AND_ERROR_BYTES, "colour and error")?;
+        let at = [values.f64("x")?, values.f64("y")?, values.f64("z")?].map(|value| value as f32);
+        points.push((at, values.take("colour")?));
+        values.f64("error")?;
         let track = values.u64("length of a track")?;
         values.skip(track, TRACK_BYTES, "elements of a track")?;
     }

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
-use super::{Image, Lens, file::read_file};
+use super::{Image, Lens, PointCloud, file::read_file};
 use crate::{Error, Result};
 
 pub use transforms::write_transforms;
@@ -215,11 +215,11 @@ pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> 
     read_poses(path)
 }
 
-/// Positions of a capture's point cloud, in the world of its cameras: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
+/// A capture's point cloud, in the world of its cameras: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
 ///
 /// # Errors
 /// As [`read_points`](super::read_points).
-pub fn read_cloud(path: impl AsRef<Path>) -> Result<Vec<[f32; 3]>> {
+pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     let is_colmap = path.file_stem().is_some_and(|stem| stem == "points3D");
     if is_colmap { colmap::read_points(path) } else { super::read_points(path) }

@@ -1,0 +1,359 @@
+//! Gaussians on the device while they are optimised, and the plans of a step.
+//!
+//! A step adds up the gradients of some photos, a plan run for each, and then moves all Gaussians at once. So memory grows
+//! neither with the photos of a step nor with those that there are.
+
+use super::{Adam, Rates, Refine, Space, record_adam, views::View};
+use crate::{
+    Error, Result,
+    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
+    stages::{
+        loss::{LossTensors, record_loss},
+        render::{
+            CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients, SceneTensors, record,
+            record_with_gradients,
+        },
+    },
+    types::{Scene, unit_quaternion},
+};
+use std::sync::Arc;
+
+/// 3D Gaussian Splatting's: gradients of a mean over a picture are small.
+const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
+/// Least scale and, from 0 and from 1, least distance of an opacity: their logarithm and logit are optimised.
+const LEAST_SCALE: f32 = 1e-12;
+const OPACITY_MARGIN: f32 = 1e-4;
+/// Plans that are kept: sizes that alternate.
+const PLANS: usize = 4;
+/// Pixels of a run, at most.
+const PIXELS_TOGETHER: usize = 1 << 20;
+
+/// What of the Gaussians a kernel of Adam moves.
+struct Field {
+    values: Tensor,
+    gradient: Tensor,
+    moments: [Tensor; 2],
+    len: usize,
+    rate: f32,
+    space: Space,
+    /// Gradient of the penalty, the same for each value: what gradients begin with.
+    penalty: f32,
+}
+
+/// Gaussians, their gradients and their moments.
+pub(super) struct Gaussians {
+    device: Device,
+    memory: Arc<Resident>,
+    scene: SceneTensors,
+    gradients: Gradients,
+    request: Refine,
+    clear: Run,
+    update: Run,
+    schedule: Tensor,
+    snapshot: Run,
+    copies: [Tensor; 5],
+    steps: u32,
+    /// Last used last.
+    plans: Vec<Planned>,
+    /// Photos of a run.
+    together: usize,
+    /// Room for intersections of a camera in new plans; grows with what was drawn.
+    capacity: usize,
+}
+
+/// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
+struct Planned {
+    shape: FrameShape,
+    capacity: usize,
+    run: Run,
+    cameras: Tensor,
+    learning: Option<Learning>,
+    outputs: RenderOutputs,
+}
+
+#[derive(Clone, Copy)]
+struct Learning {
+    /// `[cameras, height, width, 3]`.
+    targets: Tensor,
+    /// `[cameras]`.
+    losses: Tensor,
+}
+
+impl Gaussians {
+    /// Brings a scene to the device, `unit` its distance from the cameras.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where the device has too little.
+    pub fn new(device: &Device, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
+        let len = scene.len();
+        let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
+        let mut layout = ResidentLayout::new(device.limits());
+        let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
+        let memory = Arc::new(Resident::new(device, &layout)?);
+        let Rates { means, scales, quats, opacities, sh_coeffs } = request.rates;
+        let rates = [means * unit as f32, scales, quats, opacities, sh_coeffs];
+        let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
+        let penalties = [0.0, request.scale_penalty / (3.0 * unit as f32), 0.0, request.opacity_penalty, 0.0];
+        let field = |i: usize| Field {
+            values: values[i],
+            gradient: gradients[i],
+            moments: [first[i], second[i]],
+            len: counts[i],
+            rate: rates[i],
+            space: spaces[i],
+            penalty: penalties[i] / len as f32,
+        };
+        let fields = [0, 1, 2, 3, 4].map(field);
+        let (update, schedule) = update(device, &memory, &fields)?;
+        let (snapshot, copies) = snapshot(device, &memory, values)?;
+        write(&memory, values, scene)?;
+        let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
+        filling(device, &memory, zero)?.execute()?;
+        let clear = filling(device, &memory, fields.iter().map(|field| (field.gradient, field.penalty)))?;
+        Ok(Self {
+            device: device.clone(),
+            memory,
+            scene: scene_tensors(values, len, scene.sh_degree),
+            gradients: Gradients { scene: Some(scene_gradients(gradients)), cameras: None },
+            request: request.clone(),
+            clear,
+            update,
+            schedule,
+            snapshot,
+            copies,
+            steps: 0,
+            plans: Vec::new(),
+            together: if device.limits().cpu { 1 } else { request.views_per_step },
+            capacity: (4 * len).max(1 << 16),
+        })
+    }
+
+    /// One step: adds up the gradients of some photos and moves all Gaussians against them. Returns the photos' mean loss.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where the device has too little, and those of [`Run::execute`].
+    pub fn step(&mut self, views: &[&View], rate: f32) -> Result<f32> {
+        let mut views = views.to_vec();
+        views.sort_by_key(|view| view.size);
+        let losses = loop {
+            self.clear.execute()?;
+            if let Some(losses) = self.add_all(&views)? {
+                break losses;
+            }
+        };
+        self.steps += 1;
+        self.update.write(self.schedule, &ADAM.schedule(rate, self.steps))?;
+        self.update.execute()?;
+        Ok(losses.iter().sum::<f32>() / losses.len() as f32)
+    }
+
+    /// Adds the gradients of photos that are sorted by size; their losses, or none where there was too little room, which is
+    /// more the next time.
+    fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<f32>>> {
+        let mut losses = Vec::new();
+        for alike in views.chunk_by(|a, b| a.size == b.size) {
+            let mut left = alike;
+            while !left.is_empty() {
+                let pixels = left[0].rgb.len() / 3;
+                let count = left.len().min(self.together).min((PIXELS_TOGETHER / pixels).max(1));
+                let (views, behind) = left.split_at(count);
+                match self.run(views, true) {
+                    Ok(Some(index)) => {
+                        let planned = &self.plans[index];
+                        losses.extend(planned.run.read::<f32>(planned.learning.expect("it learns").losses)?);
+                        left = behind;
+                    }
+                    Ok(None) => return Ok(None),
+                    Err(Error::Memory { .. }) if count > 1 => self.together = 1,
+                    Err(error) => return Err(error),
+                }
+            }
+        }
+        Ok(Some(losses))
+    }
+
+    /// The scene as a photo's camera sees it, `[height][width][rgb]`.
+    ///
+    /// # Errors
+    /// As [`Gaussians::step`].
+    pub fn draw(&mut self, view: &View) -> Result<Vec<f32>> {
+        loop {
+            if let Some(index) = self.run(&[view], false)? {
+                let planned = &self.plans[index];
+                return planned.run.read(planned.outputs.frames);
+            }
+        }
+    }
+
+    /// Runs the plan of photos of one size and gives its index, or none where there was too little room.
+    fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<usize>> {
+        let [width, height] = views[0].size;
+        let shape = FrameShape { cameras: views.len(), width, height };
+        let known = self.plans.iter().position(|plan| plan.shape == shape && plan.learning.is_some() == learns);
+        let mut planned = match known {
+            Some(index) => self.plans.remove(index),
+            None => self.plan(shape, learns)?,
+        };
+        planned.write(views)?;
+        planned.run.execute()?;
+        let status: Vec<u32> = planned.run.read(planned.outputs.status)?;
+        let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
+        if needed > planned.capacity {
+            let most = self.device.limits().max_binding_bytes / 4;
+            if needed as u64 > most {
+                let what = "a list of the intersections of Gaussians with tiles".into();
+                return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });
+            }
+            self.capacity = self.capacity.max((needed + needed / 4).div_ceil(views.len()));
+            return Ok(None);
+        }
+        self.plans.push(planned);
+        Ok(Some(self.plans.len() - 1))
+    }
+
+    /// A new plan, in the place of the others where there is no room beside them.
+    fn plan(&mut self, shape: FrameShape, learns: bool) -> Result<Planned> {
+        if self.plans.len() == PLANS {
+            self.plans.remove(0);
+        }
+        match self.record(shape, learns) {
+            Err(Error::Memory { .. }) if !self.plans.is_empty() => {
+                self.plans.clear();
+                self.record(shape, learns)
+            }
+            planned => planned,
+        }
+    }
+
+    fn record(&self, shape: FrameShape, learns: bool) -> Result<Planned> {
+        let FrameShape { cameras: count, width, height } = shape;
+        let most = self.device.limits().max_binding_bytes as usize / 4;
+        let capacity = self.capacity.saturating_mul(count).min(most);
+        let mut rec = Recorder::new(self.device.limits());
+        let cameras = rec.input::<CameraRows>("cameras", count);
+        let drawing = RenderRequest::default();
+        let mut learning = None;
+        let outputs = if learns {
+            let targets = rec.input::<f32>("targets", 3 * count * width as usize * height as usize);
+            let (loss, scale) = (self.request.loss, 1.0 / self.request.views_per_step as f32);
+            let compare = |rec: &mut Recorder, frames: Tensor| {
+                let LossTensors { value, d_frames } =
+                    record_loss(rec, loss, frames, targets, shape, drawing.channels(), scale);
+                rec.output(value);
+                learning = Some(Learning { targets, losses: value });
+                d_frames
+            };
+            let gradients = &self.gradients;
+            record_with_gradients(&mut rec, &self.scene, cameras, shape, &drawing, capacity, compare, gradients)
+        } else {
+            record(&mut rec, &self.scene, cameras, shape, &drawing, capacity)
+        };
+        let run = Run::with_resident(&self.device, rec.finish()?, Some(self.memory.clone()))?;
+        Ok(Planned { shape, capacity, run, cameras, learning, outputs })
+    }
+
+    /// The Gaussians as they are.
+    ///
+    /// # Errors
+    /// Those of [`Run::execute`].
+    pub fn scene(&mut self) -> Result<Scene> {
+        self.snapshot.execute()?;
+        let [means, scales, quats, opacities, sh_coeffs] = self.copies;
+        Ok(Scene {
+            means: self.snapshot.read(means)?,
+            scales: self.snapshot.read(scales)?,
+            quats: self.snapshot.read(quats)?,
+            opacities: self.snapshot.read(opacities)?,
+            sh_coeffs: self.snapshot.read(sh_coeffs)?,
+            sh_degree: self.scene.sh_degree,
+        })
+    }
+
+    /// Device time of a step by kernel, with the photos of one size that come first; the Gaussians are as before.
+    ///
+    /// # Errors
+    /// As [`Gaussians::step`].
+    pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
+        let size = views[0].size;
+        let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.together).collect();
+        // Afterwards there is a plan with room for every intersection.
+        let index = loop {
+            if let Some(index) = self.run(&alike, true)? {
+                break index;
+            }
+        };
+        let planned = &mut self.plans[index];
+        planned.write(&alike)?;
+        let mut profile = planned.run.profile()?;
+        self.update.write(self.schedule, &ADAM.schedule(0.0, self.steps.max(1)))?;
+        profile.rows.extend(self.update.profile()?.rows);
+        Ok(profile)
+    }
+}
+
+impl Planned {
+    fn write(&mut self, views: &[&View]) -> Result<()> {
+        let cameras: Vec<CameraRows> = views.iter().map(|view| view.camera).collect();
+        self.run.write(self.cameras, &cameras)?;
+        if let Some(Learning { targets, .. }) = self.learning {
+            let values: Vec<f32> = views.iter().flat_map(|view| view.values()).collect();
+            self.run.write(targets, &values)?;
+        }
+        Ok(())
+    }
+}
+
+fn scene_tensors(
+    [means, scales, quats, opacities, sh_coeffs]: [Tensor; 5],
+    len: usize,
+    sh_degree: u32,
+) -> SceneTensors {
+    SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree }
+}
+
+fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Tensor; 5]) -> SceneGradients {
+    SceneGradients { means, scales, quats, opacities, sh_coeffs }
+}
+
+/// Writes a scene in the range in which it can be optimised.
+fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
+    let [means, scales, quats, opacities, sh_coeffs] = values;
+    let positive = |scales: &[f32; 3]| scales.map(|scale| scale.max(LEAST_SCALE));
+    let between = |opacity: &f32| opacity.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    memory.write(means, &scene.means)?;
+    memory.write(scales, &scene.scales.iter().map(positive).collect::<Vec<_>>())?;
+    memory.write(quats, &scene.quats.iter().copied().map(unit_quaternion).collect::<Vec<_>>())?;
+    memory.write(opacities, &scene.opacities.iter().map(between).collect::<Vec<_>>())?;
+    memory.write(sh_coeffs, &scene.sh_coeffs)
+}
+
+/// A plan that fills tensors.
+fn filling(device: &Device, memory: &Arc<Resident>, fills: impl Iterator<Item = (Tensor, f32)>) -> Result<Run> {
+    let mut rec = Recorder::new(device.limits());
+    fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
+    Run::with_resident(device, rec.finish()?, Some(memory.clone()))
+}
+
+/// A plan that moves all Gaussians, and what the host tells it of each step.
+fn update(device: &Device, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
+    let mut rec = Recorder::new(device.limits());
+    let schedule = rec.input::<f32>("schedule", 4);
+    rec.scope("adam", |rec| {
+        for Field { values, gradient, moments, len, rate, space, .. } in fields {
+            record_adam(rec, ADAM, *values, *gradient, *moments, schedule, *rate, *space, *len);
+        }
+    });
+    Ok((Run::with_resident(device, rec.finish()?, Some(memory.clone()))?, schedule))
+}
+
+/// A plan that copies tensors for the host to read.
+fn snapshot(device: &Device, memory: &Arc<Resident>, values: [Tensor; 5]) -> Result<(Run, [Tensor; 5])> {
+    let mut rec = Recorder::new(device.limits());
+    let copies = values.map(|value| {
+        let copy = rec.tensor::<u8>("copy", value.bytes() as usize);
+        rec.copy(value, copy);
+        rec.output(copy);
+        copy
+    });
+    Ok((Run::with_resident(device, rec.finish()?, Some(memory.clone()))?, copies))
+}

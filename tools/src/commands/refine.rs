@@ -1,0 +1,192 @@
+//! `zipsplat refine`: a scene that is made to look like photos.
+
+use crate::{
+    cameras::origin,
+    explain::Explanation,
+    options::{SceneInput, Size},
+    outputs::{self, Overwrite},
+    photos,
+    refinement::{self, Start, placed},
+    session::Session,
+    table::counted,
+};
+use clap::Args;
+use serde_json::json;
+use std::path::PathBuf;
+use zipsplat::{
+    Error, Result,
+    gpu::Device,
+    refine::{self, Refined, Stopped},
+    types::{
+        Camera, Image, Pose, Scene, SceneFormat, World, WriteOptions,
+        poses::{Frame, Poses, read_cloud, read_poses},
+        read_world,
+    },
+};
+
+/// A scene made sharp: its Gaussians are moved until it looks like photos with known cameras
+///
+/// The scene may come from anywhere. Its world is that of the cameras, or the camera of a photo, as its file says or
+/// --relative-to does. Where structure from motion left a point cloud, --start points begins with a Gaussian at each of its
+/// points and needs no scene. Of 9 photos or more one is held out, and what is written is the step that predicts it best.
+/// Ctrl-C ends early and writes the best so far.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
+  zipsplat refine photos/ --poses transforms.json --start points --steps 500 -o scene.ply
+  zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply")]
+pub struct Refine {
+    /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or folders of them
+    #[arg(required = true, value_name = "SCENE, PHOTOS")]
+    files: Vec<PathBuf>,
+    /// Scene to write: .ply, .spz, .splat, .glb or .gltf
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
+    input: SceneInput,
+    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
+    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
+    poses: PathBuf,
+    /// Photo whose camera is the scene's world [default: the one that the scene's file names, else the cameras' own world]
+    #[arg(long, value_name = "PHOTO")]
+    relative_to: Option<PathBuf>,
+    /// What to start from
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene")]
+    start: Start,
+    /// Steps of the optimiser
+    #[arg(long, value_name = "N", default_value_t = refine::Refine::default().steps)]
+    steps: usize,
+    /// Most pixels of a photo along x and y: a larger one is compared at the largest size that fits
+    #[arg(long, value_name = "WxH", default_value = "1600x1600")]
+    size: Size,
+    /// Photos of a step
+    #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
+    batch: usize,
+    /// Photos to hold out, evenly spread [default: 1 of 9 or more]
+    #[arg(long, value_name = "K")]
+    hold_out: Option<usize>,
+    /// Seed of the order of the photos
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    /// Also print the passes of a step, with time and bytes
+    #[arg(long)]
+    explain: bool,
+}
+
+/// What a refinement starts from, and the world that it is in.
+struct Started {
+    scene: Scene,
+    cameras: Vec<Camera>,
+    world: World,
+}
+
+impl Refine {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        self.overwrite.check_file(&self.output)?;
+        if SceneFormat::of_extension(&self.output).is_none() {
+            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
+            return Err(Error::argument("--output", self.output.display(), expected));
+        }
+        let (scene, files) = self.files();
+        let poses = read_poses(&self.poses)?;
+        poses.notes.iter().for_each(|note| session.note(note));
+        let photos = photos::list(session, files)?;
+        let photos = photos::posed(session, photos, &poses)?;
+        let frames = poses.frames_of(&photos)?;
+        let started = self.start(session, scene, &poses, &frames)?;
+        let device = session.device()?;
+        let (photos, _) =
+            session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
+        let refined = self.refine(session, &device, &started, &photos)?;
+        refinement::doubt(&refined).iter().for_each(|note| session.note(note));
+        if refined.stopped == Some(Stopped::Cancelled) && refined.best_step == 0 {
+            return Err(Error::Cancelled);
+        }
+        let options = WriteOptions::default();
+        let note = outputs::save_scene(&self.output, &refined.scene, &options, Some(&started.world))?;
+        note.into_iter().for_each(|note| session.note(note));
+        if refined.stopped == Some(Stopped::Cancelled) {
+            session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
+            return Err(Error::Cancelled);
+        }
+        self.report(session, device.limits().name.clone(), photos.len(), refined)
+    }
+
+    /// The scene's file, where there has to be one, and those of the photos.
+    fn files(&self) -> (Option<&PathBuf>, &[PathBuf]) {
+        match self.files.split_first() {
+            Some((scene, photos)) if self.start.needs()[0] => (Some(scene), photos),
+            _ => (None, &self.files),
+        }
+    }
+
+    /// Reads what is to be refined, and brings cameras and points to its world.
+    fn start(
+        &self,
+        session: &mut Session<'_>,
+        path: Option<&PathBuf>,
+        poses: &Poses,
+        frames: &[&Frame],
+    ) -> Result<Started> {
+        let Some(first) = frames.first() else {
+            return Err(Error::argument("photos", "none", "one or more behind the scene"));
+        };
+        let (mut scene, mut said) = (None, Some(World::Cameras(first.camera.pose)));
+        if let Some(path) = path {
+            scene = Some(self.input.read(session, path)?.0);
+            said = read_world(path)?;
+        }
+        let (pose, note) = origin(self.relative_to.as_deref(), poses, said.as_ref(), &self.poses)?;
+        note.iter().for_each(|note| session.note(note));
+        let world = match (said, &self.relative_to) {
+            (_, Some(photo)) => World::Photo(poses.frames_of(&[photo])?[0].name.clone()),
+            (Some(said), None) => said,
+            (None, None) => World::Cameras(first.camera.pose),
+        };
+        let to_scene = pose.map_or(Pose::IDENTITY, |pose| pose.inverse());
+        let camera = |frame: &&Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
+        let cameras: Vec<Camera> = frames.iter().map(camera).collect();
+        let cloud = match &poses.points {
+            Some(path) if self.start.needs()[1] => Some(placed(read_cloud(path)?, &to_scene, 1.0)),
+            _ => None,
+        };
+        let scene = self.start.scene(scene, cloud.as_ref(), &cameras)?;
+        Ok(Started { scene, cameras, world })
+    }
+
+    fn refine(&self, session: &Session<'_>, device: &Device, started: &Started, photos: &[Image]) -> Result<Refined> {
+        let request = refine::Refine {
+            steps: self.steps,
+            views_per_step: self.batch,
+            size: Some([self.size.0, self.size.1]),
+            hold_out: self.hold_out,
+            seed: self.seed,
+            profile: self.explain,
+            ..refine::Refine::default()
+        };
+        refinement::refine(session, device, &started.scene, photos, &started.cameras, &request)
+    }
+
+    fn report(&self, session: &mut Session<'_>, device: String, photos: usize, refined: Refined) -> Result<()> {
+        let count = refined.scene.len();
+        let mut json = json!({
+            "output": self.output, "device": device, "photos": photos, "gaussians": count,
+            "refined": refinement::as_json(&refined),
+        });
+        let mut text = format!(
+            "{}: {} against {} on {device}\n{}\n",
+            self.output.display(),
+            counted(count, "Gaussian"),
+            counted(photos, "photo"),
+            refinement::summary(&refined),
+        );
+        if let Some(profile) = refined.profile {
+            let explanation = Explanation::of_kernels(&profile, Vec::new());
+            text += &format!("\n{explanation}");
+            json["explain"] = json!(explanation);
+        }
+        session.report(&json, text)
+    }
+}

@@ -1,0 +1,133 @@
+//! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
+
+use crate::{session::Session, table::time};
+use clap::ValueEnum;
+use serde_json::{Value, json};
+use std::{ops::ControlFlow, str::FromStr};
+use zipsplat::{
+    Error, Result,
+    gpu::Device,
+    refine::{Refine, Refined, Refining, Stopped, join, refine_scene, scene_of_points},
+    types::{Camera, Image, PointCloud, Pose, Scene},
+};
+
+/// What a refinement starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Start {
+    /// A Gaussian at each point of the capture's point cloud
+    Points,
+    /// The scene's Gaussians
+    Scene,
+    /// Both together
+    Both,
+}
+
+impl Start {
+    /// Whether it needs a scene, and whether it needs points.
+    pub fn needs(self) -> [bool; 2] {
+        [self != Self::Points, self != Self::Scene]
+    }
+
+    /// The Gaussians to start from. What is not needed may be missing.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where what is needed is missing.
+    pub fn scene(self, scene: Option<Scene>, cloud: Option<&PointCloud>, cameras: &[Camera]) -> Result<Scene> {
+        let lacks = |found: &str, expected: &str| Error::argument("start of the refinement", found, expected);
+        let of_scene = || scene.ok_or_else(|| lacks("no scene", "a scene, or --start points"));
+        let of_points = || {
+            let expected =
+                "ply_file_path of transforms.json, points.ply beside it, or COLMAP's points3D; or --start scene";
+            scene_of_points(cloud.ok_or_else(|| lacks("no point cloud", expected))?, cameras)
+        };
+        match self {
+            Self::Scene => of_scene(),
+            Self::Points => of_points(),
+            Self::Both => Ok(join(of_scene()?, of_points()?)),
+        }
+    }
+}
+
+/// Steps, and what is moved in them, as `--refine` has them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Steps(pub usize);
+
+impl FromStr for Steps {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = text.strip_suffix(":gaussians").unwrap_or(text);
+        number.parse().map(Self).map_err(|_| "expected a number of steps, such as 50 or 50:gaussians".into())
+    }
+}
+
+/// A cloud as seen from another world: a point x comes to stand at `pose(x) / unit`.
+pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
+    for at in &mut cloud.positions {
+        *at = (pose.transform(at.map(f64::from).into()) / unit).as_vec3().to_array();
+    }
+    cloud
+}
+
+/// Refines, with progress. What was best so far is returned where the command should stop.
+///
+/// # Errors
+/// As [`refine_scene`], and [`Error::Cancelled`] where it should stop before the first step.
+pub fn refine(
+    session: &Session<'_>,
+    device: &Device,
+    scene: &Scene,
+    photos: &[Image],
+    cameras: &[Camera],
+    request: &Refine,
+) -> Result<Refined> {
+    let mut refined = None;
+    let staged = session.stage("refine", |stage| {
+        let progress = |at: Refining| -> ControlFlow<()> {
+            stage.name(&told(&at));
+            stage.at(at.step as f64 / at.steps as f64)
+        };
+        refined = Some(refine_scene(device, scene, photos, cameras, request, progress)?);
+        Ok(())
+    });
+    match (staged, refined) {
+        (Ok(_) | Err(Error::Cancelled), Some(refined)) => Ok(refined),
+        (staged, _) => Err(staged.err().unwrap_or(Error::Cancelled)),
+    }
+}
+
+/// How far a refinement is, for a progress bar.
+fn told(at: &Refining) -> String {
+    let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
+    let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
+    format!("refine{loss}{psnr}, {:.0} s left", at.left.as_secs_f64())
+}
+
+/// What came of a refinement, in words.
+pub fn summary(refined: &Refined) -> String {
+    let (steps, step) = (refined.losses.len(), refined.best_step);
+    let loss = match refined.losses[..] {
+        [first, .., last] => format!("; loss {first:.4} to {last:.4}"),
+        _ => String::new(),
+    };
+    let psnr = refined.psnr().map(|[after, before]| format!("; held-out photos {before:.2} to {after:.2} dB"));
+    format!("refined in {}: kept is step {step} of {steps}{loss}{}", time(refined.took), psnr.unwrap_or_default())
+}
+
+/// The same for programs.
+pub fn as_json(refined: &Refined) -> Value {
+    json!({
+        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "held_out": refined.held_out, "seconds": refined.took.as_secs_f64(),
+    })
+}
+
+/// What there is to say where it ended early.
+pub fn doubt(refined: &Refined) -> Option<String> {
+    match &refined.stopped {
+        Some(Stopped::Diverged(why)) => {
+            Some(format!("the refinement ended early: {why}; kept is what was after step {}", refined.best_step))
+        }
+        _ => None,
+    }
+}
