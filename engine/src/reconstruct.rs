@@ -4,7 +4,7 @@ mod features;
 mod network;
 mod request;
 
-pub use features::Features;
+pub use features::{Features, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
 pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
@@ -295,7 +295,9 @@ impl Model {
 
 /// Writes what is said of the scene.
 fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
-    run.write(choice.unit, &[request.unit as f32])?;
+    if let Some(unit) = choice.unit {
+        run.write(unit, &[request.unit as f32])?;
+    }
     if let Some(tensor) = choice.indices {
         let indices = match &request.selection {
             Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),

@@ -137,6 +137,14 @@ impl Device {
         self.0.allocated.load(Ordering::Relaxed)
     }
 
+    /// Fails where the device was lost before.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`].
+    pub fn check_lost(&self) -> Result<()> {
+        self.0.check_lost()
+    }
+
     /// What the device is and can do.
     pub fn limits(&self) -> &Limits {
         &self.0.limits

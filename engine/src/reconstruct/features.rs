@@ -1,9 +1,10 @@
-//! Features that stay on the device: a scene of another ratio or selection without the backbone.
+//! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
+//! be refined.
 
 use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
 use crate::{
     Result,
-    gpu::{Arena, Claim, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes},
+    gpu::{Arena, Claim, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
     stages::render::{SceneMemory, SceneTensors},
     types::Image,
 };
@@ -23,6 +24,44 @@ impl Features {
     /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.memory.bytes()
+    }
+}
+
+/// A scene's tokens on the device: what the head makes Gaussians of.
+pub struct SceneTokens {
+    memory: Arc<Resident>,
+    tensor: Tensor,
+    count: usize,
+    width: usize,
+    unit: f64,
+    /// Time of each stage.
+    pub times: StageTimes,
+}
+
+impl SceneTokens {
+    /// `[count, width]` f32: scene tokens beside colour features.
+    pub fn tensor(&self) -> Tensor {
+        self.tensor
+    }
+
+    /// Tokens.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Values of a token.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// See [`Request::unit`].
+    pub fn unit(&self) -> f64 {
+        self.unit
+    }
+
+    /// The memory of the tensor.
+    pub fn resident(&self) -> &Arc<Resident> {
+        &self.memory
     }
 }
 
@@ -87,6 +126,31 @@ impl Model {
             peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
             gaussians,
         })
+    }
+
+    /// Reconstructs up to the scene's tokens and keeps these on the device, for [`crate::refine::refine_tokens`].
+    ///
+    /// # Errors
+    /// As [`Model::reconstruct`].
+    pub fn tokens(
+        &self,
+        images: &[Image],
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<SceneTokens> {
+        let shape = self.shape(images, request)?;
+        let width = self.architecture().width + self.architecture().color_width;
+        let mut layout = ResidentLayout::new(self.device.limits());
+        let tensor = layout.add::<f32>(shape.tokens * width);
+        let mut rec = Recorder::new(self.device.limits());
+        let (inputs, choice) = self.network.record_tokens(&mut rec, shape, tensor);
+        let memory = Arc::new(Resident::new(&self.device, &layout)?);
+        let (arena, _claim) = self.claimed();
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.resident.clone(), memory.clone()])?;
+        self.write_photos(&mut run, &inputs, shape, images, request)?;
+        write_choice(&mut run, choice, shape, request)?;
+        let times = run.execute_with(progress)?;
+        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, unit: request.unit, times })
     }
 
     /// The model's arena, or one of its own where another thread uses that one now.

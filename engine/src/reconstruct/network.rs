@@ -3,14 +3,14 @@
 use super::{Kept, Shape};
 use crate::{
     Result,
-    gpu::{Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
+    gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
         ViewGrid,
         backbone::{Backbone, BackboneInputs, POSE_VALUES},
         cluster,
         fuse::Fuse,
-        gaussians::Gaussians,
+        gaussians::{Gaussians, HeadTokens},
         render::SceneTensors,
     },
     types::Scene,
@@ -37,8 +37,8 @@ pub struct Tensors {
 /// What the host says of the scene that is made of features.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
-    /// `[1]` f32: the world's unit.
-    pub unit: Tensor,
+    /// `[1]` f32: the world's unit, where there are Gaussians.
+    pub unit: Option<Tensor>,
     /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
     pub indices: Option<Tensor>,
 }
@@ -136,9 +136,26 @@ impl Network {
         features: &FeatureTensors,
         scene: &SceneTensors,
     ) -> Choice {
+        let unit = rec.input::<f32>("unit", 1);
+        let (indices, tokens) = self.head_tokens(rec, shape, features);
+        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, unit, scene));
+        Choice { unit: Some(unit), indices }
+    }
+
+    /// Records everything up to the tokens that the head reads, which stay on the device in `into`.
+    pub(super) fn record_tokens(&self, rec: &mut Recorder, shape: Shape, into: Tensor) -> (BackboneInputs, Choice) {
+        let inputs = self.inputs(rec, shape);
+        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let features = FeatureTensors { images: inputs.images, layers };
+        let (indices, tokens) = self.head_tokens(rec, shape, &features);
+        let joined = tokens.joined(rec, Element::F32);
+        rec.copy(joined, into);
+        (inputs, Choice { unit: None, indices })
+    }
+
+    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, HeadTokens) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
-        let unit = rec.input::<f32>("unit", 1);
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
         let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
@@ -149,11 +166,7 @@ impl Network {
         });
         let chosen = chosen.map(|indices| (indices, tokens));
         let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, layers, grid.tokens(), chosen));
-        rec.scope("gaussians", |rec| {
-            let tokens = self.gaussians.tokens(rec, tokens, *images, grid, chosen);
-            self.gaussians.record(rec, tokens, unit, scene);
-        });
-        Choice { unit, indices }
+        (indices, rec.scope("gaussians", |rec| self.gaussians.tokens(rec, tokens, *images, grid, chosen)))
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {

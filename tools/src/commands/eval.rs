@@ -5,7 +5,7 @@ use crate::{
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
-    refinement::{self, Start, Steps},
+    refinement::{self, Refinable, Start, Steps},
     session::Session,
     table::Table,
     views::{Fit, FitOption},
@@ -15,11 +15,10 @@ use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    gpu::Device,
     reconstruct::{Request, Shape},
-    refine::{Refine, Refined, Stopped},
+    refine::{FrozenHead, Refine, Refined, Stopped},
     stages::render::Renderer,
-    types::{Camera, Image, PointCloud, Scene, World, WriteOptions, contact_sheet},
+    types::{Camera, Image, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -70,9 +69,9 @@ pub struct Eval {
     /// Compare at this size, which the network need not see [default: that of --size]
     #[arg(long, value_name = "WxH")]
     score_size: Option<Size>,
-    /// Refine the scene against the input photos as they are compared, in so many steps; :gaussians moves the Gaussians, as
-    /// without it
-    #[arg(long, value_name = "N[:gaussians]", conflicts_with = "pose_free")]
+    /// Refine the scene against the input photos as they are compared, in so many steps; :tokens moves the network's tokens, from
+    /// which its head makes Gaussians, and not the Gaussians themselves
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", conflicts_with = "pose_free")]
     refine: Option<Steps>,
     /// What the refinement starts from. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", default_value = "scene", requires = "refine")]
@@ -111,6 +110,7 @@ impl Eval {
         let chosen = (self.quality.ratio, &self.quality.select);
         let (views, posed) = (fit.count(&choice.inputs())?, !self.pose_free);
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
+        self.refine.map_or(Ok(()), |steps| steps.check(self.start))?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
@@ -132,14 +132,21 @@ impl Eval {
         self.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
         let refined = match self.refine {
-            Some(Steps(steps)) => {
+            Some(Steps { count, tokens: true }) => {
+                let (head, tokens) =
+                    (FrozenHead::load(&device, &checkpoint)?, session.tokens(&model, &images, &request)?);
+                Some(self.refine(session, Refinable::Tokens(&head, &tokens), &capture, count)?)
+            }
+            Some(Steps { count, tokens: false }) => {
                 let cloud = choice.points(&capture.unit)?;
-                let refined = self.refine(session, &device, &capture, (steps, scene), cloud.as_ref())?;
-                scene = refined.scene.clone();
-                Some(refined)
+                let start = self.start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
+                Some(self.refine(session, Refinable::Scene(&device, &start), &capture, count)?)
             }
             None => None,
         };
+        if let Some(refined) = &refined {
+            scene = refined.scene.clone();
+        }
         let mut renderer = Renderer::new(&device);
         match &world {
             // Nothing was changed on the host.
@@ -204,22 +211,25 @@ impl Eval {
     fn refine(
         &self,
         session: &mut Session<'_>,
-        device: &Device,
+        from: Refinable<'_>,
         capture: &Capture,
-        (steps, scene): (usize, Scene),
-        cloud: Option<&PointCloud>,
+        steps: usize,
     ) -> Result<Refined> {
-        let cameras: Vec<Camera> = capture.inputs.iter().map(|input| input.camera).collect();
+        let cameras = input_cameras(capture);
         let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
-        let start = self.start.scene(Some(scene), cloud, &cameras)?;
         let request = Refine { steps, ..Refine::default() };
-        let refined = refinement::refine(session, device, &start, &photos, &cameras, &request)?;
+        let refined = refinement::refine(session, from, &photos, &cameras, &request)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) => Err(Error::Cancelled),
             _ => Ok(refined),
         }
     }
+}
+
+/// Cameras of the whole input photos as they are compared.
+fn input_cameras(capture: &Capture) -> Vec<Camera> {
+    capture.inputs.iter().map(|input| input.camera).collect()
 }
 
 /// How one picture's camera was aligned.

@@ -161,8 +161,9 @@ impl Renderer {
     /// made in.
     ///
     /// # Errors
-    /// [`Error::Argument`] where it is on another device.
+    /// [`Error::Argument`] where it is on another device; [`Error::DeviceLost`].
     pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
+        self.device().check_lost()?;
         if !scene.resident().is_on(self.arena.device()) {
             return Err(Error::argument("scene to render", "one on another device", "one on the renderer's device"));
         }
