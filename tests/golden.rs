@@ -4,6 +4,7 @@
 //! when that folder exists, and a test that needs an absent one says so and passes.
 
 use std::collections::BTreeSet;
+use std::env;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -14,10 +15,12 @@ use safetensors::{Dtype, SafeTensors};
 /// A safetensors file starts with the length of its header, a u64.
 const LENGTH_BYTES: usize = 8;
 
-/// Where goldens lie, nearest first: committed ones, then those beside the repository.
-fn folders() -> [PathBuf; 2] {
+/// Where goldens lie, nearest first: what ZIPSPLAT_GRADIENTS names, for more gradients, committed ones, then those beside the
+/// repository.
+fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
-    [tests.join("data"), tests.join("../../shared/golden/data")]
+    let beside = [tests.join("data"), tests.join("../../shared/golden/data")];
+    env::var_os("ZIPSPLAT_GRADIENTS").map(PathBuf::from).into_iter().chain(beside).collect()
 }
 
 /// The path of a golden file of any kind, or `None` with a printed line when it is in neither folder.
@@ -57,28 +60,11 @@ pub struct Golden {
 impl Golden {
     /// Opens `file` (such as `micro.v2.safetensors`), or prints a line and gives `None` when it is absent.
     pub fn open(file: &str) -> Option<Golden> {
-        Some(Golden::read(file, &find(file)?))
-    }
-
-    /// Opens every golden whose name starts with `prefix` in the folder that `ZIPSPLAT_GRADIENTS` names, or, without it,
-    /// beside the repository.
-    pub fn gradients(prefix: &str) -> Vec<Golden> {
-        let [_, beside] = folders();
-        let folder = std::env::var_os("ZIPSPLAT_GRADIENTS").map_or(beside, PathBuf::from);
-        let names = fs::read_dir(&folder).into_iter().flatten().filter_map(|e| e.ok()?.file_name().into_string().ok());
-        let matching: BTreeSet<String> =
-            names.filter(|name| name.starts_with(prefix) && name.ends_with(".safetensors")).collect();
-        if matching.is_empty() {
-            let _ = writeln!(io::stderr(), "goldens {prefix}* are absent ({}): not compared", folder.display());
-        }
-        matching.iter().map(|name| Golden::read(name, &folder.join(name))).collect()
-    }
-
-    fn read(file: &str, path: &Path) -> Golden {
-        let bytes = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let path = find(file)?;
+        let bytes = fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let (header_len, header) =
             SafeTensors::read_metadata(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        Golden { file: file.to_owned(), bytes, data_start: LENGTH_BYTES + header_len, header }
+        Some(Golden { file: file.to_owned(), bytes, data_start: LENGTH_BYTES + header_len, header })
     }
 
     /// Opens a golden that is committed in `tests/data`: absence is a failure.

@@ -3,6 +3,7 @@
 use crate::{architectures, device::device, golden::Golden};
 use std::ops::ControlFlow;
 use zipsplat::{
+    gpu::Device,
     ops::{Arithmetic, Precision},
     reconstruct::Model,
     types::Image,
@@ -23,10 +24,15 @@ pub fn fast_arithmetics() -> Vec<Arithmetic> {
 
 /// A model of generated weights, as the goldens use.
 pub fn model(config: &str, arithmetic: Arithmetic) -> Model {
+    model_on(device(), config, arithmetic)
+}
+
+/// The same on another device.
+pub fn model_on(device: &Device, config: &str, arithmetic: Arithmetic) -> Model {
     let key = if config == "tiny_rect" { "tiny" } else { config };
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
     let progress = |_| ControlFlow::Continue(());
-    Model::load_with(device(), &checkpoint, arithmetic, progress).expect("small models fit")
+    Model::load_with(device, &checkpoint, arithmetic, progress).expect("small models fit")
 }
 
 /// `in/images_u8` `[views, 3, height, width]` as pictures.

@@ -1,30 +1,37 @@
 //! Photos to a scene: a model on a device, and what a reconstruction is asked for and gives.
 
+mod features;
 mod network;
 mod request;
 
-pub use network::{Network, Tensors};
+pub use features::{Features, SceneTokens};
+pub use network::{Network, NetworkPlan, Tensors};
 pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
 use crate::{
     Error, Result,
-    gpu::{Device, Plan, Profile, Progress, Recorder, Resident, Run, StageTimes},
+    gpu::{Arena, Device, Plan, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes},
     ops::Arithmetic,
     stages::{
-        backbone::{POSE_VALUES, interpolate_positions, rotary_tables},
+        backbone::{BackboneInputs, POSE_VALUES, interpolate_positions, rotary_tables},
         cluster::{even_indices, random_indices},
+        render::{DeviceScene, SceneMemory},
     },
-    types::{Image, LeftOut, Scene, prior_encoding},
+    types::{Camera, Image, LeftOut, Scene, prior_encoding},
     weights::{Architecture, Checkpoint},
 };
+use network::Choice;
 use request::check_cameras;
-use std::{ops::ControlFlow, sync::Arc};
+use std::{
+    ops::ControlFlow,
+    sync::{Arc, Mutex},
+};
 
 /// A scene and how it came about.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// The Gaussians; the world is the first view's camera.
-    pub scene: Scene,
+    /// The Gaussians, on the device; the world is the first view's camera.
+    pub gaussians: DeviceScene,
     /// Tokens that became Gaussians.
     pub tokens: usize,
     /// Time of each stage.
@@ -33,7 +40,7 @@ pub struct Reconstruction {
     pub outline: Profile,
     /// Stages and passes that were not needed.
     pub left_out: Vec<LeftOut>,
-    /// Bytes of the arena and of the weights.
+    /// Bytes of the arena, the weights and the Gaussians.
     pub peak_bytes: u64,
 }
 
@@ -43,6 +50,32 @@ pub struct Model {
     network: Network,
     resident: Arc<Resident>,
     learned_positions: Vec<f32>,
+    arena: Arena,
+    /// What was recorded for the last shape.
+    recorded: Mutex<Option<Recorded>>,
+}
+
+/// A forward pass that runs again without being recorded or allocated anew.
+struct Recorded {
+    shape: Shape,
+    run: Run,
+    tensors: Tensors,
+    layout: ResidentLayout,
+    /// Where scenes go: a second one while somebody has the first.
+    scenes: Vec<SceneMemory>,
+}
+
+/// Memories of scenes that are kept for the next ones.
+const SCENES: usize = 2;
+
+impl Reconstruction {
+    /// The Gaussians, on the host.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn scene(&self) -> Result<Scene> {
+        self.gaussians.read()
+    }
 }
 
 impl Model {
@@ -73,7 +106,8 @@ impl Model {
         let name = "backbone.backbone.pos_embed";
         let mut learned_positions = vec![0.0; checkpoint.shape(name)?.iter().product()];
         checkpoint.read_f32(name, &mut learned_positions)?;
-        Ok(Self { device: device.clone(), network, resident, learned_positions })
+        let (arena, recorded) = (Arena::new(device), Mutex::default());
+        Ok(Self { device: device.clone(), network, resident, learned_positions, arena, recorded })
     }
 
     /// Bytes of the weights on the device.
@@ -86,7 +120,14 @@ impl Model {
         &self.network.architecture
     }
 
-    /// Reconstructs a scene from images of one size, whose sides are multiples of the patch.
+    /// The arena that reconstructions run in, for whoever draws their scenes.
+    pub fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    /// Reconstructs a scene from images of one size, whose sides are multiples of the patch. The Gaussians stay on the device. A
+    /// second one of the same shape records and allocates nothing. Where another thread uses the arena now, this one gets an
+    /// arena of its own.
     ///
     /// # Errors
     /// [`Error::Argument`] for images or a request that cannot be used, [`Error::Memory`] where the device has too
@@ -98,19 +139,65 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         let shape = self.shape(images, request)?;
-        let mut rec = Recorder::new(self.device.limits());
-        let tensors = self.network.record(&mut rec, shape);
-        let mut run = self.run(rec.finish()?)?;
-        self.write_inputs(&mut run, &tensors, shape, images, request)?;
+        let Some(_claim) = self.arena.claim() else {
+            return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, request, progress);
+        };
+        // Only who has the claim gets here; a panic leaves nothing half done that would be used again.
+        let mut recorded = self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        self.reconstruct_in(&self.arena, &mut recorded, shape, images, request, progress)
+    }
+
+    fn reconstruct_in(
+        &self,
+        arena: &Arena,
+        recorded: &mut Option<Recorded>,
+        shape: Shape,
+        images: &[Image],
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Reconstruction> {
+        if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
+            // Before the memory of the next scene is allocated.
+            *recorded = None;
+            *recorded = Some(self.record_for(arena, shape)?);
+        }
+        let Some(Recorded { run, tensors, layout, scenes, .. }) = recorded else { unreachable!("just recorded") };
+        let free = match scenes.iter().position(SceneMemory::is_free) {
+            Some(free) => free,
+            None => {
+                // All are in use: those who have them keep them.
+                scenes.truncate(SCENES - 1);
+                scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
+                scenes.len() - 1
+            }
+        };
+        run.replace_resident(scenes[free].resident().clone());
+        self.write_inputs(run, tensors, shape, images, request)?;
         let times = run.execute_with(progress)?;
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree);
         Ok(Reconstruction {
-            scene: tensors.read(&run, self.architecture().sh_degree as u32)?,
             tokens: shape.tokens,
             times,
             outline: Profile::outline(run.plan()),
             left_out: shape.left_out(),
-            peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes(),
+            peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
+            gaussians,
         })
+    }
+
+    fn record_for(&self, arena: &Arena, shape: Shape) -> Result<Recorded> {
+        let NetworkPlan { plan, tensors, layout } = self.network.plan(self.device.limits(), shape)?;
+        let scene = SceneMemory::new(&self.device, &layout, *tensors.scene())?.made_in(arena);
+        let run = Run::in_arena(arena, 0, plan, [self.resident.clone(), scene.resident().clone()])?;
+        Ok(Recorded { shape, run, tensors, layout, scenes: vec![scene] })
+    }
+
+    /// The plan of a reconstruction of this shape.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where the device cannot hold or bind a tensor.
+    pub fn plan(&self, shape: Shape) -> Result<NetworkPlan> {
+        self.network.plan(self.device.limits(), shape)
     }
 
     /// The shape of a request for these images.
@@ -126,6 +213,10 @@ impl Model {
                 return Err(Error::argument(format!("size of view {i}"), found, expected));
             }
             image.validate()?;
+        }
+        // The scene is f32.
+        if !(request.unit as f32).is_normal() || request.unit < 0.0 {
+            return Err(Error::argument("unit", request.unit, "a length above 0"));
         }
         if let Some(cameras) = &request.cameras {
             check_cameras(cameras, images)?;
@@ -164,31 +255,58 @@ impl Model {
         images: &[Image],
         request: &Request,
     ) -> Result<()> {
+        self.write_photos(run, &tensors.inputs, shape, images, request)?;
+        write_choice(run, tensors.choice, shape, request)
+    }
+
+    /// Writes what the backbone reads.
+    fn write_photos(
+        &self,
+        run: &mut Run,
+        inputs: &BackboneInputs,
+        shape: Shape,
+        images: &[Image],
+        request: &Request,
+    ) -> Result<()> {
         let (a, grid) = (self.architecture(), shape.grid);
-        run.write(tensors.inputs.images, &planar(images))?;
+        run.write(inputs.images, &planar(images))?;
         let positions =
             interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
-        run.write(tensors.inputs.positions, &positions)?;
-        for (tensor, table) in tensors.inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
+        run.write(inputs.positions, &positions)?;
+        for (tensor, table) in inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
             run.write(*tensor, &table)?;
         }
-        if let (Some(tensor), Some(cameras)) = (tensors.inputs.poses, &request.cameras) {
-            let padded: Vec<_> = prior_encoding(cameras)?
+        if let (Some(tensor), Some(cameras)) = (inputs.poses, &request.cameras) {
+            let in_units = |camera: &Camera| {
+                let mut camera = *camera;
+                camera.pose.translation /= request.unit;
+                camera
+            };
+            let cameras: Vec<Camera> = cameras.iter().map(in_units).collect();
+            let padded: Vec<_> = prior_encoding(&cameras)?
                 .iter()
                 .map(|e| std::array::from_fn::<f32, POSE_VALUES, _>(|i| e.get(i).copied().unwrap_or(0.0)))
                 .collect();
             run.write(tensor, &padded)?;
         }
-        if let Some(tensor) = tensors.indices {
-            let indices = match &request.selection {
-                Selection::Kmeans(_) | Selection::Stride => even_indices(grid.tokens(), shape.tokens),
-                Selection::Random(seed) => random_indices(grid.tokens(), shape.tokens, *seed),
-                Selection::Given(indices) => indices.clone(),
-            };
-            run.write(tensor, &indices)?;
-        }
         Ok(())
     }
+}
+
+/// Writes what is said of the scene.
+fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
+    if let Some(unit) = choice.unit {
+        run.write(unit, &[request.unit as f32])?;
+    }
+    if let Some(tensor) = choice.indices {
+        let indices = match &request.selection {
+            Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
+            Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
+            Selection::Given(indices) => indices.clone(),
+        };
+        run.write(tensor, &indices)?;
+    }
+    Ok(())
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.

@@ -1,6 +1,7 @@
 // Turns the head's raw output into Gaussians.
 //
 // Raw       [gaussians, 11 + 3 * bases] f32: mean 3, scale 3, quaternion 4, opacity 1, SH (basis, RGB)
+// Unit      [1] f32, length in the world's unit that the network takes for 1
 // Means     [gaussians, 3] f32, world (first view's camera)
 // Scales    [gaussians, 3] f32, standard deviations, world
 // Quats     [gaussians, 4] f32, wxyz, unit
@@ -15,11 +16,12 @@
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0) readonly buffer Raw { float raw[]; };
-layout(set = 0, binding = 1) writeonly buffer Means { float means[]; };
-layout(set = 0, binding = 2) writeonly buffer Scales { float scales[]; };
-layout(set = 0, binding = 3) writeonly buffer Quats { float quats[]; };
-layout(set = 0, binding = 4) writeonly buffer Opacities { float opacities[]; };
-layout(set = 0, binding = 5) writeonly buffer ShCoeffs { float sh_coeffs[]; };
+layout(set = 0, binding = 1) readonly buffer Unit { float unit; };
+layout(set = 0, binding = 2) writeonly buffer Means { float means[]; };
+layout(set = 0, binding = 3) writeonly buffer Scales { float scales[]; };
+layout(set = 0, binding = 4) writeonly buffer Quats { float quats[]; };
+layout(set = 0, binding = 5) writeonly buffer Opacities { float opacities[]; };
+layout(set = 0, binding = 6) writeonly buffer ShCoeffs { float sh_coeffs[]; };
 
 layout(push_constant) uniform Push {
     uint count;
@@ -50,8 +52,8 @@ void main() {
     uint at = i * (11 + 3 * bases);
     for (uint c = 0; c < 3; c++) {
         float y = clamp(raw[at + c], -5.0, 5.0);
-        means[3 * i + c] = sign(y) * expm1(abs(y));
-        scales[3 * i + c] = clamp(softplus(raw[at + 3 + c] - 4.0), 1e-6, 15.0);
+        means[3 * i + c] = unit * (sign(y) * expm1(abs(y)));
+        scales[3 * i + c] = unit * clamp(softplus(raw[at + 3 + c] - 4.0), 1e-6, 15.0);
     }
     vec4 q = vec4(raw[at + 6], raw[at + 7], raw[at + 8], raw[at + 9]);
     // Divided by its largest component first, so that squares neither overflow nor vanish.

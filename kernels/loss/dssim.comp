@@ -1,8 +1,8 @@
 // Finds 1 - SSIM at every pixel and its derivatives by the filtered pictures.
 //
 // moments [C, height, width, 3, 4] as loss/moments writes them. partials [C, height, width, 3, 3]: half the derivatives of
-// `weight` (1 - SSIM) by the means of a - MIDDLE, of its square and that of b, and of (a - b)^2. sums [C, runs, groups]: what each
-// workgroup has of `weight` (1 - SSIM).
+// `weight` (1 - SSIM) by the means of a - MIDDLE, of its square and that of b, and of (a - b)^2. sums
+// [C, runs, groups]: what each workgroup has of `weight` (1 - SSIM).
 // One workgroup (a subgroup) owns RUN rows of one column of one colour an invocation.
 // With means a, b and d = a - b, 1 - SSIM is u + v - uv of u = d^2 / (a^2 + b^2 + C1) and v = var d / (var a + var b + C2),
 // which does not cancel where the pictures are alike.

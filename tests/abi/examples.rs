@@ -40,7 +40,7 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     let images: Vec<_> = photos.iter().map(view).collect();
     let model = Model::load(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
     let done = model.reconstruct(&images, &Request::default(), |_| ControlFlow::Continue(()));
-    done.expect("a scene").scene.means
+    done.expect("a scene").scene().unwrap().means
 }
 
 /// Holds that an example makes Rust's scene and a picture with a checkpoint and with the embedded model, and that it says what

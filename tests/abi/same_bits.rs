@@ -14,7 +14,7 @@ use zipsplat_tests::{compare::assert_same, device::device};
 
 fn rust_scene(photos: &[Image], request: &Request) -> Scene {
     let model = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
-    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).unwrap().scene
+    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap()
 }
 
 fn bits(scene: &Scene) -> Vec<u32> {
@@ -107,7 +107,7 @@ fn options_and_cameras_give_rusts_scene() {
         if posed {
             (options.cameras, options.camera_count) = (c_cameras.as_ptr(), 3);
         }
-        let request = Request { ratio, selection, cameras: posed.then(|| relative.clone()) };
+        let request = Request { ratio, selection, cameras: posed.then(|| relative.clone()), unit: 1.0 };
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
@@ -296,7 +296,8 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
         assert_eq!(info.precision, said, "{asked:?}");
         let arithmetic = Chosen::of(device(), Some(expected)).expect("the device has it").arithmetic;
         let ours = Model::load_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
-        let ours = ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene;
+        let ours =
+            ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
         let theirs = reconstruct(&model, &images, &reconstruct_options());
         assert_same(&format!("{asked:?}"), &bits(&read(&theirs)), &bits(&ours));
     }

@@ -79,11 +79,18 @@ fn a_plan_takes_what_a_run_then_takes() {
         let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply")).json();
         assert_eq!(plan["peak_bytes"], run["peak_bytes"], "{options}");
         let number = |key: &str| plan[key].as_u64().expect("a number");
-        assert_eq!(number("peak_bytes"), number("weight_bytes") + number("arena_bytes"));
+        assert_eq!(number("peak_bytes"), number("weight_bytes") + number("scene_bytes") + number("arena_bytes"));
         let rows = plan["rows"].as_array().expect("a row a tensor");
         let end = |row: &serde_json::Value| row["offset"].as_u64().zip(row["bytes"].as_u64()).map(|(o, b)| o + b);
         assert!(rows.len() > 20 && rows.iter().all(|row| end(row) <= plan["arena_bytes"].as_u64()));
     }
+    // With pictures, from photos to the last of them.
+    let shared = "--weights @/micro.safetensors --size 28x28 --json";
+    let plan = folder.run(&format!("info --plan --views 2 --pictures 90x60 {shared}")).json();
+    let drawing = "--pictures @/out -- --wiggle --frames 4 --size 90x60";
+    let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply {drawing}")).json();
+    assert_eq!(plan["peak_bytes"], run["peak_bytes"]);
+    assert!(plan["separate_bytes"].as_u64() > plan["peak_bytes"].as_u64(), "{plan}");
     let line = "info --plan --views 3 --weights seeded:vitg --ratio auto --poses";
     let (top, all) = (folder.run(line).success(), folder.run(&format!("{line} --all")).success());
     assert!(top.lines().count() < 30 && all.lines().count() > 50 && top.contains("--all shows them"), "{top}");

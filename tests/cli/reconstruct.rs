@@ -1,6 +1,6 @@
 //! `zipsplat reconstruct`.
 
-use crate::{Folder, zipsplat};
+use crate::{Folder, names, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};
 use zipsplat::weights::Checkpoint;
@@ -311,4 +311,41 @@ fn the_embedded_model_is_the_default() {
     assert_eq!(json["tokens"].as_u64(), Some(2 * patches));
     assert!(!read_ply(folder.path("scene.ply")).expect("a scene").is_empty());
     assert_eq!(folder.run("reconstruct @/photos --variant vits -o @/x.ply").code, 2);
+}
+
+#[test]
+fn pictures_are_those_of_the_two_commands_one_after_the_other() {
+    let folder = Folder::new();
+    let paths =
+        ["--orbit --frames 3 --size 60x40 --depth --alpha", "--dolly --frames 2 --size 40x40 --background white"];
+    for (i, path) in paths.into_iter().enumerate() {
+        let made = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -q -o @/s.ply";
+        folder.run(&format!("{made} --pictures @/at-once-{i} -- {path}")).success();
+        folder.run(&format!("render @/s.ply {path} -q -o @/after-{i}")).success();
+        let found = names(&folder.path(&format!("at-once-{i}")));
+        assert_eq!(found, names(&folder.path(&format!("after-{i}"))));
+        assert!(found.len() > 2);
+        for name in &found {
+            let read = |at: &str| image::open(folder.path(&format!("{at}-{i}")).join(name)).unwrap().into_rgb16();
+            let (ours, theirs) = (read("at-once"), read("after"));
+            // A PLY keeps logarithms of scales and of odds, whose rounding may move a value over the edge to the next level.
+            let most = ours.as_raw().iter().zip(theirs.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(most <= Some(257), "{name:?}: {most:?}");
+        }
+    }
+}
+
+#[test]
+fn options_of_pictures_are_checked_before_any_work() {
+    let folder = Folder::new();
+    let line = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/s.ply";
+    for (drawing, words) in [
+        ("--pictures @/out -- --nonesuch", &["zipsplat render", "--nonesuch"][..]),
+        ("--pictures @/out -- --orbit --wiggle", &["zipsplat render", "--wiggle"]),
+        ("--pictures @/micro.safetensors/out -- --orbit", &["micro.safetensors"]),
+    ] {
+        folder.run(&format!("{line} {drawing}")).fails(3, words);
+    }
+    assert!(!folder.path("s.ply").exists());
+    assert_eq!(folder.run(&format!("{line} -- --orbit")).code, 2);
 }

@@ -31,7 +31,7 @@ fn model_with(device: &Device, arithmetic: Arithmetic) -> Model {
 
 fn reconstruct(model: &Model, views: u32, ratio: f64) -> Scene {
     let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
-    model.reconstruct(&images(views), &request, |_| ControlFlow::Continue(())).unwrap().scene
+    model.reconstruct(&images(views), &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap()
 }
 
 fn bits(scene: &Scene) -> Vec<u32> {
@@ -113,7 +113,7 @@ fn observing_changes_no_bit() {
         model.write_inputs(&mut run, &tensors, shape, &images(2), &request).unwrap();
         run.execute().unwrap();
         assert_eq!(run.observed().is_empty(), !observe);
-        tensors.read(&run, model.architecture().sh_degree as u32).unwrap()
+        tensors.read(&run).unwrap()
     };
     assert_same("observed", &bits(&run(true)), &bits(&run(false)));
 }

@@ -20,6 +20,7 @@ mod cluster {
 }
 mod gaussians {
     mod activate;
+    mod activate_backward;
 }
 mod loss {
     mod gradient;
@@ -33,6 +34,7 @@ mod ops {
     mod add;
     mod attention;
     mod gather_rows;
+    mod gelu;
     mod layer_norm;
     mod linear;
     mod place_columns;

@@ -67,7 +67,7 @@ fn model() -> &'static Model {
 }
 
 fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {
-    model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene
+    model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene().unwrap()
 }
 
 /// splitmix64: the same numbers for the same seed.

@@ -23,15 +23,17 @@ fn a_plan_runs_in_its_peak_and_is_refused_below() {
     let load = |device: &Device| Model::load(device, &micro(), |_| ControlFlow::Continue(()));
     // Also where bytes pass through memory of the host, which is not the device's.
     for staged in [false, true] {
-        let model = load(&open(u64::MAX, staged)).unwrap();
-        let (plan, _) = model.record(model.shape(&images, &request).unwrap(), false).unwrap();
-        let (arena, weights) = (plan.arena_bytes(), model.weight_bytes());
+        let device = open(u64::MAX, staged);
+        let model = load(&device).unwrap();
+        let planned = model.plan(model.shape(&images, &request).unwrap()).unwrap();
+        let (arena, weights, scene) = (planned.plan.arena_bytes(), model.weight_bytes(), planned.layout.bytes());
         let exact = model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap();
-        assert_eq!(exact.peak_bytes, arena + weights);
+        assert_eq!(exact.peak_bytes, arena + weights + scene);
+        assert_eq!(exact.peak_bytes, device.allocated_bytes());
 
         let model = load(&open(exact.peak_bytes, staged)).unwrap();
         let again = model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap();
-        assert!(again.scene == exact.scene, "another scene in no more memory than it takes");
+        assert!(again.scene().unwrap() == exact.scene().unwrap(), "another scene in no more memory than it takes");
 
         let model = load(&open(exact.peak_bytes - 1, staged)).unwrap();
         let begun = |_: zipsplat::gpu::Progress<'_>| panic!("something was submitted");

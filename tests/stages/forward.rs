@@ -69,15 +69,20 @@ fn check(file: &str, arithmetic: Arithmetic) {
     for (ratio, prefix) in golden.compressions() {
         let key = |name: &str| format!("{prefix}/{name}");
         let given = golden.i64(&key("nearest_idx")).iter().map(|i| *i as u32).collect();
-        let request =
-            Request { ratio: Ratio::Fixed(ratio), selection: Selection::Given(given), cameras: cameras.clone() };
+        let request = Request {
+            ratio: Ratio::Fixed(ratio),
+            selection: Selection::Given(given),
+            cameras: cameras.clone(),
+            unit: 1.0,
+        };
         let (taps, _) = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
         for (name, key) in names.filter(|(_, key)| stored(key)) {
             assert_tap_within(&golden, &key, &taps[name], tap_tolerance(arithmetic, &key));
             compared += 1;
         }
-        let scene = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene;
+        let scene =
+            model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene().unwrap();
         check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
         // A deviation of 16 bits is larger than the margin by which many tokens are nearest.
         if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
@@ -196,7 +201,7 @@ fn embedded() {
             let key = |part: &str| format!("{case}/{name}/{part}");
             let nearest = |key| Selection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
             let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
-            let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone() };
+            let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone(), unit: 1.0 };
             let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
             let tolerance = |field: &str| {
                 let table = Tolerance::of_field(field);
@@ -204,7 +209,7 @@ fn embedded() {
                 Tolerance { max: table.max.max(3.0 * in_f32), ..table }
             };
             let (name, width) = (key("gauss"), model.architecture().gaussian_width());
-            assert_gaussians_within(&name, &packed(&found.scene), &golden.f32(&name), width, tolerance);
+            assert_gaussians_within(&name, &packed(&found.scene().unwrap()), &golden.f32(&name), width, tolerance);
         }
     }
 }

@@ -1,8 +1,10 @@
 //! Stages against goldens, and the references themselves.
 
+mod arena;
 mod cameras;
 mod flops;
 mod forward;
+mod gradients;
 mod images;
 mod poses;
 mod references;

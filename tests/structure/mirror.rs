@@ -6,7 +6,7 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 14] = [
+const STEPS: [(&str, &str); 18] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("loss/dssim", "loss/gradient"),
@@ -20,6 +20,10 @@ const STEPS: [(&str, &str); 14] = [
     ("ops/key_starts", "ops/sort"),
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
+    ("render/cameras_backward", "render/backward"),
+    ("render/colour_backward", "render/backward"),
+    ("render/project_backward", "render/backward"),
+    ("render/rasterise_backward", "render/backward"),
     ("render/tile_counts", "render/intersect"),
 ];
 

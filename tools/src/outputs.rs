@@ -46,6 +46,11 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
+    /// Whether files of others are replaced.
+    pub fn is_given(self) -> bool {
+        self.overwrite
+    }
+
     /// Checks that a file can be written at `path`, before anything is computed for it, and that it replaces none of others.
     pub fn check_file(self, path: &Path) -> Result<()> {
         check_file(path)?;

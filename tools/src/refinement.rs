@@ -7,7 +7,8 @@ use std::{ops::ControlFlow, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::Device,
-    refine::{Refine, Refined, Refining, Stopped, join, refine_scene, scene_of_points},
+    reconstruct::SceneTokens,
+    refine::{FrozenHead, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points},
     types::{Camera, Image, PointCloud, Pose, Scene},
 };
 
@@ -50,15 +51,46 @@ impl Start {
 
 /// Steps, and what is moved in them, as `--refine` has them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Steps(pub usize);
+pub struct Steps {
+    pub count: usize,
+    /// Whether the scene's tokens are moved, through the network's head, and not its Gaussians.
+    pub tokens: bool,
+}
+
+impl Steps {
+    /// Refuses what tokens cannot start from.
+    ///
+    /// # Errors
+    /// [`Error::Argument`].
+    pub fn check(self, start: Start) -> Result<()> {
+        match self.tokens && start != Start::Scene {
+            true => {
+                Err(Error::argument("--start", "points, which have no tokens", "--start scene with --refine N:tokens"))
+            }
+            false => Ok(()),
+        }
+    }
+}
 
 impl FromStr for Steps {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let number = text.strip_suffix(":gaussians").unwrap_or(text);
-        number.parse().map(Self).map_err(|_| "expected a number of steps, such as 50 or 50:gaussians".into())
+        let (number, moved) = text.split_once(':').unwrap_or((text, "gaussians"));
+        let tokens = match moved {
+            "tokens" => Some(true),
+            "gaussians" => Some(false),
+            _ => None,
+        };
+        let steps = number.parse().ok().zip(tokens).map(|(count, tokens)| Self { count, tokens });
+        steps.ok_or_else(|| "expected a number of steps, such as 100, 100:gaussians or 100:tokens".into())
     }
+}
+
+/// What is refined.
+pub enum Refinable<'a> {
+    Scene(&'a Device, &'a Scene),
+    Tokens(&'a FrozenHead, &'a SceneTokens),
 }
 
 /// A cloud as seen from another world: a point x comes to stand at `pose(x) / unit`.
@@ -75,8 +107,7 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
 /// As [`refine_scene`], and [`Error::Cancelled`] where it should stop before the first step.
 pub fn refine(
     session: &Session<'_>,
-    device: &Device,
-    scene: &Scene,
+    from: Refinable<'_>,
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
@@ -87,7 +118,10 @@ pub fn refine(
             stage.name(&told(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
-        refined = Some(refine_scene(device, scene, photos, cameras, request, progress)?);
+        refined = Some(match from {
+            Refinable::Scene(device, scene) => refine_scene(device, scene, photos, cameras, request, progress)?,
+            Refinable::Tokens(head, tokens) => refine_tokens(head, tokens, photos, cameras, request, progress)?,
+        });
         Ok(())
     });
     match (staged, refined) {

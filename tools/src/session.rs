@@ -17,7 +17,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions},
     ops::Arithmetic,
-    reconstruct::{Model, Reconstruction, Request},
+    reconstruct::{Model, Reconstruction, Request, SceneTokens},
     types::Image,
     weights::Checkpoint,
 };
@@ -133,6 +133,20 @@ impl<'a> Session<'a> {
                 stage.at(progress.fraction)
             })
         })
+    }
+
+    /// Reconstructs up to the scene's tokens, with progress.
+    ///
+    /// # Errors
+    /// As [`Model::tokens`].
+    pub fn tokens(&self, model: &Model, images: &[Image], request: &Request) -> Result<SceneTokens> {
+        let (tokens, _) = self.stage("tokens", |stage| {
+            model.tokens(images, request, |progress| {
+                stage.name(progress.scope);
+                stage.at(progress.fraction)
+            })
+        })?;
+        Ok(tokens)
     }
 
     /// Prints a command's result: `value` with `--json`, else `text` unless `--quiet`.

@@ -6,6 +6,7 @@ use super::{
         POINTER, Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_defaults,
         write_versioned,
     },
+    scene::LatestScene,
     status::{Failure, guard, zs_status},
 };
 use crate::{
@@ -17,6 +18,7 @@ use crate::{
 use std::{
     ffi::{CString, c_char, c_void},
     ops::ControlFlow,
+    sync::Mutex,
 };
 
 /// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
@@ -24,6 +26,8 @@ pub struct zs_model {
     pub(super) model: Model,
     /// Side of the pictures it is best with.
     pub(super) picture_side: u32,
+    /// Its latest scene, which stays on the device for renderers.
+    pub(super) latest: LatestScene,
     precision: Precision,
     /// GPUs and kernels that are not used, one a line.
     notes: CString,
@@ -208,7 +212,7 @@ fn embedded() -> Result<Checkpoint, Failure> {
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_model { model, picture_side, precision, notes } = unsafe { borrow(model, "model") }?;
+        let zs_model { model, picture_side, precision, notes, .. } = unsafe { borrow(model, "model") }?;
         let architecture = model.architecture();
         let found = zs_model_info {
             picture_side: *picture_side,
@@ -253,7 +257,13 @@ unsafe fn load(
         // No NUL is in what kernels and devices are called.
         let notes = [context.device.passed_over(), &chosen.notes, checkpoint.notes()].concat();
         let notes = CString::new(notes.join("\n")).unwrap_or_default();
-        Ok(zs_model { model, picture_side: checkpoint.picture_side(), precision: chosen.precision, notes })
+        Ok(zs_model {
+            model,
+            picture_side: checkpoint.picture_side(),
+            latest: Mutex::default(),
+            precision: chosen.precision,
+            notes,
+        })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(out, load) }

@@ -126,7 +126,7 @@ pub unsafe extern "C" fn zs_reconstruct(
 ) -> zs_status {
     let reconstruct = || {
         // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_model { model, picture_side, .. }, options) =
+        let (zs_model { model, picture_side, latest, .. }, options) =
             unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         if !(1..=MAX_VIEWS).contains(&image_count) {
             return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
@@ -151,15 +151,17 @@ pub unsafe extern "C" fn zs_reconstruct(
         let told = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
         // SAFETY: the caller's pixels.
         let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
-        let mut cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
-        cameras.iter_mut().flatten().for_each(|camera| camera.pose.translation /= unit);
+        let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let request = Request { ratio, selection, cameras };
+        let request = Request { ratio, selection, cameras, unit };
         let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
-        let mut scene = model.reconstruct(&images, &request, progress)?.scene;
-        scene.scale(unit as f32);
-        placed.iter().for_each(|pose| scene.place(1.0, pose));
-        Ok(zs_scene { scene })
+        // Gives its memory back before the next one needs some.
+        *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
+        let gaussians = model.reconstruct(&images, &request, progress)?.gaussians;
+        let mut scene = gaussians.read()?;
+        let Some(pose) = placed else { return Ok(zs_scene::on_device(scene, latest, gaussians)) };
+        scene.place(1.0, &pose);
+        Ok(scene.into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, reconstruct) }

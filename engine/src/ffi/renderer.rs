@@ -123,7 +123,7 @@ pub unsafe extern "C" fn zs_renderer_create(
         // SAFETY: objects or NULL.
         let (context, scene) = unsafe { (borrow(context, "context")?, borrow(scene, "scene")?) };
         let mut renderer = Renderer::new(&context.device);
-        renderer.load(&scene.scene)?;
+        scene.load(&mut renderer)?;
         Ok(zs_renderer { adopted: context.adopted, renderer: Mutex::new(renderer) })
     };
     // SAFETY: the caller's pointer.
@@ -137,7 +137,7 @@ pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, sce
     guard(|| {
         // SAFETY: objects or NULL.
         let (renderer, scene) = unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?) };
-        Ok(renderer.lock().load(&scene.scene)?)
+        Ok(scene.load(&mut renderer.lock())?)
     })
 }
 

@@ -11,12 +11,48 @@ use crate::types::{
     Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene,
     read_scene_unchecked, write_scene,
 };
-use std::ffi::{c_char, c_void};
+use crate::{
+    Error,
+    stages::render::{DeviceScene, Renderer, WeakScene},
+};
+use std::{
+    ffi::{c_char, c_void},
+    sync::Mutex,
+};
 
 /// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
 /// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
 pub struct zs_scene {
     pub(super) scene: Scene,
+    /// The same Gaussians on a device, for as long as the model that made them keeps them there.
+    on_device: Option<WeakScene>,
+}
+
+/// What keeps a model's latest scene on its device.
+pub(super) type LatestScene = Mutex<Option<DeviceScene>>;
+
+impl zs_scene {
+    /// A scene that a model just made, in place of the one that it made before.
+    pub(super) fn on_device(scene: Scene, latest: &LatestScene, gaussians: DeviceScene) -> Self {
+        let on_device = Some(gaussians.downgrade());
+        *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gaussians);
+        Self { scene, on_device }
+    }
+
+    /// Lets a renderer draw it: from the device's own Gaussians where they still are there.
+    pub(super) fn load(&self, renderer: &mut Renderer) -> Result<(), Error> {
+        let shown = self.on_device.as_ref().and_then(WeakScene::upgrade).map(|gaussians| renderer.show(&gaussians));
+        match shown {
+            Some(Ok(())) => Ok(()),
+            _ => renderer.load(&self.scene),
+        }
+    }
+}
+
+impl From<Scene> for zs_scene {
+    fn from(scene: Scene) -> Self {
+        Self { scene, on_device: None }
+    }
 }
 
 /// Bytes of the library's, such as a scene's file in memory. They never change.
@@ -135,7 +171,7 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
             }
         };
         scene.validate()?;
-        Ok(zs_scene { scene })
+        Ok(scene.into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, create) }
@@ -149,7 +185,7 @@ const MAX_GAUSSIANS: usize = 1 << 28;
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
-    let open = || Ok(zs_scene { scene: read_scene(unsafe { text(path, "path") }?)? });
+    let open = || Ok(read_scene(unsafe { text(path, "path") }?)?.into());
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, open) }
 }
@@ -170,7 +206,7 @@ pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
             // SAFETY: not NULL, and the caller's to write.
             unsafe { dropped.write(count) };
         }
-        Ok(zs_scene { scene })
+        Ok(scene.into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, open) }
@@ -194,13 +230,13 @@ pub unsafe extern "C" fn zs_scene_from_memory(
             unsafe { (array(data.cast::<u8>(), size, "bytes of a scene")?, optional_text(format, "format")?) };
         let format = format.map(format_named).transpose()?;
         if dropped.is_null() {
-            return Ok(zs_scene { scene: decode_scene(bytes, format)? });
+            return Ok(decode_scene(bytes, format)?.into());
         }
         let mut scene = decode_scene_unchecked(bytes, format)?;
         let count = scene.drop_invalid()? as u64;
         // SAFETY: not NULL, and the caller's to write.
         unsafe { dropped.write(count) };
-        Ok(zs_scene { scene })
+        Ok(scene.into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, decode) }

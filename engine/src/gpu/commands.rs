@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{Error, Result};
 use ash::vk;
+use std::sync::Arc;
 
 /// Access of everything that a plan does on the device.
 const WRITES: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
@@ -49,7 +50,7 @@ pub(super) struct Bound<'a> {
     pub shared: &'a Shared,
     pub plan: &'a Plan,
     pub arena: &'a Memory,
-    pub resident: Option<&'a Resident>,
+    pub residents: &'a [Arc<Resident>],
 }
 
 impl Bound<'_> {
@@ -59,9 +60,9 @@ impl Bound<'_> {
                 let place = self.plan.placements[id as usize];
                 (self.arena.buffer(place.block), place.offset)
             }
-            Home::Resident(block) => {
-                let memory = self.resident.expect("a plan that uses weights runs with them");
-                (memory.0.buffer(block), 0)
+            Home::Resident { layout, block } => {
+                let resident = self.residents.iter().find(|resident| resident.layout == layout);
+                (resident.expect("a plan runs with the memory that it uses").memory.buffer(block), 0)
             }
         };
         // Vulkan knows no empty ranges; every allocation has room for these 16 bytes.

@@ -14,7 +14,7 @@ use std::{
     collections::HashMap,
     sync::{
         Arc, Mutex, MutexGuard,
-        atomic::{AtomicBool, AtomicU64},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
 };
 
@@ -130,6 +130,19 @@ impl Device {
     /// GPUs that matched and cannot be used, and why, where a CPU was taken for them.
     pub fn passed_over(&self) -> &[String] {
         &self.0.passed_over
+    }
+
+    /// Bytes of the device's memory that are in use: arenas, weights, scenes.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.0.allocated.load(Ordering::Relaxed)
+    }
+
+    /// Fails where the device was lost before.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`].
+    pub fn check_lost(&self) -> Result<()> {
+        self.0.check_lost()
     }
 
     /// What the device is and can do.

@@ -10,11 +10,23 @@ impl Run {
     /// # Errors
     /// [`crate::Error::Memory`] where the host has no room for them.
     pub fn in_flight(mut self) -> Result<Self> {
-        if !self.arena.is_seen_by_host() {
-            let buffers = [self.command_buffer()?, self.command_buffer()?];
-            self.twins = Some(Twins::new(&self.device, &self.plan, &self.arena, buffers)?);
-        }
+        self.flies = true;
+        self.make_twins()?;
         Ok(self)
+    }
+
+    /// Twins for the memory that the lane has now.
+    pub(super) fn make_twins(&mut self) -> Result<()> {
+        let arena = self.lane.memory();
+        if let Some(twins) = self.twins.take() {
+            // SAFETY: the lane is settled, so neither is under way.
+            unsafe { self.device.0.raw.free_command_buffers(self.pool, &[twins.upload, twins.download]) };
+        }
+        if self.flies && !arena.is_seen_by_host() {
+            let buffers = [self.command_buffer()?, self.command_buffer()?];
+            self.twins = Some(Twins::new(&self.device, &self.plan, &arena, buffers)?);
+        }
+        Ok(())
     }
 
     /// Submits the whole plan and returns at once. What comes next waits for it: [`Run::finish`], a write, another run.
@@ -22,8 +34,7 @@ impl Run {
     /// # Errors
     /// As [`Run::execute`].
     pub fn start(&mut self) -> Result<()> {
-        self.settle()?;
-        self.check_inputs()?;
+        self.begin()?;
         self.encode_all()?;
         self.under_way = true;
         let upload = self.twins.as_ref().map(|twins| twins.upload);
@@ -48,7 +59,7 @@ impl Run {
     /// reads.
     pub(super) fn settle(&mut self) -> Result<()> {
         if self.under_way || self.presenting.is_some() {
-            self.wait(self.signalled)?;
+            self.lane.wait(self.signalled)?;
         }
         if self.under_way {
             self.under_way = false;

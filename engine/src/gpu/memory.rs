@@ -2,8 +2,8 @@
 
 use super::{
     Device, Tensor,
-    arena::ALIGNMENT,
     device::{Shared, lock},
+    layout::ALIGNMENT,
     plan::Home,
 };
 use crate::{Error, Result};
@@ -13,7 +13,10 @@ use gpu_allocator::{
     MemoryLocation,
     vulkan::{Allocation, AllocationCreateDesc, AllocationScheme},
 };
-use std::sync::{Arc, Mutex, atomic::Ordering};
+use std::sync::{
+    Arc, Mutex,
+    atomic::{AtomicU64, Ordering},
+};
 
 /// Bytes that go through host-visible memory at a time where the device's own is not.
 const STAGING_BYTES: u64 = 16 << 20;
@@ -60,6 +63,11 @@ impl Memory {
             memory.blocks.push(block);
         }
         Ok(memory)
+    }
+
+    /// Bytes of all blocks.
+    pub fn bytes(&self) -> u64 {
+        self.blocks.iter().map(|block| block.bytes).sum()
     }
 
     /// Whether reading and writing go without copies on the device.
@@ -203,9 +211,11 @@ fn unmapped() -> Error {
     Error::Driver { call: "vkMapMemory", result: "staging memory is not host visible".into() }
 }
 
-/// Sizes of tensors that stay on the device: weights. Packed one after the other.
+/// Sizes of tensors that stay on the device: weights, scenes. Packed one after the other.
 #[derive(Debug)]
 pub struct ResidentLayout {
+    /// Tells the tensors of one layout from those of others.
+    id: u64,
     blocks: Vec<u64>,
     block_bytes: u64,
 }
@@ -213,7 +223,9 @@ pub struct ResidentLayout {
 impl ResidentLayout {
     /// An empty layout for devices of these limits.
     pub fn new(limits: &super::Limits) -> Self {
-        Self { blocks: Vec::new(), block_bytes: limits.max_block_bytes }
+        static LAYOUTS: AtomicU64 = AtomicU64::new(0);
+        let id = LAYOUTS.fetch_add(1, Ordering::Relaxed);
+        Self { id, blocks: Vec::new(), block_bytes: limits.max_block_bytes }
     }
 
     /// Adds a tensor of `len` elements.
@@ -226,7 +238,7 @@ impl ResidentLayout {
         let block = self.blocks.len() - 1;
         let offset = self.blocks[block];
         self.blocks[block] += padded;
-        Tensor { home: Home::Resident(block as u32), offset, bytes }
+        Tensor { home: Home::Resident { layout: self.id, block: block as u32 }, offset, bytes }
     }
 
     /// Bytes of all tensors.
@@ -235,8 +247,11 @@ impl ResidentLayout {
     }
 }
 
-/// Device memory that outlives runs.
-pub struct Resident(pub(super) Memory);
+/// Device memory that outlives runs: the tensors of one layout.
+pub struct Resident {
+    pub(super) memory: Memory,
+    pub(super) layout: u64,
+}
 
 impl Resident {
     /// Allocates a layout.
@@ -244,7 +259,8 @@ impl Resident {
     /// # Errors
     /// [`Error::Memory`] where the device has too little.
     pub fn new(device: &Device, layout: &ResidentLayout) -> Result<Self> {
-        Memory::new(device, "resident memory", &layout.blocks).map(Self)
+        let memory = Memory::new(device, "resident memory", &layout.blocks)?;
+        Ok(Self { memory, layout: layout.id })
     }
 
     /// Writes a tensor of this memory from its start.
@@ -252,9 +268,35 @@ impl Resident {
     /// # Errors
     /// Where the transfer fails.
     pub fn write<T: Pod>(&self, tensor: Tensor, data: &[T]) -> Result<()> {
-        let Home::Resident(block) = tensor.home else { panic!("not a resident tensor") };
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
-        self.0.write(block, tensor.offset, bytes)
+        self.memory.write(self.block(tensor), tensor.offset, bytes)
+    }
+
+    /// Reads a tensor of this memory, once every run that writes it is done.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
+        let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
+        self.memory.read(self.block(tensor), tensor.offset, bytemuck::cast_slice_mut(&mut data))?;
+        Ok(data)
+    }
+
+    /// Bytes of all tensors.
+    pub fn bytes(&self) -> u64 {
+        self.memory.bytes()
+    }
+
+    /// The device that the memory is on.
+    pub(crate) fn is_on(&self, device: &Device) -> bool {
+        Arc::ptr_eq(&self.memory.shared, &device.0)
+    }
+
+    fn block(&self, tensor: Tensor) -> u32 {
+        match tensor.home {
+            Home::Resident { layout, block } if layout == self.layout => block,
+            _ => panic!("a tensor of another memory"),
+        }
     }
 }

@@ -13,6 +13,7 @@ mod device;
 mod flight;
 mod instance;
 mod kernel;
+mod layout;
 mod limits;
 mod lost;
 mod memory;
@@ -26,6 +27,7 @@ mod schedule;
 mod twins;
 
 pub use adopt::{Adopted, QueueLock, Requirement, fast_requirements, requirements};
+pub use arena::{Arena, Claim};
 pub use device::{Device, DeviceOptions};
 pub use instance::{DeviceInfo, list_devices};
 pub use kernel::{Binding, Element, Kernel, LocalSize, Module, Needs};

@@ -1,6 +1,6 @@
 //! A recorded plan: commands, and where every tensor lies.
 
-use super::{Element, Module, arena::Placement};
+use super::{Element, Module, layout::Placement};
 
 /// A range of device memory that kernels see as one array. Copy it freely; it owns nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,8 +15,8 @@ pub struct Tensor {
 pub(super) enum Home {
     /// Allocation number of the plan; its place is known once the plan is finished.
     Arena(u32),
-    /// Block number of the resident memory (weights).
-    Resident(u32),
+    /// A block of the resident memory of this layout.
+    Resident { layout: u64, block: u32 },
 }
 
 impl Tensor {
@@ -27,7 +27,7 @@ impl Tensor {
     pub fn slice<T>(&self, first: usize, len: usize) -> Tensor {
         let size = size_of::<T>() as u64;
         let (from, bytes) = (first as u64 * size, len as u64 * size);
-        assert!(from.is_multiple_of(super::arena::ALIGNMENT), "slice at byte {from} is not on a 256-byte boundary");
+        assert!(from.is_multiple_of(super::layout::ALIGNMENT), "slice at byte {from} is not on a 256-byte boundary");
         assert!(from + bytes <= self.bytes, "slice {from}+{bytes} of {} bytes", self.bytes);
         Tensor { offset: self.offset + from, bytes, ..*self }
     }
@@ -129,6 +129,11 @@ pub struct ArenaRow {
 }
 
 impl Plan {
+    /// Bytes of each block of the arena.
+    pub fn block_bytes(&self) -> &[u64] {
+        &self.blocks
+    }
+
     /// Bytes of the arena: the most that is alive at once, as laid out.
     pub fn arena_bytes(&self) -> u64 {
         self.blocks.iter().sum()

@@ -83,11 +83,10 @@ impl Run {
     /// As [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) where the device has no timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
         self.device.limits().check_timestamps()?;
-        self.settle()?;
-        self.check_inputs()?;
+        self.begin()?;
         if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {
             let value = self.submit(upload)?;
-            self.wait(value)?;
+            self.lane.wait(value)?;
         }
         let raw = self.device.0.raw.clone();
         let count = 2 * MAX_PIECES as u32;
@@ -112,9 +111,9 @@ impl Run {
         while cursor.command < self.plan.commands.len() {
             let (pieces, _) = cursor.next_pieces(&self.plan, self.budget(cursor.command));
             self.record(commands, &pieces, Some((queries, count)))?;
-            let value = self.timeline_value()? + 1;
+            let value = self.lane.next_value()?;
             self.submit_as(commands, value)?;
-            self.wait(value)?;
+            self.lane.wait(value)?;
             let mut stamps = vec![0u64; 2 * pieces.len()];
             // SAFETY: the submission that wrote these queries is done.
             unsafe { raw.get_query_pool_results(queries, 0, &mut stamps, vk::QueryResultFlags::TYPE_64) }

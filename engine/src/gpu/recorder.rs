@@ -2,7 +2,7 @@
 
 use super::{
     Element, Kernel, Limits, Needs, Plan, Tensor,
-    arena::{self, Lifetime},
+    layout::{self, Lifetime},
     plan::{Allocation, Command, Dispatch, Groups, Home, Operation, Role},
 };
 use crate::{Error, Result, kernels::limits::GROUP_FOLD};
@@ -168,7 +168,7 @@ impl Recorder {
         }
         let lifetimes = self.lifetimes();
         let (placements, blocks) =
-            arena::place(&lifetimes, self.limits.max_block_bytes).map_err(|i| Error::Memory {
+            layout::place(&lifetimes, self.limits.max_block_bytes).map_err(|i| Error::Memory {
                 what: format!("tensor {}", self.allocations[i].name),
                 needed: lifetimes[i].bytes,
                 available: self.limits.max_block_bytes,

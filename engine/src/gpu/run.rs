@@ -7,6 +7,7 @@ pub use present::{ImagePlace, Point, Target};
 
 use super::{
     Device, Plan, Resident, Tensor,
+    arena::{Arena, Lane},
     commands::{Bound, Encoder, driver},
     descriptors::Descriptors,
     device::lock,
@@ -21,10 +22,15 @@ use bytemuck::Pod;
 use std::{
     collections::VecDeque,
     ops::ControlFlow,
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
     time::{Duration, Instant},
 };
 
+/// The generation of no memory: what was encoded has to be encoded again.
+const STALE: u64 = u64::MAX;
 /// Submissions under way at once.
 const IN_FLIGHT: usize = 2;
 
@@ -41,12 +47,18 @@ pub struct Progress<'a> {
 pub struct Run {
     pub(super) device: Device,
     pub(super) plan: Plan,
-    pub(super) arena: Memory,
+    /// Tells runs of one lane apart.
+    id: u64,
+    pub(super) lane: Arc<Lane>,
+    /// The lane's memory that descriptors and batches are made for.
+    generation: u64,
     pub(super) twins: Option<Twins>,
-    resident: Option<Arc<Resident>>,
+    /// Whether it was prepared for [`Run::start`].
+    pub(super) flies: bool,
+    residents: Vec<Arc<Resident>>,
     descriptors: Descriptors,
     pub(super) pool: vk::CommandPool,
-    timeline: vk::Semaphore,
+    /// The lane's timeline behind what this run submitted.
     pub(super) signalled: u64,
     pub(super) batches: Vec<Batch>,
     /// Inputs that were written since the last execution.
@@ -94,52 +106,116 @@ impl Run {
     /// # Errors
     /// [`Error::Memory`] where the device has too little, or a driver's failure; nothing was submitted then.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
-        Self::with_resident(device, plan, None)
+        Self::with_resident(device, plan, [])
     }
 
-    /// As [`Run::new`], for a plan that uses resident tensors.
+    /// As [`Run::new`], for a plan that uses tensors of these memories.
     ///
     /// # Errors
     /// As [`Run::new`].
-    pub fn with_resident(device: &Device, mut plan: Plan, resident: Option<Arc<Resident>>) -> Result<Self> {
+    pub fn with_resident(
+        device: &Device,
+        plan: Plan,
+        residents: impl IntoIterator<Item = Arc<Resident>>,
+    ) -> Result<Self> {
+        Self::in_lane(device, Lane::new(device)?, plan, residents.into_iter().collect())
+    }
+
+    /// As [`Run::with_resident`], in a lane of an arena that others use, too. What the host writes, and results that it wants,
+    /// have to be written and read without another run of the lane between.
+    ///
+    /// # Errors
+    /// As [`Run::new`].
+    ///
+    /// # Panics
+    /// Where the plan has constants, which others would overwrite.
+    pub fn in_arena(
+        arena: &Arena,
+        lane: usize,
+        plan: Plan,
+        residents: impl IntoIterator<Item = Arc<Resident>>,
+    ) -> Result<Self> {
+        assert!(plan.allocations.iter().all(|a| a.role != Role::Constant), "a constant in shared memory");
+        Self::in_lane(arena.device(), arena.lane(lane)?, plan, residents.into_iter().collect())
+    }
+
+    fn in_lane(device: &Device, lane: Arc<Lane>, mut plan: Plan, residents: Vec<Arc<Resident>>) -> Result<Self> {
         if device.0.instance.debug.is_some() {
             plan.poison();
         }
-        let arena = Memory::new(device, "arena", &plan.blocks)?;
-        let bound = Bound { shared: &device.0, plan: &plan, arena: &arena, resident: resident.as_deref() };
+        let generation = lane.reserve(&plan.blocks)?;
+        let arena = lane.memory();
+        let bound = Bound { shared: &device.0, plan: &plan, arena: &arena, residents: &residents };
         let descriptors = Descriptors::new(device, &bound)?;
         let raw = &device.0.raw;
         let pool_info = vk::CommandPoolCreateInfo::default()
             .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER)
             .queue_family_index(device.0.family);
-        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-        let semaphore_info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-        // SAFETY: valid create infos; destroyed in `drop`.
-        let timeline =
-            unsafe { raw.create_semaphore(&semaphore_info, None) }.map_err(|e| driver("vkCreateSemaphore", e))?;
-        // SAFETY: as above; the semaphore is not in use yet.
-        let pool = unsafe {
-            raw.create_command_pool(&pool_info, None).map_err(|e| {
-                raw.destroy_semaphore(timeline, None);
-                driver("vkCreateCommandPool", e)
-            })
-        }?;
+        // SAFETY: a valid create info; destroyed in `drop`.
+        let pool =
+            unsafe { raw.create_command_pool(&pool_info, None) }.map_err(|e| driver("vkCreateCommandPool", e))?;
+        static RUNS: AtomicU64 = AtomicU64::new(1);
         let written = vec![false; plan.allocations.len()];
         Ok(Self {
             device: device.clone(),
             plan,
-            arena,
+            id: RUNS.fetch_add(1, Ordering::Relaxed),
+            lane,
+            generation,
             twins: None,
-            resident,
+            flies: false,
+            residents,
             descriptors,
             pool,
-            timeline,
             signalled: 0,
             batches: Vec::new(),
             written,
             under_way: false,
             presenting: None,
         })
+    }
+
+    /// Runs from now on with another memory of the same layout.
+    ///
+    /// # Panics
+    /// Where the run has no memory of that layout.
+    pub fn replace_resident(&mut self, resident: Arc<Resident>) {
+        let own = self.residents.iter_mut().find(|own| own.layout == resident.layout).expect("a memory of that layout");
+        if !Arc::ptr_eq(own, &resident) {
+            *own = resident;
+            self.generation = STALE;
+        }
+    }
+
+    /// Makes the lane ready for this run: room for its arena, nothing under way, no bytes of others.
+    fn bind(&mut self) -> Result<()> {
+        self.settle()?;
+        let generation = self.lane.reserve(&self.plan.blocks)?;
+        if generation != self.generation {
+            self.generation = STALE;
+            self.rebind()?;
+            self.generation = generation;
+        }
+        if !self.lane.used_by(self.id) {
+            self.forget_inputs();
+        }
+        Ok(())
+    }
+
+    /// Descriptors, and later commands, for the memory that there is now.
+    fn rebind(&mut self) -> Result<()> {
+        self.settle()?;
+        self.discard_batches();
+        let arena = self.lane.memory();
+        self.descriptors = Descriptors::new(&self.device, &self.bound(&arena))?;
+        drop(arena);
+        self.make_twins()
+    }
+
+    /// What comes before every submission of the plan.
+    pub(super) fn begin(&mut self) -> Result<()> {
+        self.bind()?;
+        self.check_inputs()
     }
 
     /// The plan that runs.
@@ -157,14 +233,14 @@ impl Run {
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
-        self.settle()?;
+        self.bind()?;
         let id = arena_id(tensor);
         self.written[id] = true;
         if self.twins.as_ref().map_or(Ok(false), |twins| twins.write(id, tensor.offset, bytes))? {
             return Ok(());
         }
         let place = self.plan.placements[id];
-        self.arena.write(place.block, place.offset + tensor.offset, bytes)
+        self.lane.memory().write(place.block, place.offset + tensor.offset, bytes)
     }
 
     /// Reads a tensor that was recorded as an output.
@@ -178,11 +254,12 @@ impl Run {
         let id = arena_id(tensor);
         assert!(!self.under_way, "read before finish");
         assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
+        assert!(self.lane.holds(self.id), "read after another run of the lane");
         let place = self.plan.placements[id];
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         let bytes = bytemuck::cast_slice_mut(&mut data);
         if !self.twins.as_ref().map_or(Ok(false), |twins| twins.read(id, tensor.offset, bytes))? {
-            self.arena.read(place.block, place.offset + tensor.offset, bytes)?;
+            self.lane.memory().read(place.block, place.offset + tensor.offset, bytes)?;
         }
         Ok(data)
     }
@@ -205,13 +282,12 @@ impl Run {
     /// # Errors
     /// As [`Run::execute`], and [`Error::Cancelled`].
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
-        self.settle()?;
-        self.check_inputs()?;
+        self.begin()?;
         // Also for whoever unwinds out of `progress`.
         self.under_way = true;
         let result = self.submit_all(&mut progress);
         // Whatever is under way ends before anything it uses may change.
-        let idle = self.wait(self.signalled);
+        let idle = self.lane.wait(self.signalled);
         self.under_way = false;
         self.forget_inputs();
         if result.is_err() {
@@ -261,8 +337,8 @@ impl Run {
     /// Waits for the oldest submission and books its time.
     fn finish_one(&self, under_way: &mut VecDeque<(u64, usize, Instant)>, clock: &mut Clock) -> Result<()> {
         let Some((value, index, submitted)) = under_way.pop_front() else { return Ok(()) };
-        let late = self.timeline_value()? >= value;
-        self.wait(value)?;
+        let late = self.lane.value()? >= value;
+        self.lane.wait(value)?;
         let (took, batch) = (clock.last.elapsed(), &self.batches[index]);
         self.learn(batch, submitted.max(clock.last).elapsed(), late);
         clock.last = Instant::now();
@@ -286,7 +362,7 @@ impl Run {
         Ok(())
     }
 
-    pub(super) fn check_inputs(&self) -> Result<()> {
+    fn check_inputs(&self) -> Result<()> {
         for (allocation, written) in self.plan.allocations.iter().zip(&self.written) {
             if allocation.role != Role::Scratch && !written && allocation.bytes > 0 {
                 return Err(Error::argument(format!("input {}", allocation.name), "nothing", "a write before the run"));
@@ -302,8 +378,8 @@ impl Run {
         }
     }
 
-    fn bound(&self) -> Bound<'_> {
-        Bound { shared: &self.device.0, plan: &self.plan, arena: &self.arena, resident: self.resident.as_deref() }
+    fn bound<'a>(&'a self, arena: &'a Memory) -> Bound<'a> {
+        Bound { shared: &self.device.0, plan: &self.plan, arena, residents: &self.residents }
     }
 
     fn encode(&self, cursor: &mut Cursor) -> Result<Batch> {
@@ -326,7 +402,8 @@ impl Run {
         pieces: &[Piece],
         queries: Option<(vk::QueryPool, u32)>,
     ) -> Result<()> {
-        let bound = self.bound();
+        let arena = self.lane.memory();
+        let bound = self.bound(&arena);
         let mut encoder = Encoder::begin(&bound, &self.descriptors, commands, queries)?;
         for piece in pieces {
             encoder.piece(*piece)?;
@@ -366,16 +443,13 @@ impl Drop for Run {
         let _ = self.settle();
         let raw = &self.device.0.raw;
         // SAFETY: nothing is under way.
-        unsafe {
-            raw.destroy_command_pool(self.pool, None);
-            raw.destroy_semaphore(self.timeline, None);
-        }
+        unsafe { raw.destroy_command_pool(self.pool, None) };
     }
 }
 
 fn arena_id(tensor: Tensor) -> usize {
     match tensor.home {
         Home::Arena(id) => id as usize,
-        Home::Resident(_) => panic!("resident tensors are written through their own memory"),
+        Home::Resident { .. } => panic!("resident tensors are written through their own memory"),
     }
 }

@@ -3,8 +3,8 @@
 
 use super::{
     Device, Plan,
-    arena::ALIGNMENT,
     commands::record_copies,
+    layout::ALIGNMENT,
     memory::Memory,
     plan::{Allocation, Role},
 };

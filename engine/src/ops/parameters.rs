@@ -32,6 +32,9 @@ enum Packing {
     GatedVector,
     /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
     Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
+    /// A `[inner, columns]` matrix as if it were `[columns, inner]`, and behind it, from a multiple of 256 bytes on, a bias
+    /// `[columns]` of zeros.
+    Transposed { inner: usize, columns: usize, kernel: LinearKernel },
 }
 
 /// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
@@ -78,6 +81,22 @@ impl ParameterLayout {
     /// As [`ParameterLayout::linear`], in f32 whatever the arithmetic: for what f16 cannot hold and costs nothing.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, inner, columns, false, Arithmetic::EXACT)
+    }
+
+    /// The layer from gradients by the results of the layer `name`, `[rows, columns]`, to those by its inputs, `[rows, inner]`:
+    /// its weight transposed, without bias, in f32 whatever the arithmetic.
+    pub fn transposed_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
+        let (inner, columns, kernel) = (columns, inner, LinearKernel::Panels(Element::F32));
+        let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
+        let packing = Packing::Transposed { inner, columns, kernel };
+        let both = self.add::<u8>(format!("{name}.weight"), bias_at + size_of::<f32>() * columns, packing);
+        Linear {
+            weight: both.slice::<u8>(0, bias_at),
+            bias: both.slice::<f32>(bias_at / size_of::<f32>(), columns),
+            inner: inner.next_multiple_of(kernel.vector()),
+            columns,
+            kernel,
+        }
     }
 
     /// As [`ParameterLayout::block_linear`] for a layer whose output is [gate | value].
@@ -174,6 +193,12 @@ impl Packing {
             Packing::GatedVector => {
                 let value = |column| source[source_row(column, source.len(), true)];
                 packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
+            }
+            Packing::Transposed { inner, columns, kernel } => {
+                let turned: Vec<f32> =
+                    (0..columns).flat_map(|c| (0..inner).map(move |k| source[k * columns + c])).collect();
+                Packing::Matrix { inner, columns, gated: false, kernel }.pack(&turned, packed);
+                packed.resize(packed.len().next_multiple_of(256) + size_of::<f32>() * columns, 0);
             }
             Packing::Matrix { inner, columns, gated, kernel } => {
                 packed.resize(packed_bytes(inner, columns, kernel), 0);

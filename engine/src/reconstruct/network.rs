@@ -3,13 +3,15 @@
 use super::{Kept, Shape};
 use crate::{
     Result,
-    gpu::{Limits, Recorder, Run, Tensor},
+    gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
+        ViewGrid,
         backbone::{Backbone, BackboneInputs, POSE_VALUES},
         cluster,
         fuse::Fuse,
-        gaussians::{GaussianTensors, Gaussians},
+        gaussians::{Gaussians, HeadTokens},
+        render::SceneTensors,
     },
     types::Scene,
     weights::Architecture,
@@ -28,9 +30,45 @@ pub struct Network {
 #[derive(Clone, Copy, Debug)]
 pub struct Tensors {
     pub(super) inputs: BackboneInputs,
+    pub(super) choice: Choice,
+    scene: SceneTensors,
+}
+
+/// What the host says of the scene that is made of features.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Choice {
+    /// `[1]` f32: the world's unit, where there are Gaussians.
+    pub unit: Option<Tensor>,
     /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
-    pub(super) indices: Option<Tensor>,
-    scene: GaussianTensors,
+    pub indices: Option<Tensor>,
+}
+
+/// What the first half of the network leaves for the second.
+#[derive(Clone, Debug)]
+pub(super) struct FeatureTensors {
+    /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
+    pub images: Tensor,
+    /// `[tokens, width]` f32 each, deepest first.
+    pub layers: Vec<Tensor>,
+}
+
+impl FeatureTensors {
+    /// The features of a shape, laid out to be kept.
+    pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
+        let mut layer = |_| layout.add::<f32>(grid.tokens() * architecture.width);
+        let layers = architecture.out_layers.iter().map(&mut layer).collect();
+        Self { images: layout.add::<f32>(grid.values()), layers }
+    }
+}
+
+/// A plan from photos to Gaussians that stay on the device.
+pub struct NetworkPlan {
+    /// The commands; they need the weights, and a memory of `layout`.
+    pub plan: Plan,
+    /// What goes in and comes out.
+    pub tensors: Tensors,
+    /// The memory of the Gaussians.
+    pub layout: ResidentLayout,
 }
 
 impl Network {
@@ -51,13 +89,74 @@ impl Network {
         self.parameters.bytes()
     }
 
-    /// Records the whole forward pass.
+    /// Records the whole forward pass, whose Gaussians the host reads.
     pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
-        let Shape { grid, tokens, .. } = shape;
-        let inputs = self.inputs(rec, shape);
-        let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
+        let into = SceneTensors::output(rec, self.gaussians_of(shape), self.architecture.sh_degree as u32);
+        self.record_into(rec, shape, into)
+    }
 
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, grid));
+    /// Plans the whole forward pass, whose Gaussians stay on the device; needs none.
+    ///
+    /// # Errors
+    /// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+    pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
+        let mut layout = ResidentLayout::new(limits);
+        let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);
+        let mut rec = Recorder::new(limits);
+        let tensors = self.record_into(&mut rec, shape, into);
+        Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
+    }
+
+    /// Gaussians of a scene.
+    pub fn gaussians_of(&self, shape: Shape) -> usize {
+        shape.tokens * self.architecture.gaussians_per_token
+    }
+
+    fn record_into(&self, rec: &mut Recorder, shape: Shape, scene: SceneTensors) -> Tensors {
+        let inputs = self.inputs(rec, shape);
+        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let choice = self.record_decoding(rec, shape, &FeatureTensors { images: inputs.images, layers }, &scene);
+        Tensors { inputs, choice, scene }
+    }
+
+    /// Records the first half, up to features that stay on the device in `into`.
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> BackboneInputs {
+        let inputs = self.inputs(rec, shape);
+        rec.copy(inputs.images, into.images);
+        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer, *kept));
+        inputs
+    }
+
+    /// Records the second half, from features to Gaussians.
+    pub(super) fn record_decoding(
+        &self,
+        rec: &mut Recorder,
+        shape: Shape,
+        features: &FeatureTensors,
+        scene: &SceneTensors,
+    ) -> Choice {
+        let unit = rec.input::<f32>("unit", 1);
+        let (indices, tokens) = self.head_tokens(rec, shape, features);
+        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, unit, scene));
+        Choice { unit: Some(unit), indices }
+    }
+
+    /// Records everything up to the tokens that the head reads, which stay on the device in `into`.
+    pub(super) fn record_tokens(&self, rec: &mut Recorder, shape: Shape, into: Tensor) -> (BackboneInputs, Choice) {
+        let inputs = self.inputs(rec, shape);
+        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let features = FeatureTensors { images: inputs.images, layers };
+        let (indices, tokens) = self.head_tokens(rec, shape, &features);
+        let joined = tokens.joined(rec, Element::F32);
+        rec.copy(joined, into);
+        (inputs, Choice { unit: None, indices })
+    }
+
+    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, HeadTokens) {
+        let Shape { grid, tokens, .. } = shape;
+        let FeatureTensors { images, layers } = features;
+        let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
         let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
                 let sizes = [grid.tokens(), tokens, self.architecture.width];
@@ -66,13 +165,8 @@ impl Network {
             (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
-        let scene = rec.scope("fuse", |rec| self.fuse.record(rec, &layers, grid.tokens(), chosen));
-        let scene = rec.scope("gaussians", |rec| self.gaussians.record(rec, scene, inputs.images, grid, chosen));
-
-        for tensor in [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs] {
-            rec.output(tensor);
-        }
-        Tensors { inputs, indices, scene }
+        let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, layers, grid.tokens(), chosen));
+        (indices, rec.scope("gaussians", |rec| self.gaussians.tokens(rec, tokens, *images, grid, chosen)))
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {
@@ -89,18 +183,23 @@ impl Network {
 }
 
 impl Tensors {
-    /// Reads the scene after a run.
+    /// The Gaussians' tensors.
+    pub fn scene(&self) -> &SceneTensors {
+        &self.scene
+    }
+
+    /// Reads the scene after a run of [`Network::record`].
     ///
     /// # Errors
     /// Where a transfer fails.
-    pub fn read(&self, run: &Run, sh_degree: u32) -> Result<Scene> {
+    pub fn read(&self, run: &Run) -> Result<Scene> {
         Ok(Scene {
             means: run.read(self.scene.means)?,
             scales: run.read(self.scene.scales)?,
             quats: run.read(self.scene.quats)?,
             opacities: run.read(self.scene.opacities)?,
             sh_coeffs: run.read(self.scene.sh_coeffs)?,
-            sh_degree,
+            sh_degree: self.scene.sh_degree,
         })
     }
 }

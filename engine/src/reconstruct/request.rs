@@ -56,12 +56,15 @@ pub struct Request {
     pub selection: Selection,
     /// Known cameras of all views, of the images' own size, or none.
     pub cameras: Option<Vec<Camera>>,
+    /// Length in the unit of `cameras`, and of the scene, that the network takes for 1: what the photos see at a median distance
+    /// of about 1 from the first is what it is trained with.
+    pub unit: f64,
 }
 
 impl Default for Request {
-    /// Every token, no cameras.
+    /// Every token, no cameras, the network's own unit.
     fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None }
+        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0 }
     }
 }
 

@@ -19,7 +19,7 @@ use crate::{
 use std::sync::Arc;
 
 /// 3D Gaussian Splatting's: gradients of a mean over a picture are small.
-const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
+pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 /// Least scale and, from 0 and from 1, least distance of an opacity: their logarithm and logit are optimised.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
@@ -43,7 +43,7 @@ struct Field {
 /// Gaussians, their gradients and their moments.
 pub(super) struct Gaussians {
     device: Device,
-    memory: Arc<Resident>,
+    memories: Vec<Arc<Resident>>,
     scene: SceneTensors,
     gradients: Gradients,
     request: Refine,
@@ -90,7 +90,7 @@ impl Gaussians {
         let mut layout = ResidentLayout::new(device.limits());
         let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
         let memory = Arc::new(Resident::new(device, &layout)?);
-        let Rates { means, scales, quats, opacities, sh_coeffs } = request.rates;
+        let Rates { means, scales, quats, opacities, sh_coeffs, .. } = request.rates;
         let rates = [means * unit as f32, scales, quats, opacities, sh_coeffs];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
         let penalties = [0.0, request.scale_penalty / (3.0 * unit as f32), 0.0, request.opacity_penalty, 0.0];
@@ -104,17 +104,31 @@ impl Gaussians {
             penalty: penalties[i] / len as f32,
         };
         let fields = [0, 1, 2, 3, 4].map(field);
-        let (update, schedule) = update(device, &memory, &fields)?;
-        let (snapshot, copies) = snapshot(device, &memory, values)?;
+        let update = update(device, &memory, &fields)?;
         write(&memory, values, scene)?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
         filling(device, &memory, zero)?.execute()?;
-        let clear = filling(device, &memory, fields.iter().map(|field| (field.gradient, field.penalty)))?;
+        let begin = fields.map(|field| (field.gradient, field.penalty));
+        Self::of(device, request, vec![memory], scene_tensors(values, len, scene.sh_degree), begin, update)
+    }
+
+    /// Gaussians in the first of some memories, their gradients there with what they begin with, and a plan that moves them.
+    pub(super) fn of(
+        device: &Device,
+        request: &Refine,
+        memories: Vec<Arc<Resident>>,
+        scene: SceneTensors,
+        gradients: [(Tensor, f32); 5],
+        (update, schedule): (Run, Tensor),
+    ) -> Result<Self> {
+        let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = scene;
+        let (snapshot, copies) = snapshot(device, &memories[0], [means, scales, quats, opacities, sh_coeffs])?;
+        let clear = filling(device, &memories[0], gradients.into_iter())?;
         Ok(Self {
             device: device.clone(),
-            memory,
-            scene: scene_tensors(values, len, scene.sh_degree),
-            gradients: Gradients { scene: Some(scene_gradients(gradients)), cameras: None },
+            memories,
+            scene,
+            gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             request: request.clone(),
             clear,
             update,
@@ -248,7 +262,7 @@ impl Gaussians {
         } else {
             record(&mut rec, &self.scene, cameras, shape, &drawing, capacity)
         };
-        let run = Run::with_resident(&self.device, rec.finish()?, Some(self.memory.clone()))?;
+        let run = Run::with_resident(&self.device, rec.finish()?, self.memories.iter().cloned())?;
         Ok(Planned { shape, capacity, run, cameras, learning, outputs })
     }
 
@@ -303,7 +317,7 @@ impl Planned {
     }
 }
 
-fn scene_tensors(
+pub(super) fn scene_tensors(
     [means, scales, quats, opacities, sh_coeffs]: [Tensor; 5],
     len: usize,
     sh_degree: u32,
@@ -311,7 +325,7 @@ fn scene_tensors(
     SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree }
 }
 
-fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Tensor; 5]) -> SceneGradients {
+pub(super) fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Tensor; 5]) -> SceneGradients {
     SceneGradients { means, scales, quats, opacities, sh_coeffs }
 }
 
@@ -328,7 +342,11 @@ fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
 }
 
 /// A plan that fills tensors.
-fn filling(device: &Device, memory: &Arc<Resident>, fills: impl Iterator<Item = (Tensor, f32)>) -> Result<Run> {
+pub(super) fn filling(
+    device: &Device,
+    memory: &Arc<Resident>,
+    fills: impl Iterator<Item = (Tensor, f32)>,
+) -> Result<Run> {
     let mut rec = Recorder::new(device.limits());
     fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
     Run::with_resident(device, rec.finish()?, Some(memory.clone()))

@@ -4,14 +4,17 @@ mod adam;
 mod gaussians;
 mod schedule;
 mod start;
+mod tokens;
 mod views;
 
 pub use adam::{Adam, Space, record_adam};
 pub use start::{join, scene_of_points};
+pub use tokens::FrozenHead;
 
 use crate::{
     Error, Result,
     gpu::{Device, Profile},
+    reconstruct::SceneTokens,
     stages::loss::Loss,
     types::{Camera, Image, Scene},
 };
@@ -93,11 +96,13 @@ pub struct Rates {
     pub opacities: f32,
     /// Of coefficients of spherical harmonics.
     pub sh_coeffs: f32,
+    /// Of tokens, where these are refined.
+    pub tokens: f32,
 }
 
 impl Default for Rates {
     fn default() -> Self {
-        Self { means: 5e-3, scales: 0.1, quats: 0.03, opacities: 0.2, sh_coeffs: 0.03 }
+        Self { means: 5e-3, scales: 0.1, quats: 0.03, opacities: 0.2, sh_coeffs: 0.03, tokens: 2e-2 }
     }
 }
 
@@ -169,11 +174,53 @@ pub fn refine_scene(
     mut progress: impl FnMut(Refining) -> ControlFlow<()>,
 ) -> Result<Refined> {
     let begin = Instant::now();
-    let mut refinement = Refinement::new(device, scene, photos, cameras, request)?;
-    let stopped = refinement.run(&mut progress, begin)?;
-    let profile = request.profile.then(|| refinement.profile()).transpose()?;
-    let Refinement { losses, kept, held_out, .. } = refinement;
-    Ok(Refined { scene: kept.scene, losses, best_step: kept.step, held_out, took: begin.elapsed(), stopped, profile })
+    scene.validate()?;
+    if scene.is_empty() {
+        return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
+    }
+    check(photos, cameras, request)?;
+    let gaussians = Gaussians::new(device, scene, distance(scene, cameras), request)?;
+    Refinement::new(gaussians, scene.clone(), photos, cameras, request)?.finish(&mut progress, begin)
+}
+
+/// Refines a scene's tokens so that each of `photos` is what the camera of the same index sees, as [`refine_scene`] does: the head
+/// that makes Gaussians of them stays as it is. The scene is that of the tokens at the best step.
+///
+/// # Errors
+/// As [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
+pub fn refine_tokens(
+    head: &FrozenHead,
+    tokens: &SceneTokens,
+    photos: &[Image],
+    cameras: &[Camera],
+    request: &Refine,
+    mut progress: impl FnMut(Refining) -> ControlFlow<()>,
+) -> Result<Refined> {
+    let begin = Instant::now();
+    check(photos, cameras, request)?;
+    let (gaussians, scene) = tokens::gaussians(head, tokens, request)?;
+    Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
+}
+
+/// Holds that photos have cameras, and that enough of them are learnt from.
+fn check(photos: &[Image], cameras: &[Camera], request: &Refine) -> Result<()> {
+    if photos.is_empty() || photos.len() != cameras.len() {
+        let expected = format!("one for each of {} photos, at least one", photos.len());
+        return Err(Error::argument("cameras", cameras.len(), expected));
+    }
+    let held_out = request.held_out_of(photos.len());
+    if held_out >= photos.len() {
+        let expected = format!("fewer than the {} photos", photos.len());
+        return Err(Error::argument("held-out photos", held_out, expected));
+    }
+    Ok(())
+}
+
+impl Refine {
+    /// Photos of so many that are held out.
+    fn held_out_of(&self, photos: usize) -> usize {
+        self.hold_out.unwrap_or(usize::from(photos >= HOLD_OUT_FROM))
+    }
 }
 
 /// A refinement under way.
@@ -207,32 +254,19 @@ struct Kept {
 }
 
 impl<'a> Refinement<'a> {
+    /// `scene` is what the Gaussians are before the first step.
     fn new(
-        device: &Device,
-        scene: &Scene,
+        gaussians: Gaussians,
+        scene: Scene,
         photos: &'a [Image],
         cameras: &'a [Camera],
         request: &Refine,
     ) -> Result<Self> {
-        scene.validate()?;
-        if photos.is_empty() || photos.len() != cameras.len() {
-            let expected = format!("one for each of {} photos, at least one", photos.len());
-            return Err(Error::argument("cameras", cameras.len(), expected));
-        }
-        if scene.is_empty() {
-            return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
-        }
-        let held_out = request.hold_out.unwrap_or(usize::from(photos.len() >= HOLD_OUT_FROM));
-        if held_out >= photos.len() {
-            let expected = format!("fewer than the {} photos", photos.len());
-            return Err(Error::argument("held-out photos", held_out, expected));
-        }
-        let (learnt, held) = split(photos.len(), held_out);
+        let (learnt, held) = split(photos.len(), request.held_out_of(photos.len()));
         let mut request = request.clone();
         request.views_per_step = request.views_per_step.clamp(1, learnt.len());
         let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], request.size, 1);
         let tested = held.par_iter().map(view).collect::<Result<Vec<_>>>()?;
-        let gaussians = Gaussians::new(device, scene, distance(scene, cameras), &request)?;
         Ok(Self {
             photos,
             cameras,
@@ -247,8 +281,16 @@ impl<'a> Refinement<'a> {
             losses: Vec::new(),
             held_out: Vec::new(),
             looked: None,
-            kept: Kept { step: 0, scene: scene.clone(), loss: f32::INFINITY, shrink: 0 },
+            kept: Kept { step: 0, scene, loss: f32::INFINITY, shrink: 0 },
         })
+    }
+
+    fn finish(mut self, progress: &mut dyn FnMut(Refining) -> ControlFlow<()>, begin: Instant) -> Result<Refined> {
+        let stopped = self.run(progress, begin)?;
+        let profile = self.request.profile.then(|| self.profile()).transpose()?;
+        let Self { losses, kept, held_out, .. } = self;
+        let (scene, best_step, took) = (kept.scene, kept.step, begin.elapsed());
+        Ok(Refined { scene, losses, best_step, held_out, took, stopped, profile })
     }
 
     fn run(

@@ -2,20 +2,26 @@
 
 use crate::case::{Case, random};
 use zipsplat::kernels::limits::GROUP_FOLD;
-use zipsplat::stages::gaussians;
+use zipsplat::stages::{gaussians, render::SceneTensors};
 use zipsplat_tests::compare::{Tolerance, assert_close, assert_gaussians_close, assert_same};
 use zipsplat_tests::golden::Golden;
 use zipsplat_tests::reference::{gaussians::activate::activate, widen};
 
 /// Activates `raw` `[count, 11 + 3 (degree + 1)^2]` on the device; packed as the goldens are.
 fn activated(raw: &[f32], sh_degree: usize) -> Vec<f32> {
+    activated_in(1.0, raw, sh_degree)
+}
+
+/// The same in a world of another unit.
+fn activated_in(unit: f32, raw: &[f32], sh_degree: usize) -> Vec<f32> {
     let bases = (sh_degree + 1) * (sh_degree + 1);
     let count = raw.len() / (11 + 3 * bases);
     let mut case = Case::new();
     let input = case.input(raw);
-    let scene = gaussians::activate(&mut case.rec, input, count, sh_degree);
+    let unit = case.input(&[unit]);
+    let scene = SceneTensors::output(&mut case.rec, count, sh_degree as u32);
+    gaussians::activate(&mut case.rec, input, unit, &scene);
     let tensors = [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs];
-    tensors.iter().for_each(|tensor| case.rec.output(*tensor));
     let run = case.run();
     let fields = tensors.map(|tensor| run.read::<f32>(tensor).unwrap());
     let widths = [3, 3, 4, 1, 3 * bases];
@@ -123,4 +129,15 @@ fn opacities_saturate() {
     assert_close("opacities", &got, &truth, Tolerance::EXPONENTIAL);
     assert_eq!((got[100], got[200]), (0.5, 1.0));
     assert!(got.iter().all(|x| (0.0..=1.0).contains(x)));
+}
+
+#[test]
+fn lengths_are_in_the_unit_and_nothing_else_is() {
+    let raw = random(11, 14 * 70);
+    let (plain, scaled) = (activated(&raw, 0), activated_in(2.5, &raw, 0));
+    for (plain, scaled) in plain.chunks(14).zip(scaled.chunks(14)) {
+        let lengths: Vec<f32> = plain[..6].iter().map(|value| 2.5 * value).collect();
+        assert_same("lengths", &scaled[..6], &lengths);
+        assert_same("the rest", &scaled[6..], &plain[6..]);
+    }
 }

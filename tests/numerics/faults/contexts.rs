@@ -89,7 +89,8 @@ impl Work {
     /// All of the work, up to what fails; what was made of it stays alive.
     fn run(&self, device: &Device, made: &mut Made) -> Result<()> {
         let model = made.model.insert(Model::load(device, &micro(), |_| ControlFlow::Continue(()))?);
-        made.scene = Some(model.reconstruct(&self.images, &Request::default(), |_| ControlFlow::Continue(()))?.scene);
+        made.scene =
+            Some(model.reconstruct(&self.images, &Request::default(), |_| ControlFlow::Continue(()))?.scene()?);
         let renderer = made.renderer.insert(Renderer::new(device));
         renderer.load(&self.scene)?;
         renderer.render_each(&[camera(20, 20); 4], &RenderRequest::default(), |_, frame| {

@@ -1,4 +1,5 @@
 //! Scene and colour tokens to Gaussians.
 
 pub mod activate;
+pub mod activate_backward;
 pub mod head;

@@ -4,6 +4,7 @@ pub mod activation;
 pub mod add;
 pub mod attention;
 pub mod gather_rows;
+pub mod gelu;
 pub mod layer_norm;
 pub mod linear;
 pub mod place_columns;

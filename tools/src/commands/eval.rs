@@ -5,7 +5,7 @@ use crate::{
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
-    refinement::{self, Start, Steps},
+    refinement::{self, Refinable, Start, Steps},
     session::Session,
     table::Table,
     views::{Fit, FitOption},
@@ -15,11 +15,10 @@ use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    gpu::Device,
     reconstruct::{Request, Shape},
-    refine::{Refine, Refined, Stopped},
+    refine::{FrozenHead, Refine, Refined, Stopped},
     stages::render::Renderer,
-    types::{Camera, Image, PointCloud, Scene, World, WriteOptions, contact_sheet},
+    types::{Camera, Image, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -70,9 +69,9 @@ pub struct Eval {
     /// Compare at this size, which the network need not see [default: that of --size]
     #[arg(long, value_name = "WxH")]
     score_size: Option<Size>,
-    /// Refine the scene against the input photos as they are compared, in so many steps; :gaussians moves the Gaussians, as
-    /// without it
-    #[arg(long, value_name = "N[:gaussians]", conflicts_with = "pose_free")]
+    /// Refine the scene against the input photos as they are compared, in so many steps; :tokens moves the network's tokens, from
+    /// which its head makes Gaussians, and not the Gaussians themselves
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", conflicts_with = "pose_free")]
     refine: Option<Steps>,
     /// What the refinement starts from. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", default_value = "scene", requires = "refine")]
@@ -111,6 +110,7 @@ impl Eval {
         let chosen = (self.quality.ratio, &self.quality.select);
         let (views, posed) = (fit.count(&choice.inputs())?, !self.pose_free);
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
+        self.refine.map_or(Ok(()), |steps| steps.check(self.start))?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
@@ -125,21 +125,34 @@ impl Eval {
             ratio: self.quality.ratio,
             selection: self.quality.select.clone(),
             cameras: posed.then_some(cameras),
+            unit: 1.0,
         };
-        let (mut result, took) = session.reconstruct(&model, &images, &request)?;
-        self.quality.prune(&mut result.scene, checkpoint.architecture());
-        world.iter().for_each(|world| result.scene.place(1.0, world));
+        let (result, took) = session.reconstruct(&model, &images, &request)?;
+        let mut scene = result.scene()?;
+        self.quality.prune(&mut scene, checkpoint.architecture());
+        world.iter().for_each(|world| scene.place(1.0, world));
         let refined = match self.refine {
-            Some(Steps(steps)) => {
+            Some(Steps { count, tokens: true }) => {
+                let (head, tokens) =
+                    (FrozenHead::load(&device, &checkpoint)?, session.tokens(&model, &images, &request)?);
+                Some(self.refine(session, Refinable::Tokens(&head, &tokens), &capture, count)?)
+            }
+            Some(Steps { count, tokens: false }) => {
                 let cloud = choice.points(&capture.unit)?;
-                let refined = self.refine(session, &device, &capture, (steps, result.scene), cloud.as_ref())?;
-                result.scene = refined.scene.clone();
-                Some(refined)
+                let start = self.start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
+                Some(self.refine(session, Refinable::Scene(&device, &start), &capture, count)?)
             }
             None => None,
         };
+        if let Some(refined) = &refined {
+            scene = refined.scene.clone();
+        }
         let mut renderer = Renderer::new(&device);
-        renderer.load(&result.scene)?;
+        match &world {
+            // Nothing was changed on the host.
+            None if refined.is_none() && scene.len() == result.gaussians.len() => renderer.show(&result.gaussians)?,
+            _ => renderer.load(&scene)?,
+        }
         let targets = &capture.targets;
         let (drawn, alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
@@ -163,11 +176,11 @@ impl Eval {
             outputs::make_folder(folder)?;
             // Drawn and compared in the network's unit, kept in that of the cameras that it was given.
             if posed {
-                result.scene.scale(capture.unit.length as f32);
+                scene.scale(capture.unit.length as f32);
             }
             let world = posed.then(|| World::Photo(capture.inputs[0].name.clone()));
             let options = WriteOptions::default();
-            outputs::save_scene(&folder.join(SCENE), &result.scene, &options, world.as_ref())?;
+            outputs::save_scene(&folder.join(SCENE), &scene, &options, world.as_ref())?;
             outputs::save_picture(&folder.join(COMPARISON), &comparison(&capture, &drawn)?)?;
         }
         let mean = Score::mean(&scores);
@@ -177,7 +190,7 @@ impl Eval {
             "{table}{} of {size} from {} of its photos, {} Gaussians of {} tokens in {:.2} s; {}",
             self.folder.display(),
             capture.inputs.len(),
-            result.scene.len(),
+            scene.len(),
             result.tokens,
             took.as_secs_f64(),
             capture.unit
@@ -187,7 +200,7 @@ impl Eval {
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
             "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(refinement::as_json),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
-            "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": result.scene.len(),
+            "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
             "peak_bytes": result.peak_bytes,
             "mean": mean, "aligned": alignment, "views": scores,
         });
@@ -198,22 +211,25 @@ impl Eval {
     fn refine(
         &self,
         session: &mut Session<'_>,
-        device: &Device,
+        from: Refinable<'_>,
         capture: &Capture,
-        (steps, scene): (usize, Scene),
-        cloud: Option<&PointCloud>,
+        steps: usize,
     ) -> Result<Refined> {
-        let cameras: Vec<Camera> = capture.inputs.iter().map(|input| input.camera).collect();
+        let cameras = input_cameras(capture);
         let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
-        let start = self.start.scene(Some(scene), cloud, &cameras)?;
         let request = Refine { steps, ..Refine::default() };
-        let refined = refinement::refine(session, device, &start, &photos, &cameras, &request)?;
+        let refined = refinement::refine(session, from, &photos, &cameras, &request)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) => Err(Error::Cancelled),
             _ => Ok(refined),
         }
     }
+}
+
+/// Cameras of the whole input photos as they are compared.
+fn input_cameras(capture: &Capture) -> Vec<Camera> {
+    capture.inputs.iter().map(|input| input.camera).collect()
 }
 
 /// How one picture's camera was aligned.

@@ -1,10 +1,12 @@
 //! `zipsplat reconstruct`: photos to a scene.
 
+use super::render::Render;
 use crate::{
     explain::Explanation,
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
     photos,
+    refinement::{self, Refinable, Start, Steps, placed},
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
@@ -16,12 +18,16 @@ use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
-    reconstruct::{MAX_VIEWS, Request, Shape},
+    gpu::Device,
+    reconstruct::{MAX_VIEWS, Model, Request, Shape},
+    refine::{FrozenHead, Refine, Refined, Stopped},
+    stages::render::Renderer,
     types::{
-        SceneFormat, World, WriteOptions,
-        poses::{Frame, read_poses},
+        Camera, Image, PointCloud, Scene, SceneFormat, World, WriteOptions,
+        poses::{Frame, read_cloud, read_poses},
         spz_coarsening,
     },
+    weights::Checkpoint,
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -31,7 +37,9 @@ use zipsplat::{
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
+  zipsplat reconstruct photos/ --poses transforms.json --refine -o sharp.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
+  zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
 seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
@@ -67,10 +75,40 @@ pub struct Reconstruct {
     /// Also print the stages that ran, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
+    /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
+    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
+    /// the step that predicts it best
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
+        default_missing_value = "100")]
+    refine: Option<Steps>,
+    /// What --refine starts from; points are those that structure from motion left beside the cameras
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene", requires = "refine")]
+    start: Start,
+    /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
+    #[arg(long, value_name = "WxH", default_value = "1600x1600", requires = "refine")]
+    refine_size: Size,
+    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more]
+    #[arg(long, value_name = "K", requires = "refine")]
+    hold_out: Option<usize>,
+    /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
+    #[arg(long, value_name = "FOLDER")]
+    pictures: Option<PathBuf>,
+    /// Options of zipsplat render for --pictures, behind -- [default: --wiggle]
+    #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
+    drawing: Vec<String>,
 }
 
 /// Steps of positions that show: over how far away the scene is.
 const COARSE: f64 = 1e-3;
+
+/// What the scene was made with.
+struct From<'a> {
+    device: &'a Device,
+    checkpoint: &'a Checkpoint,
+    model: &'a Model,
+    images: &'a [Image],
+    request: &'a Request,
+}
 
 /// The world that a scene is in.
 #[derive(Clone, Copy, ValueEnum)]
@@ -100,6 +138,8 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        let drawing = self.drawing()?;
+        self.refine.map_or(Ok(()), |steps| steps.check(self.start))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
@@ -133,7 +173,7 @@ impl Reconstruct {
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
         let (views, load_photos) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
-        let Views { images, mut cameras, note } = views;
+        let Views { images, cameras, note } = views;
         note.iter().for_each(|note| session.note(note));
         let unit = match (&poses, frames.first()) {
             (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.camera.pose)?),
@@ -141,18 +181,35 @@ impl Reconstruct {
         };
         unit.iter().filter_map(Unit::doubt).for_each(|note| session.note(note));
         let length = unit.as_ref().map_or(1.0, |unit| unit.length);
-        cameras.iter_mut().for_each(|camera| camera.pose.translation /= length);
         let (cameras, turned) = fit.told(cameras);
         let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let request = Request { ratio: *ratio, selection: select.clone(), cameras };
-        let (mut result, _) = session.reconstruct(&model, &images, &request)?;
-        self.quality.prune(&mut result.scene, checkpoint.architecture());
-        turned.iter().for_each(|first| result.scene.place(1.0, first));
+        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit: length };
+        let (result, _) = session.reconstruct(&model, &images, &request)?;
+        let mut scene = result.scene()?;
+        self.quality.prune(&mut scene, checkpoint.architecture());
+        turned.iter().for_each(|first| scene.place(1.0, first));
+        let refined = match (self.refine, frames.first()) {
+            (Some(steps), Some(first)) => {
+                let from = From {
+                    device: &device,
+                    checkpoint: &checkpoint,
+                    model: &model,
+                    images: &images,
+                    request: &request,
+                };
+                let cloud = poses.as_ref().and_then(|poses| poses.points.as_ref()).map(read_cloud).transpose()?;
+                let cloud = cloud.map(|cloud| placed(cloud, &first.camera.pose.inverse(), 1.0));
+                Some(self.refine(session, steps, from, (scene.clone(), cloud.as_ref()), (&photos, &frames))?)
+            }
+            _ => None,
+        };
+        if let Some(refined) = &refined {
+            scene = refined.scene.clone();
+        }
         let world = frames.first().map(|first| self.world.of(first));
-        result.scene.scale(length as f32);
         if let Some(World::Cameras(first)) = &world {
-            result.scene.place(1.0, first);
+            scene.place(1.0, first);
             // Positions are f32.
             let step = first.translation.length() * f64::from(f32::EPSILON);
             if step > COARSE * length {
@@ -162,15 +219,30 @@ impl Reconstruct {
             }
         }
         if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
-            spz_coarsening(&result.scene).into_iter().for_each(|note| session.note(note));
+            spz_coarsening(&scene).into_iter().for_each(|note| session.note(note));
         }
-        let (scene, options) = (&result.scene, WriteOptions::default());
-        let save = || outputs::save_scene(&self.output, scene, &options, world.as_ref());
+        let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
         let (note, write) = session.stage("write", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
+        let drawn = drawing.map(|drawing| {
+            let mut renderer = Renderer::new(&device);
+            // What the host thinned or moved it has to bring back.
+            let own = refined.is_none()
+                && scene.len() == result.gaussians.len()
+                && turned.is_none()
+                && !matches!(world, Some(World::Cameras(_)));
+            let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
+                true => renderer.show(&result.gaussians),
+                false => renderer.load(&scene),
+            };
+            drawing.draw(session, &mut renderer, (&scene, 0), world.as_ref(), load)
+        });
+        let drawn = drawn.transpose()?;
+        let peak_bytes = result.peak_bytes.max(device.allocated_bytes());
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
+        times.extend(refined.iter().map(|refined| ("refine", refined.took)));
         times.push(("write", write));
         let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
         let tokens = shape.grid.tokens();
@@ -180,20 +252,20 @@ impl Reconstruct {
             "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
             "photos": photos.len(), "views": images.len(), "width": width, "height": height, "tokens": result.tokens,
             "all_tokens": tokens, "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
-            "gaussians": result.scene.len(), "gaussians_per_token": result.scene.len() / result.tokens,
-            "peak_bytes": result.peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
+            "gaussians": scene.len(), "gaussians_per_token": result.gaussians.len() / result.tokens,
+            "peak_bytes": peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
             "seconds": seconds,
         });
         let mut text = format!(
             "{}: {} from {} of {size}\n{} of {}, {} each, {} precision; at most {} of {}\n",
             self.output.display(),
-            counted(result.scene.len(), "Gaussian"),
+            counted(scene.len(), "Gaussian"),
             counted(images.len(), "view"),
             HumanCount(result.tokens as u64),
             counted(tokens, "token"),
-            counted(result.scene.len() / result.tokens, "Gaussian"),
+            counted(result.gaussians.len() / result.tokens, "Gaussian"),
             precision.name(),
-            bytes(result.peak_bytes),
+            bytes(peak_bytes),
             device.limits().name,
         );
         if let Some(unit) = &unit {
@@ -209,6 +281,55 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
+        if let Some(refined) = &refined {
+            text += &format!("{}\n", refinement::summary(refined));
+            json["refined"] = refinement::as_json(refined);
+        }
+        if let Some((pictures, told)) = drawn {
+            json["pictures"] = pictures;
+            text += &told;
+        }
         session.report(&json, text)
+    }
+
+    /// Makes the scene look like the photos, in the world of the first one's camera.
+    fn refine(
+        &self,
+        session: &mut Session<'_>,
+        steps: Steps,
+        from: From<'_>,
+        (scene, cloud): (Scene, Option<&PointCloud>),
+        (photos, frames): (&[PathBuf], &[&Frame]),
+    ) -> Result<Refined> {
+        let world = frames[0].camera.pose;
+        let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
+        let cameras: Vec<Camera> = frames.iter().map(camera).collect();
+        let (photos, _) =
+            session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
+        let size = Some([self.refine_size.0, self.refine_size.1]);
+        let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
+        let refined = if steps.tokens {
+            let head = FrozenHead::load(from.device, from.checkpoint)?;
+            let tokens = session.tokens(from.model, from.images, from.request)?;
+            refinement::refine(session, Refinable::Tokens(&head, &tokens), &photos, &cameras, &request)?
+        } else {
+            let start = self.start.scene(Some(scene), cloud, &cameras)?;
+            refinement::refine(session, Refinable::Scene(from.device, &start), &photos, &cameras, &request)?
+        };
+        refinement::doubt(&refined).iter().for_each(|note| session.note(note));
+        match refined.stopped {
+            Some(Stopped::Cancelled) => Err(Error::Cancelled),
+            _ => Ok(refined),
+        }
+    }
+
+    /// The drawing of --pictures, checked before anything that takes time.
+    fn drawing(&self) -> Result<Option<Render>> {
+        let Some(folder) = &self.pictures else { return Ok(None) };
+        let default = ["--wiggle".to_owned()];
+        let words = if self.drawing.is_empty() { &default[..] } else { &self.drawing };
+        let drawing = Render::of_words(&self.output, folder, self.overwrite.is_given(), words)?;
+        drawing.check()?;
+        Ok(Some(drawing))
     }
 }

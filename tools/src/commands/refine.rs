@@ -6,7 +6,7 @@ use crate::{
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Start, placed},
+    refinement::{self, Refinable, Start, placed},
     session::Session,
     table::counted,
 };
@@ -166,7 +166,8 @@ impl Refine {
             profile: self.explain,
             ..refine::Refine::default()
         };
-        refinement::refine(session, device, &started.scene, photos, &started.cameras, &request)
+        let from = Refinable::Scene(device, &started.scene);
+        refinement::refine(session, from, photos, &started.cameras, &request)
     }
 
     fn report(&self, session: &mut Session<'_>, device: String, photos: usize, refined: Refined) -> Result<()> {

@@ -11,7 +11,7 @@ use crate::{
     session::Session,
     table::counted,
 };
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args, Command, FromArgMatches, ValueEnum};
 use serde_json::json;
 use std::{
     num::NonZeroU32,
@@ -21,7 +21,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     stages::render::{Depth, RenderRequest, Renderer},
-    types::{Camera, contact_sheet, read_world},
+    types::{Camera, Scene, World, contact_sheet, read_world},
 };
 
 /// Pictures of a scene
@@ -97,10 +97,30 @@ enum DepthKind {
 
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let mut sinks = self.sinks()?;
+        self.check()?;
         let (scene, dropped) = self.input.read(session, &self.scene)?;
         let world = read_world(&self.scene)?;
-        let (cameras, notes) = self.path.cameras(&scene, world.as_ref())?;
+        let device = session.device()?;
+        let mut renderer = Renderer::new(&device);
+        let load = |session: &mut Session<'_>, renderer: &mut Renderer| {
+            session.stage("load scene", |_| renderer.load(&scene)).map(drop)
+        };
+        let (json, text) = self.draw(session, &mut renderer, (&scene, dropped), world.as_ref(), load)?;
+        session.report(&json, text)
+    }
+
+    /// Draws everything that is asked for and says what was drawn, as JSON and as text. `load` brings the scene to the renderer
+    /// once its cameras are known to be good.
+    pub fn draw(
+        &self,
+        session: &mut Session<'_>,
+        renderer: &mut Renderer,
+        (scene, dropped): (&Scene, usize),
+        world: Option<&World>,
+        load: impl FnOnce(&mut Session<'_>, &mut Renderer) -> Result<()>,
+    ) -> Result<(serde_json::Value, String)> {
+        let mut sinks = self.sinks()?;
+        let (cameras, notes) = self.path.cameras(scene, world)?;
         notes.iter().for_each(|note| session.note(note));
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -112,14 +132,12 @@ impl Render {
         if let Some(folder) = self.folder() {
             self.overwrite.check_replaced(pictures::files(folder, cameras.len(), &request))?;
         }
-        let device = session.device()?;
-        let mut renderer = Renderer::new(&device);
-        session.stage("load scene", |_| renderer.load(&scene))?;
+        load(session, renderer)?;
         if self.is_piped() {
             sinks.raw = Some(session.take_output());
         }
         let (drawn, took) =
-            session.stage("render", |stage| pictures::draw(&mut renderer, &cameras, &request, sinks, stage))?;
+            session.stage("render", |stage| pictures::draw(renderer, &cameras, &request, sinks, stage))?;
         if let Some(folder) = self.folder() {
             let columns = pictures::sheet_columns(cameras.len());
             session.stage("contact sheet", |_| {
@@ -133,12 +151,36 @@ impl Render {
             }
             _ => None,
         };
-        let gaussians = [scene.len(), dropped];
-        self.report(session, device.limits().name.clone(), gaussians, &cameras, took, explanation)?;
+        let device = renderer.device().limits().name.clone();
         if drawn.empty {
             session.note(format!("no picture shows anything but the background{}", self.path.doubt()));
         }
-        Ok(())
+        self.told(device, [scene.len(), dropped], &cameras, took, explanation)
+    }
+
+    /// Refuses what can be refused before any work.
+    ///
+    /// # Errors
+    /// [`Error::Argument`], and what cannot be written to.
+    pub fn check(&self) -> Result<()> {
+        self.sinks().map(drop)
+    }
+
+    /// The command whose words these are, for pictures of a scene that another command makes.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with what is wrong with them.
+    pub fn of_words(scene: &Path, folder: &Path, force: bool, words: &[String]) -> Result<Self> {
+        let command = Self::augment_args(Command::new("--pictures").no_binary_name(true));
+        let own = [scene.as_os_str(), "--output".as_ref(), folder.as_os_str()];
+        let force = force.then_some("--overwrite".as_ref());
+        let words = own.into_iter().chain(force).chain(words.iter().map(AsRef::as_ref));
+        let found = command.try_get_matches_from(words).and_then(|matches| Self::from_arg_matches(&matches));
+        found.map_err(|error| {
+            let text = error.to_string();
+            let text = text.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
+            Error::argument("words behind --", text, "options of zipsplat render")
+        })
     }
 
     fn request(&self) -> RenderRequest {
@@ -179,15 +221,14 @@ impl Render {
         Ok(Sinks { folder, raw: None, animation })
     }
 
-    fn report(
+    fn told(
         &self,
-        session: &mut Session<'_>,
         device: String,
         [gaussians, dropped]: [usize; 2],
         cameras: &[Camera],
         took: Duration,
         explanation: Option<Explanation>,
-    ) -> Result<()> {
+    ) -> Result<(serde_json::Value, String)> {
         let seconds = took.as_secs_f64();
         let mut json = json!({
             "output": self.output, "video": self.video, "device": device, "gaussians": gaussians, "dropped": dropped,
@@ -215,6 +256,6 @@ impl Render {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        session.report(&json, text)
+        Ok((json, text))
     }
 }

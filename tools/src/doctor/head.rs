@@ -7,7 +7,11 @@ use super::{
     trial::Trial,
 };
 use crate::noise::Noise;
-use zipsplat::{Result, gpu::Device, stages::gaussians};
+use zipsplat::{
+    Result,
+    gpu::Device,
+    stages::{gaussians, render::SceneTensors},
+};
 use zipsplat_reference::{
     gaussians::activate::activate,
     ops::activation::{sigmoid, softplus},
@@ -115,11 +119,10 @@ fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
     let count = raw.len() / WIDTH;
     let mut trial = Trial::new(device);
     let input = trial.input(raw);
-    let scene = gaussians::activate(&mut trial.rec, input, count, 0);
+    let unit = trial.input(&[1.0f32]);
+    let scene = SceneTensors::output(&mut trial.rec, count, 0);
+    gaussians::activate(&mut trial.rec, input, unit, &scene);
     let fields = [(scene.means, 3), (scene.scales, 3), (scene.quats, 4), (scene.opacities, 1), (scene.sh_coeffs, 3)];
-    for (tensor, _) in fields {
-        trial.rec.output(tensor);
-    }
     let run = trial.run()?;
     let mut columns = Vec::new();
     for (tensor, width) in fields {

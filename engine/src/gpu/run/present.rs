@@ -88,6 +88,7 @@ impl Run {
         if let Place::Image(ImagePlace { new_layout: 0 | 8, .. }) = target.place {
             return Err(Error::argument("new layout", "undefined or preinitialised", "a layout for use"));
         }
+        assert!(self.lane.holds(self.id), "presented after another run of the lane");
         self.device.0.check_lost()?;
         self.settle()?;
         let commands = match self.presenting {
@@ -95,8 +96,8 @@ impl Run {
             None => *self.presenting.insert(self.command_buffer()?),
         };
         self.record_copy(commands, tensor, target.place)?;
-        let value = self.timeline_value()?.max(self.signalled) + 1;
-        let own = Point { semaphore: self.timeline.as_raw(), value };
+        let value = self.lane.next_value()?;
+        let own = Point { semaphore: self.lane.timeline().as_raw(), value };
         let infos = |points: &[Point]| points.iter().map(submit_info).collect::<Vec<_>>();
         let (waits, signals) = (infos(&target.waits), infos(&[&target.signals[..], &[own]].concat()));
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
@@ -107,6 +108,7 @@ impl Run {
         // SAFETY: the command buffer is recorded and not under way; the target's maker vouches for its handles.
         let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
             .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
+        self.lane.submitted(value, &submitted);
         if is_under_way(&submitted) {
             self.signalled = value;
         }
@@ -117,7 +119,7 @@ impl Run {
         let id = arena_id(tensor);
         assert!(self.plan.allocations[id].kept, "{} is not kept", self.plan.allocations[id].name);
         let from = self.plan.placements[id];
-        let (source, offset) = (self.arena.buffer(from.block), from.offset + tensor.offset);
+        let (source, offset) = (self.lane.memory().buffer(from.block), from.offset + tensor.offset);
         let raw = &self.device.0.raw;
         let transfer = vk::PipelineStageFlags2::TRANSFER;
         // SAFETY: the command buffer is not under way; the source is inside its block; the target is vouched for.

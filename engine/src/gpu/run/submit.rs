@@ -11,7 +11,7 @@ impl Run {
     /// Submits; the timeline's value that says that it is done.
     pub(in crate::gpu) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.device.0.check_lost()?;
-        let value = self.timeline_value()?.max(self.signalled) + 1;
+        let value = self.lane.next_value()?;
         let submitted = self.submit_as(commands, value);
         if is_under_way(&submitted) {
             self.signalled = value;
@@ -22,30 +22,15 @@ impl Run {
     pub(in crate::gpu) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let signals = [vk::SemaphoreSubmitInfo::default()
-            .semaphore(self.timeline)
+            .semaphore(self.lane.timeline())
             .value(value)
             .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
         let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
         // SAFETY: the command buffer is recorded and not under way.
-        unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
-            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e))
-    }
-
-    pub(in crate::gpu) fn timeline_value(&self) -> Result<u64> {
-        // SAFETY: the semaphore is alive.
-        unsafe { self.device.0.raw.get_semaphore_counter_value(self.timeline) }
-            .map_err(|e| self.device.0.failed("vkGetSemaphoreCounterValue", e))
-    }
-
-    /// Waits until the timeline has a value that was submitted for signalling.
-    pub(in crate::gpu) fn wait(&self, value: u64) -> Result<()> {
-        let (semaphores, values) = ([self.timeline], [value]);
-        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        // SAFETY: the semaphore is alive.
-        unsafe { self.device.0.raw.wait_semaphores(&info, u64::MAX) }
-            .map_err(|e| self.device.0.failed("vkWaitSemaphores", e))?;
-        // A wait on a lost device may end with success all the same.
-        self.device.0.check_lost()
+        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
+            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
+        self.lane.submitted(value, &submitted);
+        submitted
     }
 
     pub(in crate::gpu) fn command_buffer(&self) -> Result<vk::CommandBuffer> {

@@ -1,15 +1,19 @@
 //! Many pictures one after another: the device draws the next ones while the host uses those that are done.
 
 use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, range::check};
-use crate::{Error, Result, types::Camera};
+use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 
-/// Plans that take turns.
-const TURNS: usize = 2;
 /// Pixels that are drawn together, at most.
 const PIXELS_TOGETHER: usize = 1 << 20;
 /// Pairs of a Gaussian and a camera that are drawn together, at most.
 const PAIRS_TOGETHER: usize = 1 << 21;
+
+/// Pictures of one submission where `most` are allowed.
+pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
+    let pixels = width as usize * height as usize;
+    most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
+}
 
 /// Pictures that are being drawn.
 struct Flight {
@@ -31,6 +35,7 @@ impl Renderer {
         mut done: impl FnMut(usize, Frame) -> Result<()>,
     ) -> Result<()> {
         check(cameras, request)?;
+        let _claim = self.claim();
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
         let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
         // Nothing stays under way, also where `done` stopped.
@@ -42,8 +47,7 @@ impl Renderer {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-            let pixels = width as usize * height as usize;
-            let most = self.together.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / self.gaussians().max(1)).max(1);
+            let most = pictures_together(self.together, self.gaussians(), [width, height]);
             match groups.last_mut() {
                 Some((range, shape)) if (shape.width, shape.height) == (width, height) && shape.cameras < most => {
                     range.end += 1;
@@ -64,10 +68,10 @@ impl Renderer {
     ) -> Result<()> {
         let mut flights = VecDeque::new();
         for (turn, (cameras, shape)) in groups.iter().enumerate() {
-            if flights.len() == TURNS {
+            if flights.len() == Arena::LANES {
                 self.land(&mut flights, rows, request, done)?;
             }
-            let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % TURNS };
+            let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % Arena::LANES };
             match self.start(&flight, rows, request) {
                 Ok(()) => flights.push_back(flight),
                 // Too little memory for all at once: one after the other, and as few together as it takes.
@@ -75,7 +79,7 @@ impl Renderer {
                     while !flights.is_empty() {
                         self.land(&mut flights, rows, request, done)?;
                     }
-                    self.forget_plans();
+                    self.start_over()?;
                     let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), request)?;
                     cameras.clone().zip(frames).try_for_each(|(i, frame)| done(i, frame))?;
                 }

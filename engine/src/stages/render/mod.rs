@@ -12,6 +12,7 @@ mod project;
 mod range;
 mod rasterise;
 mod renderer;
+mod scene;
 
 use crate::{
     gpu::{Recorder, Tensor},
@@ -24,7 +25,8 @@ pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use project::{CameraRows, SceneTensors, camera_rows};
 pub use range::MAX_SIDE;
-pub use renderer::Renderer;
+pub use renderer::{Renderer, plan_pictures};
+pub use scene::{DeviceScene, SceneMemory, WeakScene};
 
 /// What [`record`] leaves on the device.
 #[derive(Clone, Copy, Debug)]

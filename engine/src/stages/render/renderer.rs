@@ -1,40 +1,36 @@
 //! Draws a scene again and again: keeps it on the device, and keeps plans.
 
 use super::{
-    CameraRows, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneTensors, camera_rows,
-    range::{check, drawable},
-    record,
+    CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneMemory, SceneTensors,
+    camera_rows, flights::pictures_together, range::check, record, scene::used_degree,
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Target, Tensor},
+    gpu::{Arena, Claim, Device, Limits, Plan, Profile, Recorder, ResidentLayout, Run, Target, Tensor},
     types::{Camera, LeftOut, Scene},
 };
-use std::sync::Arc;
 
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
 /// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
 const GPU_TOGETHER: usize = 8;
-/// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed.
+/// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed; all of them
+/// share an arena.
 pub struct Renderer {
-    device: Device,
-    scene: Option<Loaded>,
+    arena: Arena,
+    scene: Option<DeviceScene>,
+    /// Where [`Renderer::load`] brings scenes to.
+    uploaded: Option<SceneMemory>,
     /// Last used last.
     plans: Vec<Planned>,
     /// Room for intersections of a camera in new plans; grows with what was drawn.
     capacity: usize,
+    /// Intersections in what was drawn last.
+    intersections: usize,
     /// More at once did not fit.
     cameras_at_once: usize,
     /// Most pictures of one submission of [`Renderer::render_each`].
     pub(super) together: usize,
-}
-
-struct Loaded {
-    memory: Arc<Resident>,
-    tensors: SceneTensors,
-    /// Degree that the scene has, of which the tensors hold what is used.
-    stored_degree: u32,
 }
 
 /// What a plan is for.
@@ -42,16 +38,52 @@ struct Loaded {
 struct Key {
     shape: FrameShape,
     request: RenderRequest,
-    /// Which of the plans that are alike, for pictures in flight.
+    /// The lane of the arena; pictures in flight take turns.
     turn: usize,
 }
 
 pub(super) struct Planned {
     key: Key,
+    /// The tensors that it draws.
+    scene: SceneTensors,
     capacity: usize,
     pub run: Run,
     pub cameras: Tensor,
     outputs: RenderOutputs,
+}
+
+/// Plans what [`Renderer::render_each`] begins with for many pictures of `[width, height]` pixels of a scene; needs no device.
+///
+/// # Errors
+/// [`Error::Memory`] where a device of these limits cannot hold or bind a tensor.
+pub fn plan_pictures(
+    limits: &Limits,
+    scene: &SceneTensors,
+    [width, height]: [u32; 2],
+    request: &RenderRequest,
+) -> Result<Plan> {
+    let cameras = pictures_together(together(limits), scene.len, [width, height]);
+    let shape = FrameShape { cameras, width, height };
+    let mut rec = Recorder::new(limits);
+    let rows = rec.input::<CameraRows>("cameras", cameras);
+    let capacity = planned_capacity(limits, first_capacity(scene.len), shape);
+    record(&mut rec, scene, rows, shape, request, capacity);
+    rec.finish()
+}
+
+/// Most pictures of one submission.
+fn together(limits: &Limits) -> usize {
+    if limits.cpu { 1 } else { GPU_TOGETHER }
+}
+
+/// Intersections of a picture that a renderer has room for before it has drawn any.
+fn first_capacity(gaussians: usize) -> usize {
+    (4 * gaussians).max(1 << 16)
+}
+
+/// Intersections of a plan of several pictures.
+fn planned_capacity(limits: &Limits, each: usize, shape: FrameShape) -> usize {
+    each.saturating_mul(shape.cameras).min(limits.max_binding_bytes as usize / 4)
 }
 
 impl Renderer {
@@ -63,14 +95,27 @@ impl Renderer {
     /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles in a picture before it
     /// has to grow; 0 leaves that to the scene's size.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
+        Self { capacity, ..Self::in_arena(&Arena::new(device)) }
+    }
+
+    /// A renderer without a scene in an arena that others use, too. Where somebody else is using it when a picture is asked for,
+    /// the renderer moves to one of its own.
+    pub fn in_arena(arena: &Arena) -> Self {
         Self {
-            device: device.clone(),
+            arena: arena.clone(),
             scene: None,
+            uploaded: None,
             plans: Vec::new(),
-            capacity,
+            capacity: 0,
+            intersections: 0,
             cameras_at_once: usize::MAX,
-            together: if device.limits().cpu { 1 } else { GPU_TOGETHER },
+            together: together(arena.device().limits()),
         }
+    }
+
+    /// The device that it draws on.
+    pub fn device(&self) -> &Device {
+        self.arena.device()
     }
 
     /// Lets [`Renderer::render_each`] draw up to `most` pictures in a submission, where they are small.
@@ -95,28 +140,45 @@ impl Renderer {
     /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
+        self.scene = None;
         let degree = used_degree(scene);
-        let same = |s: &SceneTensors| (s.len, s.sh_degree) == (scene.len(), degree);
-        let loaded = match self.scene.take().filter(|loaded| same(&loaded.tensors)) {
-            Some(loaded) => loaded,
+        let fits = |memory: &SceneMemory| {
+            (memory.tensors().len, memory.tensors().sh_degree) == (scene.len(), degree) && memory.is_free()
+        };
+        let memory = match self.uploaded.take().filter(fits) {
+            Some(memory) => memory,
             None => {
                 // Before another is allocated: they hold the scene that was.
-                self.plans.clear();
-                self.cameras_at_once = usize::MAX;
-                Loaded::allocate(&self.device, scene.len(), degree)?
+                self.forget_plans();
+                self.allocate(scene.len(), degree)?
             }
         };
-        let Loaded { memory, tensors, .. } = self.scene.insert(Loaded { stored_degree: scene.sh_degree, ..loaded });
-        memory.write(tensors.means, &scene.means)?;
-        memory.write(tensors.scales, &scene.scales)?;
-        memory.write(tensors.quats, &drawable(&scene.quats))?;
-        memory.write(tensors.opacities, &scene.opacities)?;
-        if degree == scene.sh_degree {
-            return memory.write(tensors.sh_coeffs, &scene.sh_coeffs);
+        let scene = self.uploaded.insert(memory).write(scene)?;
+        self.show(&scene)
+    }
+
+    /// Draws a scene that is on the device already in [`Renderer::render_loaded`]: one of a reconstruction in the arena that it was
+    /// made in.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where it is on another device; [`Error::DeviceLost`].
+    pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
+        self.device().check_lost()?;
+        if !scene.resident().is_on(self.arena.device()) {
+            return Err(Error::argument("scene to render", "one on another device", "one on the renderer's device"));
         }
-        let used = coeffs_of(degree);
-        let coeffs = scene.sh_coeffs.chunks_exact(scene.sh_coeffs_per_gaussian()).flat_map(|all| &all[..used]);
-        memory.write(tensors.sh_coeffs, &coeffs.copied().collect::<Vec<_>>())
+        if let Some(arena) = scene.arena()
+            && !self.arena.is(arena)
+        {
+            self.plans.clear();
+            self.arena = arena.clone();
+        }
+        if self.plans.first().is_some_and(|plan| plan.scene != *scene.tensors()) {
+            self.forget_plans();
+        }
+        self.plans.iter_mut().for_each(|plan| plan.run.replace_resident(scene.resident().clone()));
+        self.scene = Some(scene.clone());
+        Ok(())
     }
 
     /// Draws the scene that was loaded last.
@@ -125,6 +187,7 @@ impl Renderer {
     /// As [`Renderer::render`], and [`Error::Argument`] where no scene was loaded.
     pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         check(cameras, request)?;
+        let _claim = self.claim();
         let mut sizes: Vec<(u32, u32)> = cameras.iter().map(|c| (c.intrinsics.width, c.intrinsics.height)).collect();
         sizes.sort_unstable();
         sizes.dedup();
@@ -142,16 +205,13 @@ impl Renderer {
     }
 
     /// Intersections of Gaussians with tiles in what was drawn last.
-    ///
-    /// # Errors
-    /// Where the transfer fails.
-    pub fn intersections(&self) -> Result<usize> {
-        self.plans.last().map_or(Ok(0), Planned::needed)
+    pub fn intersections(&self) -> usize {
+        self.intersections
     }
 
     /// Effects that pictures of the scene that was loaded last do without, and why.
     pub fn left_out(&self, request: &RenderRequest) -> Vec<LeftOut> {
-        let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree, scene.tensors.sh_degree));
+        let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree(), scene.tensors().sh_degree));
         request.left_out(degrees.0, degrees.1)
     }
 
@@ -176,6 +236,7 @@ impl Renderer {
             ..RenderRequest::default()
         };
         check(std::slice::from_ref(camera), &request)?;
+        let _claim = self.claim();
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.render_together(&[camera_rows(camera)], (width, height), &request, 0)?;
         let plan = self.plan(FrameShape { cameras: 1, width, height }, &request, 0)?;
@@ -187,8 +248,11 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::render_loaded`].
     pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
+        check(std::slice::from_ref(camera), request)?;
+        let _claim = self.claim();
         // Afterwards there is a plan with room for every intersection.
-        self.render_loaded(std::slice::from_ref(camera), request)?;
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        self.render_alike(&[camera_rows(camera)], size, request)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
         let plan = self.plan(shape, request, 0)?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
@@ -203,7 +267,7 @@ impl Renderer {
         request: &RenderRequest,
     ) -> Result<Vec<Frame>> {
         let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
-        let bindable = self.device.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
+        let bindable = self.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
         // Plans of other sizes and requests, which take memory, too.
         let mut others = !self.plans.is_empty();
@@ -218,7 +282,7 @@ impl Renderer {
                 }
                 Err(Error::Memory { .. }) if others => {
                     others = false;
-                    self.forget_plans();
+                    self.start_over()?;
                 }
                 Err(error) => return Err(error),
             }
@@ -234,16 +298,19 @@ impl Renderer {
         turn: usize,
     ) -> Result<Vec<Frame>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
-        let most = self.device.limits().max_binding_bytes / 4;
+        let most = self.limits().max_binding_bytes / 4;
         loop {
             let plan = self.plan(shape, request, turn)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
             let needed = plan.needed()?;
-            if needed <= plan.capacity && request.layout.is_some() {
-                return Ok(Vec::new()); // Nobody reads them on the host.
-            }
-            if let Some(frames) = plan.frames()? {
+            let frames = match (needed <= plan.capacity, request.layout) {
+                (true, Some(_)) => Some(Vec::new()), // Nobody reads them on the host.
+                (true, None) => Some(plan.read()?),
+                (false, _) => None,
+            };
+            self.intersections = needed;
+            if let Some(frames) = frames {
                 return Ok(frames);
             }
             if needed as u64 > most {
@@ -270,24 +337,58 @@ impl Renderer {
                     self.plans.remove(0);
                 }
                 if self.capacity == 0 {
-                    self.capacity = (4 * scene.tensors.len).max(1 << 16);
+                    self.capacity = first_capacity(scene.len());
                 }
-                let most = self.device.limits().max_binding_bytes as usize / 4;
-                let capacity = self.capacity.saturating_mul(shape.cameras).min(most);
-                scene.plan(&self.device, key, capacity)?
+                let capacity = planned_capacity(self.limits(), self.capacity, shape);
+                Planned::new(&self.arena, scene, key, capacity)?
             }
         };
         self.plans.push(planned);
         Ok(self.plans.last_mut().expect("just pushed"))
     }
 
-    pub(super) fn forget_plans(&mut self) {
+    fn forget_plans(&mut self) {
         self.plans.clear();
+        self.cameras_at_once = usize::MAX;
+    }
+
+    /// Memory for a scene; where there is too little, that of the plans is given back for it.
+    fn allocate(&mut self, len: usize, sh_degree: u32) -> Result<SceneMemory> {
+        let mut layout = ResidentLayout::new(self.limits());
+        let tensors = SceneTensors::lay_out(&mut layout, len, sh_degree);
+        match SceneMemory::new(self.arena.device(), &layout, tensors) {
+            Err(Error::Memory { .. }) => {
+                let _claim = self.claim();
+                self.arena.release()?;
+                SceneMemory::new(self.arena.device(), &layout, tensors)
+            }
+            found => found,
+        }
+    }
+
+    /// Makes room: nothing stays of what was recorded and of its memory.
+    pub(super) fn start_over(&mut self) -> Result<()> {
+        self.plans.clear();
+        self.arena.release()
+    }
+
+    /// The right to draw: in an arena of its own where somebody else uses the shared one now.
+    pub(super) fn claim(&mut self) -> Claim {
+        if let Some(claim) = self.arena.claim() {
+            return claim;
+        }
+        self.plans.clear();
+        self.arena = Arena::new(self.arena.device());
+        self.arena.claim().expect("nobody else knows it")
+    }
+
+    fn limits(&self) -> &Limits {
+        self.arena.device().limits()
     }
 
     /// Gaussians of the scene.
     pub(super) fn gaussians(&self) -> usize {
-        self.scene.as_ref().map_or(0, |scene| scene.tensors.len)
+        self.scene.as_ref().map_or(0, DeviceScene::len)
     }
 
     /// Waits for everything that is under way.
@@ -297,6 +398,14 @@ impl Renderer {
 }
 
 impl Planned {
+    fn new(arena: &Arena, scene: &DeviceScene, key: Key, capacity: usize) -> Result<Self> {
+        let mut rec = Recorder::new(arena.device().limits());
+        let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
+        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &key.request, capacity);
+        let run = Run::in_arena(arena, key.turn, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
+        Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
+    }
+
     /// Intersections that the last run found; more than can be counted as 2^32.
     fn needed(&self) -> Result<usize> {
         let status: Vec<u32> = self.run.read(self.outputs.status)?;
@@ -305,54 +414,16 @@ impl Planned {
 
     /// The pictures of the last run, unless they needed more room.
     pub(super) fn frames(&self) -> Result<Option<Vec<Frame>>> {
-        if self.needed()? > self.capacity {
-            return Ok(None);
-        }
+        if self.needed()? > self.capacity { Ok(None) } else { self.read().map(Some) }
+    }
+
+    fn read(&self) -> Result<Vec<Frame>> {
         let values: Vec<f32> = self.run.read(self.outputs.frames)?;
         let FrameShape { cameras, width, height } = self.key.shape;
         let frame = |values| Frame::from_channels(width, height, values, &self.key.request);
         if cameras == 1 {
-            return Ok(Some(vec![frame(values)]));
+            return Ok(vec![frame(values)]);
         }
-        Ok(Some(values.chunks_exact(values.len() / cameras).map(|values| frame(values.to_vec())).collect()))
+        Ok(values.chunks_exact(values.len() / cameras).map(|values| frame(values.to_vec())).collect())
     }
-}
-
-impl Loaded {
-    fn allocate(device: &Device, len: usize, sh_degree: u32) -> Result<Self> {
-        let mut layout = ResidentLayout::new(device.limits());
-        let tensors = SceneTensors {
-            means: layout.add::<[f32; 3]>(len),
-            scales: layout.add::<[f32; 3]>(len),
-            quats: layout.add::<[f32; 4]>(len),
-            opacities: layout.add::<f32>(len),
-            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
-            len,
-            sh_degree,
-        };
-        Ok(Self { memory: Arc::new(Resident::new(device, &layout)?), tensors, stored_degree: sh_degree })
-    }
-
-    fn plan(&self, device: &Device, key: Key, capacity: usize) -> Result<Planned> {
-        let mut rec = Recorder::new(device.limits());
-        let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
-        let outputs = record(&mut rec, &self.tensors, cameras, key.shape, &key.request, capacity);
-        let run = Run::with_resident(device, rec.finish()?, Some(self.memory.clone()))?.in_flight()?;
-        Ok(Planned { key, capacity, run, cameras, outputs })
-    }
-}
-
-/// Coefficients up to a degree.
-fn coeffs_of(degree: u32) -> usize {
-    (degree as usize + 1).pow(2)
-}
-
-/// Degree of the highest band that is not all zero: what is above it is neither stored nor evaluated.
-fn used_degree(scene: &Scene) -> u32 {
-    let stride = scene.sh_coeffs_per_gaussian();
-    let zero = |degree: u32| {
-        let band = (degree as usize).pow(2)..(degree as usize + 1).pow(2);
-        scene.sh_coeffs.chunks_exact(stride).all(|coeffs| coeffs[band.clone()].iter().all(|rgb| *rgb == [0.0; 3]))
-    };
-    (1..=scene.sh_degree).rev().find(|&degree| !zero(degree)).unwrap_or(0)
 }

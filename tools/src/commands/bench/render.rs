@@ -124,7 +124,7 @@ impl Render {
         // Room for what there is and no more, so that bytes of tensors are bytes in use.
         let mut renderer = Renderer::new(device);
         renderer.render(scene, &[camera], &request)?;
-        let intersections = renderer.intersections()?;
+        let intersections = renderer.intersections();
         let mut renderer = Renderer::with_capacity(device, intersections.max(1));
         renderer.load(scene)?;
         let (mut host, mut profiles) = (Vec::new(), Vec::new());

@@ -3,7 +3,7 @@
 mod plan;
 
 use crate::{
-    options::{Quality, SceneInput, Weights, refuse},
+    options::{Quality, SceneInput, Size, Weights, refuse},
     session::Session,
     table::{Table, bytes, counted},
 };
@@ -46,6 +46,9 @@ pub struct Info {
     /// Plan for known cameras
     #[arg(long, requires = "plan")]
     poses: bool,
+    /// Also plan pictures of this size of the scene, two in flight as zipsplat render has them
+    #[arg(long, value_name = "WxH", requires = "plan")]
+    pictures: Option<Size>,
     /// Show every tensor of the plan, by first use, not only the largest
     #[arg(long, requires = "plan")]
     all: bool,

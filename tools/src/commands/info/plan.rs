@@ -10,8 +10,9 @@ use indicatif::HumanCount;
 use serde_json::json;
 use zipsplat::{
     Error, Result,
-    gpu::{Device, Limits, Recorder},
-    reconstruct::{Network, Shape},
+    gpu::{Arena, Device, Limits, Plan},
+    reconstruct::{Network, NetworkPlan, Shape},
+    stages::render::{RenderRequest, plan_pictures},
 };
 
 /// Tensors that are shown where not all are asked for.
@@ -32,15 +33,22 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         None => arithmetic.planned(&limits),
     };
     let network = Network::new(checkpoint.architecture(), &limits, arithmetic);
-    let mut rec = Recorder::new(&limits);
-    network.record(&mut rec, shape);
-    let plan = rec.finish()?;
+    let NetworkPlan { plan, tensors, layout } = network.plan(&limits, shape)?;
+    let pictures =
+        |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderRequest::default());
+    let pictures = info.pictures.map(pictures).transpose()?;
 
-    let (weights, arena) = (network.weight_bytes(), plan.arena_bytes());
+    let (weights, scene) = (network.weight_bytes(), layout.bytes());
+    let of_pictures = pictures.as_ref().map_or(0, Plan::arena_bytes);
+    let first_lane = Arena::lane_bytes([&plan].into_iter().chain(&pictures));
+    let arena = first_lane + (Arena::LANES as u64 - 1) * of_pictures;
+    // What as many arenas as there are plans under way would take.
+    let separate = weights + scene + plan.arena_bytes() + Arena::LANES as u64 * of_pictures;
     let mut rows = plan.arena_map();
     let json = json!({
         "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
-        "precision": precision.name(), "peak_bytes": weights + arena, "weight_bytes": weights, "arena_bytes": arena, "rows": rows,
+        "precision": precision.name(), "peak_bytes": weights + scene + arena, "weight_bytes": weights,
+        "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
     let count = rows.len();
     if !info.all {
@@ -60,12 +68,14 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         counted(shape.grid.tokens(), "token"),
         precision.name(),
         if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name },
-        bytes(weights + arena)
+        bytes(weights + scene + arena)
     );
     text += &format!(
-        "weights {}, arena {}; {} commands, {:.1} GFLOP\n\n{table}",
+        "weights {}, Gaussians {}, arena {}{}; {} commands, {:.1} GFLOP\n\n{table}",
         bytes(weights),
+        bytes(scene),
         bytes(arena),
+        pictures.map_or_else(String::new, |_| format!(" (in arenas of their own {} in all)", bytes(separate))),
         plan.len(),
         plan.flops() as f64 / 1e9
     );

@@ -144,7 +144,8 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
     for capture in captures {
         for &ratio in &args.ratio {
             for selection in &args.select {
-                let request = Request { ratio, selection: selection.clone(), cameras: Some(capture.cameras()) };
+                let request =
+                    Request { ratio, selection: selection.clone(), cameras: Some(capture.cameras()), unit: 1.0 };
                 let shape = model.shape(&capture.images(), &request)?;
                 let whole = shape.kept == Kept::All;
                 let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
@@ -202,7 +203,7 @@ impl Bench<'_> {
             true => Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?),
             false => None,
         };
-        let scene = tensors.read(&run, model.architecture().sh_degree as u32)?;
+        let scene = tensors.read(&run)?;
         Ok(Forward { scene, ms: Spread::of(times).median, peak_bytes, views_per_cluster, compared })
     }
 

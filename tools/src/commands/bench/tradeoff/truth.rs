@@ -129,7 +129,7 @@ fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMa
     run.execute()?;
     let read = |(name, tensor): &(String, Tensor)| Ok((name.clone(), run.read(*tensor)?));
     let taps = run.observed().iter().map(read).collect::<Result<_>>()?;
-    Ok((taps, tensors.read(&run, model.architecture().sh_degree as u32)?))
+    Ok((taps, tensors.read(&run)?))
 }
 
 /// The rms of the difference over that of the truth; NaN where something is missing.

@@ -2,15 +2,19 @@
 //!
 //! Source: ZipSplat, section 3.2 and appendix A.
 
-use super::{ViewGrid, embed_patches};
+mod head;
+
+use super::{ViewGrid, embed_patches, render::SceneTensors};
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::gaussians as kernels,
     ops::{
         Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, add, gather_rows, join_columns, row_chunks,
     },
     weights::Architecture,
 };
+
+pub use head::{Head, HeadKept};
 
 const EPS: f32 = 1e-5;
 
@@ -22,57 +26,57 @@ pub struct Gaussians {
     head: [Linear; 3],
 }
 
-/// The scene on the device, N = tokens * Gaussians a token, token-major.
+/// What the head reads of every token: the scene token `[count, width]` and its colour `[count, color_width]`, f32.
 #[derive(Clone, Copy, Debug)]
-pub struct GaussianTensors {
-    /// N.
+pub struct HeadTokens {
+    /// Tokens.
     pub count: usize,
-    /// `[N, 3]` f32.
-    pub means: Tensor,
-    /// `[N, 3]` f32, standard deviations.
-    pub scales: Tensor,
-    /// `[N, 4]` f32, wxyz.
-    pub quats: Tensor,
-    /// `[N]` f32, 0..1.
-    pub opacities: Tensor,
-    /// `[N, (degree + 1)^2, 3]` f32.
-    pub sh_coeffs: Tensor,
+    /// Both, each with its width.
+    pub parts: [(Tensor, usize); 2],
+}
+
+impl HeadTokens {
+    /// Records both side by side, `[count, width + color_width]`.
+    pub fn joined(&self, rec: &mut Recorder, element: Element) -> Tensor {
+        join_columns(rec, self.count, self.parts, element)
+    }
 }
 
 impl Gaussians {
     /// Lays out the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        let joined = a.width + a.color_width;
         let heads = Heads::new(a.color_heads, a.color_width);
-        let root = "gaussian_head.gaussian_head";
         Self {
             color_embed: p.linear("color_embed.proj", 3 * a.patch * a.patch, a.color_width),
             color_cross: CrossBlock::new(p, "color_cross_attention", heads, a.color_hidden, EPS),
-            head: [
-                p.linear(&format!("{root}.0.fc1"), joined, a.head_hidden),
-                p.linear(&format!("{root}.0.fc2"), a.head_hidden, joined),
-                p.linear(&format!("{root}.1"), joined, a.gaussians_per_token * a.gaussian_width()),
-            ],
+            head: head::layers(a).map(|(name, inner, columns)| p.linear(&name, inner, columns)),
             architecture: a.clone(),
         }
     }
 
-    /// Records the head for scene tokens `[count, width]` that stand for the tokens `chosen` (all, where `None`) of
+    /// Records the colour branch for scene tokens `[count, width]` that stand for the tokens `chosen` (all, where `None`) of
     /// `images`.
-    pub fn record(
+    pub fn tokens(
         &self,
         rec: &mut Recorder,
         scene: Tensor,
         images: Tensor,
         grid: ViewGrid,
         chosen: Option<(Tensor, usize)>,
-    ) -> GaussianTensors {
+    ) -> HeadTokens {
         let a = &self.architecture;
         let count = chosen.map_or(grid.tokens(), |c| c.1);
         let color = rec.scope("color", |rec| self.color(rec, images, grid, chosen, count));
+        HeadTokens { count, parts: [(scene, a.width), (color, a.color_width)] }
+    }
+
+    /// Records the head. A token's Gaussians lie one after the other in `into`, whose lengths are `unit` (`[1]` f32) times the
+    /// network's.
+    pub fn record(&self, rec: &mut Recorder, tokens: HeadTokens, unit: Tensor, into: &SceneTensors) {
+        let count = tokens.count;
         let raw = rec.scope("head", |rec| {
             let [first, second, third] = &self.head;
-            let joined = join_columns(rec, count, [(scene, a.width), (color, a.color_width)], first.element());
+            let joined = tokens.joined(rec, first.element());
             let gelu = Epilogue { activation: Activation::Gelu, output: second.element(), ..Epilogue::default() };
             let hidden = first.apply(rec, "hidden", joined, count, gelu);
             let plain = Epilogue { output: third.element(), ..Epilogue::default() };
@@ -80,7 +84,7 @@ impl Gaussians {
             third.apply(rec, "raw", narrow, count, Epilogue::default())
         });
         rec.observe("raw", raw);
-        activate(rec, raw, count * a.gaussians_per_token, a.sh_degree)
+        activate(rec, raw, unit, into);
     }
 
     fn color(
@@ -105,22 +109,15 @@ impl Gaussians {
     }
 }
 
-/// Activates `raw` `[count, 11 + 3 (sh_degree + 1)^2]`.
-pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize) -> GaussianTensors {
-    let bases = (sh_degree + 1) * (sh_degree + 1);
-    let tensors = GaussianTensors {
-        count,
-        means: rec.tensor::<[f32; 3]>("means", count),
-        scales: rec.tensor::<[f32; 3]>("scales", count),
-        quats: rec.tensor::<[f32; 4]>("quats", count),
-        opacities: rec.tensor::<f32>("opacities", count),
-        sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", count * bases),
-    };
-    let GaussianTensors { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
-    for part in row_chunks(rec, count, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
+/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]` into a scene whose lengths are `unit` (`[1]` f32) times the network's.
+pub fn activate(rec: &mut Recorder, raw: Tensor, unit: Tensor, into: &SceneTensors) {
+    let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree } = *into;
+    let bases = (sh_degree as usize + 1).pow(2);
+    for part in row_chunks(rec, len, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
         let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
         let kernel = kernels::Activate {
             raw: rows_of(raw, 11 + 3 * bases),
+            unit,
             means: rows_of(means, 3),
             scales: rows_of(scales, 3),
             quats: rows_of(quats, 4),
@@ -131,5 +128,4 @@ pub fn activate(rec: &mut Recorder, raw: Tensor, count: usize, sh_degree: usize)
         };
         rec.dispatch(kernel, part.len());
     }
-    tensors
 }

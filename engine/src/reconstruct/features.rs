@@ -1,0 +1,163 @@
+//! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
+//! be refined.
+
+use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
+use crate::{
+    Result,
+    gpu::{Arena, Claim, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
+    stages::render::{SceneMemory, SceneTensors},
+    types::Image,
+};
+use std::{ops::ControlFlow, sync::Arc};
+
+/// What the backbone makes of photos, on the device. Scenes of any ratio and selection follow from it.
+pub struct Features {
+    shape: Shape,
+    tensors: FeatureTensors,
+    memory: Arc<Resident>,
+    unit: f64,
+    /// Time of each stage.
+    pub times: StageTimes,
+}
+
+impl Features {
+    /// Bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.memory.bytes()
+    }
+}
+
+/// A scene's tokens on the device: what the head makes Gaussians of.
+pub struct SceneTokens {
+    memory: Arc<Resident>,
+    tensor: Tensor,
+    count: usize,
+    width: usize,
+    unit: f64,
+    /// Time of each stage.
+    pub times: StageTimes,
+}
+
+impl SceneTokens {
+    /// `[count, width]` f32: scene tokens beside colour features.
+    pub fn tensor(&self) -> Tensor {
+        self.tensor
+    }
+
+    /// Tokens.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Values of a token.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// See [`Request::unit`].
+    pub fn unit(&self) -> f64 {
+        self.unit
+    }
+
+    /// The memory of the tensor.
+    pub fn resident(&self) -> &Arc<Resident> {
+        &self.memory
+    }
+}
+
+impl Model {
+    /// Runs the backbone alone and keeps what it makes of the images on the device. Of `request`, cameras and unit count.
+    ///
+    /// # Errors
+    /// As [`Model::reconstruct`].
+    pub fn features(
+        &self,
+        images: &[Image],
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Features> {
+        let shape = self.shape(images, request)?;
+        let mut layout = ResidentLayout::new(self.device.limits());
+        let tensors = FeatureTensors::lay_out(&mut layout, self.architecture(), shape.grid);
+        let mut rec = Recorder::new(self.device.limits());
+        let inputs = self.network.record_features(&mut rec, shape, &tensors);
+        let memory = Arc::new(Resident::new(&self.device, &layout)?);
+        let (arena, _claim) = self.claimed();
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.resident.clone(), memory.clone()])?;
+        self.write_photos(&mut run, &inputs, shape, images, request)?;
+        let times = run.execute_with(progress)?;
+        Ok(Features { shape, tensors, memory, unit: request.unit, times })
+    }
+
+    /// Makes a scene of features: the bits of [`Model::reconstruct`] with the images that they are of. Of `request`, ratio and
+    /// selection count.
+    ///
+    /// # Errors
+    /// As [`Model::reconstruct`].
+    pub fn reconstruct_features(
+        &self,
+        features: &Features,
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Reconstruction> {
+        let (grid, cameras) = (features.shape.grid, features.shape.cameras);
+        let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
+        let chosen = (request.ratio, &request.selection);
+        let shape = Shape::new(self.architecture(), grid.views, size, chosen, cameras)?;
+        let request = Request { unit: features.unit, ..request.clone() };
+
+        let mut layout = ResidentLayout::new(self.device.limits());
+        let degree = self.architecture().sh_degree as u32;
+        let into = SceneTensors::lay_out(&mut layout, self.network.gaussians_of(shape), degree);
+        let mut rec = Recorder::new(self.device.limits());
+        let choice = self.network.record_decoding(&mut rec, shape, &features.tensors, &into);
+        let (arena, _claim) = self.claimed();
+        let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(&arena);
+        let memories = [self.resident.clone(), features.memory.clone(), scene.resident().clone()];
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
+        write_choice(&mut run, choice, shape, &request)?;
+        let times = run.execute_with(progress)?;
+        let gaussians = scene.scene(degree);
+        Ok(Reconstruction {
+            tokens: shape.tokens,
+            times,
+            outline: Profile::outline(run.plan()),
+            left_out: shape.left_out(),
+            peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
+            gaussians,
+        })
+    }
+
+    /// Reconstructs up to the scene's tokens and keeps these on the device, for [`crate::refine::refine_tokens`].
+    ///
+    /// # Errors
+    /// As [`Model::reconstruct`].
+    pub fn tokens(
+        &self,
+        images: &[Image],
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<SceneTokens> {
+        let shape = self.shape(images, request)?;
+        let width = self.architecture().width + self.architecture().color_width;
+        let mut layout = ResidentLayout::new(self.device.limits());
+        let tensor = layout.add::<f32>(shape.tokens * width);
+        let mut rec = Recorder::new(self.device.limits());
+        let (inputs, choice) = self.network.record_tokens(&mut rec, shape, tensor);
+        let memory = Arc::new(Resident::new(&self.device, &layout)?);
+        let (arena, _claim) = self.claimed();
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.resident.clone(), memory.clone()])?;
+        self.write_photos(&mut run, &inputs, shape, images, request)?;
+        write_choice(&mut run, choice, shape, request)?;
+        let times = run.execute_with(progress)?;
+        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, unit: request.unit, times })
+    }
+
+    /// The model's arena, or one of its own where another thread uses that one now.
+    fn claimed(&self) -> (Arena, Option<Claim>) {
+        match self.arena.claim() {
+            Some(claim) => (self.arena.clone(), Some(claim)),
+            None => (Arena::new(&self.device), None),
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Scene tokens as what the optimiser moves: the head, whose weights are frozen, makes Gaussians of them.
+//!
+//! Source: ZipSplat, section 4.2, "Test-time optimization".
+
+use super::{
+    Refine, Space,
+    gaussians::{ADAM, Gaussians, filling, scene_gradients, scene_tensors},
+    record_adam,
+};
+use crate::{
+    Error, Result,
+    gpu::{Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    ops::{Arithmetic, ParameterLayout},
+    reconstruct::SceneTokens,
+    stages::gaussians::Head,
+    types::Scene,
+    weights::{Architecture, Checkpoint},
+};
+use std::{ops::ControlFlow, sync::Arc};
+
+/// A model's head on a device, forwards and transposed, in f32 whatever the model computes in.
+pub struct FrozenHead {
+    device: Device,
+    head: Head,
+    architecture: Architecture,
+    memory: Arc<Resident>,
+}
+
+impl FrozenHead {
+    /// Loads the head of a checkpoint.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where the device has too little, or where the checkpoint cannot be read.
+    pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
+        let architecture = checkpoint.architecture().clone();
+        let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
+        let head = Head::new(&mut parameters, &architecture);
+        let memory = Arc::new(parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?);
+        Ok(Self { device: device.clone(), head, architecture, memory })
+    }
+
+    /// Bytes of its weights on the device.
+    pub fn bytes(&self) -> u64 {
+        self.memory.bytes()
+    }
+}
+
+/// The Gaussians of tokens, to be moved through them, and what they are before the first step.
+pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Result<(Gaussians, Scene)> {
+    let FrozenHead { device, head, architecture: a, memory: weights } = head;
+    let (count, width) = (tokens.count(), a.width + a.color_width);
+    if tokens.width() != width {
+        return Err(Error::argument("width of the tokens", tokens.width(), format!("{width}, as the head's")));
+    }
+    let (len, sh_degree) = (count * a.gaussians_per_token, a.sh_degree as u32);
+    let counts = [3, 3, 4, 1, 3 * (sh_degree as usize + 1).pow(2)].map(|width| width * len);
+    let mut layout = ResidentLayout::new(device.limits());
+    let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
+    let [moved, first, second] = [(); 3].map(|()| layout.add::<f32>(count * width));
+    let unit = layout.add::<f32>(1);
+    let memory = Arc::new(Resident::new(device, &layout)?);
+    memory.write(unit, &[tokens.unit() as f32])?;
+    filling(device, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
+    let scene = scene_tensors(values, len, sh_degree);
+
+    // Once: the tokens' own Gaussians. The tokens that they were given as stay.
+    let mut rec = Recorder::new(device.limits());
+    rec.copy(tokens.tensor(), moved);
+    head.record(&mut rec, moved, count, unit, &scene);
+    let given = [memory.clone(), weights.clone(), tokens.resident().clone()];
+    Run::with_resident(device, rec.finish()?, given)?.execute()?;
+
+    // Every step. What the gradient needs of the head's forward pass is computed again: it would be many times the tokens.
+    let mut rec = Recorder::new(device.limits());
+    let schedule = rec.input::<f32>("schedule", 4);
+    let kept = head.record(&mut rec, moved, count, unit, &scene);
+    let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
+    rec.scope("adam", |rec| {
+        let (rate, len) = (request.rates.tokens, count * width);
+        record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);
+    });
+    head.record(&mut rec, moved, count, unit, &scene);
+    let memories = vec![memory, weights.clone()];
+    let update = (Run::with_resident(device, rec.finish()?, memories.iter().cloned())?, schedule);
+
+    let gradients = begin(gradients, len, request);
+    let mut gaussians = Gaussians::of(device, request, memories, scene, gradients, update)?;
+    let scene = gaussians.scene()?;
+    Ok((gaussians, scene))
+}
+
+/// What gradients begin with: those of the penalties.
+fn begin(gradients: [Tensor; 5], len: usize, request: &Refine) -> [(Tensor, f32); 5] {
+    let mut begin = gradients.map(|gradient| (gradient, 0.0));
+    begin[3].1 = request.opacity_penalty / len as f32;
+    begin
+}

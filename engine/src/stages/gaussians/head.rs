@@ -1,0 +1,134 @@
+//! The head with what its gradient needs: tokens to Gaussians, and gradients of Gaussians to those of tokens.
+//!
+//! Its weights are frozen and f32, whatever the network computes in.
+
+use super::activate;
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{gaussians as kernels, ops::Gelu},
+    ops::{Epilogue, Linear, ParameterLayout, row_chunks},
+    stages::render::{SceneGradients, SceneTensors},
+    weights::Architecture,
+};
+
+/// The head's parameters, forwards and transposed.
+pub struct Head {
+    layers: [Linear; 3],
+    transposed: [Linear; 3],
+    gaussians_per_token: usize,
+    sh_degree: usize,
+}
+
+/// What the gradient of the head needs of its forward pass.
+#[derive(Clone, Copy, Debug)]
+pub struct HeadKept {
+    count: usize,
+    /// `[count, head_hidden]` f32, before GELU.
+    hidden: Tensor,
+    /// `[count, gaussians_per_token, gaussian_width]` f32, before activation.
+    raw: Tensor,
+    /// `[1]` f32.
+    unit: Tensor,
+}
+
+/// Name, inner width and columns of the head's layers.
+pub(super) fn layers(a: &Architecture) -> [(String, usize, usize); 3] {
+    let (root, joined) = ("gaussian_head.gaussian_head", a.width + a.color_width);
+    [
+        (format!("{root}.0.fc1"), joined, a.head_hidden),
+        (format!("{root}.0.fc2"), a.head_hidden, joined),
+        (format!("{root}.1"), joined, a.gaussians_per_token * a.gaussian_width()),
+    ]
+}
+
+impl Head {
+    /// Lays out the parameters.
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        Self {
+            layers: layers(a).map(|(name, inner, columns)| p.exact_linear(&name, inner, columns)),
+            transposed: layers(a).map(|(name, inner, columns)| p.transposed_linear(&name, inner, columns)),
+            gaussians_per_token: a.gaussians_per_token,
+            sh_degree: a.sh_degree,
+        }
+    }
+
+    /// Records the head for `tokens` `[count, width + color_width]` f32, scene tokens beside colour features, into a scene whose
+    /// lengths are `unit` (`[1]` f32) times the network's.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        tokens: Tensor,
+        count: usize,
+        unit: Tensor,
+        into: &SceneTensors,
+    ) -> HeadKept {
+        rec.scope("head", |rec| {
+            let [first, second, third] = &self.layers;
+            let hidden = first.apply(rec, "hidden", tokens, count, Epilogue::default());
+            let activated = rec.tensor::<f32>("activated", count * first.columns);
+            gelu(rec, hidden, None, activated, count * first.columns);
+            let narrow = second.apply(rec, "narrow", activated, count, Epilogue::default());
+            let raw = third.apply(rec, "raw", narrow, count, Epilogue::default());
+            rec.observe("raw", raw);
+            activate(rec, raw, unit, into);
+            HeadKept { count, hidden, raw, unit }
+        })
+    }
+
+    /// Records the gradient by the tokens, `[count, width + color_width]` f32, from that by the Gaussians.
+    pub fn record_backward(&self, rec: &mut Recorder, kept: &HeadKept, d_gaussians: &SceneGradients) -> Tensor {
+        rec.scope("head backward", |rec| {
+            let [first, second, third] = &self.transposed;
+            let (count, hidden) = (kept.count, kept.hidden);
+            let d_raw = self.activate_backward(rec, kept, d_gaussians, third.inner);
+            rec.observe("d_raw", d_raw);
+            let d_narrow = third.apply(rec, "d_narrow", d_raw, count, Epilogue::default());
+            let d_hidden = second.apply(rec, "d_hidden", d_narrow, count, Epilogue::default());
+            gelu(rec, hidden, Some(d_hidden), d_hidden, count * second.columns);
+            let d_tokens = first.apply(rec, "d_tokens", d_hidden, count, Epilogue::default());
+            rec.observe("d_tokens", d_tokens);
+            d_tokens
+        })
+    }
+
+    /// The gradient by the raw Gaussians, `[count, stride]`.
+    fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneGradients, stride: usize) -> Tensor {
+        let bases = (self.sh_degree + 1).pow(2);
+        let (group, width) = (self.gaussians_per_token, 11 + 3 * bases);
+        let d_raw = rec.tensor::<f32>("d_raw", kept.count * stride);
+        if stride > group * width {
+            rec.fill(d_raw, 0); // what pads a row is multiplied by zeros, and so has to be a number
+        }
+        let widths = [width, 3, 4, 1, 3 * bases].map(|width| 4 * group * width);
+        let chunks = row_chunks(rec, kept.count, &[&widths[..], &[4 * stride]].concat());
+        for part in chunks {
+            let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
+            let kernel = kernels::ActivateBackward {
+                raw: rows_of(kept.raw, group * width),
+                unit: kept.unit,
+                d_means: rows_of(d.means, group * 3),
+                d_scales: rows_of(d.scales, group * 3),
+                d_quats: rows_of(d.quats, group * 4),
+                d_opacities: rows_of(d.opacities, group),
+                d_sh_coeffs: rows_of(d.sh_coeffs, group * 3 * bases),
+                d_raw: rows_of(d_raw, stride),
+                count: (part.len() * group) as u32,
+                bases: bases as u32,
+                group: group as u32,
+                stride: stride as u32,
+            };
+            rec.dispatch(kernel, part.len() * group);
+        }
+        d_raw
+    }
+}
+
+/// GELU of `source` `[len]`, or, where there is a `gradient`, that times GELU's derivative there. `out` may be the gradient.
+fn gelu(rec: &mut Recorder, source: Tensor, gradient: Option<Tensor>, out: Tensor, len: usize) {
+    let backward = gradient.is_some();
+    let tensors = [source, gradient.unwrap_or(source), out];
+    for part in row_chunks(rec, len, &[size_of::<f32>()]) {
+        let [source, gradient, out] = tensors.map(|t| t.slice::<f32>(part.start, part.len()));
+        rec.dispatch(Gelu { source, gradient, out, count: part.len() as u32, backward }, part.len());
+    }
+}

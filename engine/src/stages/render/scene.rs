@@ -1,0 +1,235 @@
+//! Gaussians on a device.
+
+use super::{project::SceneTensors, range::drawable};
+use crate::{
+    Result,
+    gpu::{Arena, Device, Limits, Recorder, Resident, ResidentLayout},
+    types::Scene,
+};
+use std::sync::{Arc, Weak};
+
+/// Gaussians on a device, for a [`Renderer`](super::Renderer) to draw and for the host to read. Cloning shares them; they never
+/// change while anybody has them.
+#[derive(Clone)]
+pub struct DeviceScene(Arc<Gaussians>);
+
+/// A [`DeviceScene`] that does not keep the Gaussians on the device.
+#[derive(Clone)]
+pub struct WeakScene(Weak<Gaussians>);
+
+impl WeakScene {
+    /// The scene, while somebody else keeps it.
+    pub fn upgrade(&self) -> Option<DeviceScene> {
+        self.0.upgrade().map(DeviceScene)
+    }
+}
+
+struct Gaussians {
+    memory: Arc<Resident>,
+    tensors: SceneTensors,
+    /// Where a reconstruction made them.
+    arena: Option<Arena>,
+    /// The degree of the scene that they were made of, whose bands above [`SceneTensors::sh_degree`] are all zero.
+    stored_degree: u32,
+}
+
+impl std::fmt::Debug for DeviceScene {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "DeviceScene of {} Gaussians", self.len())
+    }
+}
+
+/// A scene's memory, which takes one scene after the other: the next one when nobody has the last one any more.
+pub struct SceneMemory {
+    memory: Arc<Resident>,
+    tensors: SceneTensors,
+    arena: Option<Arena>,
+    user: Weak<Gaussians>,
+}
+
+impl SceneTensors {
+    /// The tensors of `len` Gaussians that a plan makes for the host.
+    pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
+        let tensors = Self {
+            means: rec.tensor::<[f32; 3]>("means", len),
+            scales: rec.tensor::<[f32; 3]>("scales", len),
+            quats: rec.tensor::<[f32; 4]>("quats", len),
+            opacities: rec.tensor::<f32>("opacities", len),
+            sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", len * coeffs_of(sh_degree)),
+            len,
+            sh_degree,
+        };
+        let Self { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
+        [means, scales, quats, opacities, sh_coeffs].into_iter().for_each(|tensor| rec.output(tensor));
+        tensors
+    }
+
+    /// The tensors of `len` Gaussians, laid out to be kept.
+    pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
+        Self {
+            means: layout.add::<[f32; 3]>(len),
+            scales: layout.add::<[f32; 3]>(len),
+            quats: layout.add::<[f32; 4]>(len),
+            opacities: layout.add::<f32>(len),
+            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
+            len,
+            sh_degree,
+        }
+    }
+
+    /// Bytes of the memory that [`SceneTensors::lay_out`] lays out.
+    pub fn bytes(limits: &Limits, len: usize, sh_degree: u32) -> u64 {
+        let mut layout = ResidentLayout::new(limits);
+        Self::lay_out(&mut layout, len, sh_degree);
+        layout.bytes()
+    }
+}
+
+impl SceneMemory {
+    /// Room for the tensors of a layout.
+    ///
+    /// # Errors
+    /// [`Error::Memory`](crate::Error::Memory) where the device has too little.
+    pub fn new(device: &Device, layout: &ResidentLayout, tensors: SceneTensors) -> Result<Self> {
+        let memory = Arc::new(Resident::new(device, layout)?);
+        Ok(Self { memory, tensors, arena: None, user: Weak::new() })
+    }
+
+    /// Lets renderers draw its scenes in this arena, in which they are made.
+    pub fn made_in(mut self, arena: &Arena) -> Self {
+        self.arena = Some(arena.clone());
+        self
+    }
+
+    /// Whether nobody has the scene that lies here.
+    pub fn is_free(&self) -> bool {
+        self.user.strong_count() == 0
+    }
+
+    /// The memory, for a plan to write.
+    pub fn resident(&self) -> &Arc<Resident> {
+        &self.memory
+    }
+
+    /// The scene that was written here.
+    ///
+    /// # Panics
+    /// Where somebody has the scene that was here before.
+    pub fn scene(&mut self, stored_degree: u32) -> DeviceScene {
+        assert!(self.is_free(), "a scene in use was overwritten");
+        let (memory, arena) = (self.memory.clone(), self.arena.clone());
+        let gaussians = Arc::new(Gaussians { memory, tensors: self.tensors, arena, stored_degree });
+        self.user = Arc::downgrade(&gaussians);
+        DeviceScene(gaussians)
+    }
+
+    /// Writes a scene whose bands above that of the tensors are all zero.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn write(&mut self, scene: &Scene) -> Result<DeviceScene> {
+        let Self { memory, tensors, .. } = self;
+        memory.write(tensors.means, &scene.means)?;
+        memory.write(tensors.scales, &scene.scales)?;
+        memory.write(tensors.quats, &drawable(&scene.quats))?;
+        memory.write(tensors.opacities, &scene.opacities)?;
+        if tensors.sh_degree == scene.sh_degree {
+            memory.write(tensors.sh_coeffs, &scene.sh_coeffs)?;
+        } else {
+            let used = coeffs_of(tensors.sh_degree);
+            let coeffs = scene.sh_coeffs.chunks_exact(scene.sh_coeffs_per_gaussian()).flat_map(|all| &all[..used]);
+            memory.write(tensors.sh_coeffs, &coeffs.copied().collect::<Vec<_>>())?;
+        }
+        Ok(self.scene(scene.sh_degree))
+    }
+
+    /// The tensors that lie here.
+    pub fn tensors(&self) -> &SceneTensors {
+        &self.tensors
+    }
+}
+
+impl DeviceScene {
+    /// Brings a scene to a device; bands of spherical harmonics that are all zero stay behind.
+    ///
+    /// # Errors
+    /// [`Error::Argument`](crate::Error::Argument) where the scene is not valid, [`Error::Memory`](crate::Error::Memory) where
+    /// the device has too little.
+    pub fn upload(device: &Device, scene: &Scene) -> Result<Self> {
+        scene.validate()?;
+        let mut layout = ResidentLayout::new(device.limits());
+        let tensors = SceneTensors::lay_out(&mut layout, scene.len(), used_degree(scene));
+        SceneMemory::new(device, &layout, tensors)?.write(scene)
+    }
+
+    /// The Gaussians, on the host.
+    ///
+    /// # Errors
+    /// Where the transfer fails.
+    pub fn read(&self) -> Result<Scene> {
+        let Gaussians { memory, tensors, .. } = &*self.0;
+        Ok(Scene {
+            means: memory.read(tensors.means)?,
+            scales: memory.read(tensors.scales)?,
+            quats: memory.read(tensors.quats)?,
+            opacities: memory.read(tensors.opacities)?,
+            sh_coeffs: memory.read(tensors.sh_coeffs)?,
+            sh_degree: tensors.sh_degree,
+        })
+    }
+
+    /// The same scene without a hold on it.
+    pub fn downgrade(&self) -> WeakScene {
+        WeakScene(Arc::downgrade(&self.0))
+    }
+
+    /// Gaussians.
+    pub fn len(&self) -> usize {
+        self.0.tensors.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Their bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.0.memory.bytes()
+    }
+
+    /// The tensors, in [`DeviceScene::resident`].
+    pub fn tensors(&self) -> &SceneTensors {
+        &self.0.tensors
+    }
+
+    /// The memory that a plan with these tensors runs with.
+    pub fn resident(&self) -> &Arc<Resident> {
+        &self.0.memory
+    }
+
+    /// The arena that they were made in.
+    pub(super) fn arena(&self) -> Option<&Arena> {
+        self.0.arena.as_ref()
+    }
+
+    /// The degree of the spherical harmonics that the scene was stored with.
+    pub(super) fn stored_degree(&self) -> u32 {
+        self.0.stored_degree
+    }
+}
+
+/// Coefficients up to a degree.
+fn coeffs_of(degree: u32) -> usize {
+    (degree as usize + 1).pow(2)
+}
+
+/// Degree of the highest band that is not all zero: what is above it is neither stored nor evaluated.
+pub(super) fn used_degree(scene: &Scene) -> u32 {
+    let stride = scene.sh_coeffs_per_gaussian();
+    let zero = |degree: u32| {
+        let band = (degree as usize).pow(2)..(degree as usize + 1).pow(2);
+        scene.sh_coeffs.chunks_exact(stride).all(|coeffs| coeffs[band.clone()].iter().all(|rgb| *rgb == [0.0; 3]))
+    };
+    (1..=scene.sh_degree).rev().find(|&degree| !zero(degree)).unwrap_or(0)
+}

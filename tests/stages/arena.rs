@@ -1,0 +1,173 @@
+//! One arena from photos to pictures: kept stages give the same bits, and nothing is allocated twice.
+
+use std::ops::ControlFlow;
+use zipsplat::gpu::{Arena, Device, DeviceOptions};
+use zipsplat::ops::Arithmetic;
+use zipsplat::reconstruct::{Model, Ratio, Reconstruction, Request, Selection};
+use zipsplat::stages::render::{Frame, RenderRequest, Renderer, plan_pictures};
+use zipsplat::types::{Camera, Image, Scene};
+use zipsplat_tests::{networks, scenes::camera};
+
+/// A device and a network on it that no other test uses, so that their memory can be counted.
+fn alone(staged: bool) -> (Device, Model) {
+    let device = Device::open(&DeviceOptions { staged, ..DeviceOptions::default() }).unwrap();
+    let model = networks::model_on(&device, "micro", Arithmetic::EXACT);
+    (device, model)
+}
+
+fn photos(count: usize) -> Vec<Image> {
+    (0..count as u32)
+        .map(|i| Image::new(56, 42, (0..56 * 42 * 3).map(|v| (v * (7 + i) % 251) as u8).collect()).unwrap())
+        .collect()
+}
+
+fn reconstruct(model: &Model, photos: &[Image], request: &Request) -> Reconstruction {
+    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn cameras() -> Vec<Camera> {
+    let at = |x: f64| {
+        let mut camera = camera(56, 42);
+        camera.pose.translation.x += x;
+        camera
+    };
+    (0..5).map(|i| at(0.02 * f64::from(i))).collect()
+}
+
+fn pictures(renderer: &mut Renderer) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    let push = |_, frame| {
+        frames.push(frame);
+        Ok(())
+    };
+    renderer.render_each(&cameras(), &RenderRequest::default(), push).unwrap();
+    frames
+}
+
+#[test]
+fn a_scene_of_kept_features_is_that_of_the_photos() {
+    let (_, model) = alone(false);
+    let photos = photos(3);
+    let features = model.features(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap();
+    for (ratio, selection) in
+        [(1.0, Selection::KMEANS), (0.5, Selection::KMEANS), (0.25, Selection::Stride), (0.3, Selection::Random(4))]
+    {
+        let request = Request { ratio: Ratio::Fixed(ratio), selection, ..Request::default() };
+        let kept = model.reconstruct_features(&features, &request, |_| ControlFlow::Continue(())).unwrap();
+        let whole = reconstruct(&model, &photos, &request);
+        assert!(kept.scene().unwrap() == whole.scene().unwrap(), "{request:?}");
+        assert_eq!(kept.tokens, whole.tokens);
+        assert!(kept.times.0.iter().all(|(stage, _)| stage != "backbone"), "{:?}", kept.times);
+    }
+}
+
+#[test]
+fn a_second_reconstruction_takes_no_memory() {
+    for staged in [false, true] {
+        let (device, model) = alone(staged);
+        let (photos, request) = (photos(2), Request::default());
+        let first = reconstruct(&model, &photos, &request);
+        let (bytes, scene) = (device.allocated_bytes(), first.scene().unwrap());
+        assert_eq!(bytes, first.peak_bytes);
+        drop(first);
+        for _ in 0..3 {
+            let again = reconstruct(&model, &photos, &request);
+            assert!(again.scene().unwrap() == scene);
+            assert_eq!(device.allocated_bytes(), bytes);
+        }
+    }
+}
+
+#[test]
+fn a_scene_that_somebody_has_stays_as_it_is() {
+    let (device, model) = alone(false);
+    let request = Request::default();
+    let (few, other) = (photos(2), photos(4)[2..].to_vec());
+    let first = reconstruct(&model, &few, &request);
+    let (before, bytes) = (first.scene().unwrap(), device.allocated_bytes());
+    let second = reconstruct(&model, &other, &request);
+    assert!(second.scene().unwrap() != before && first.scene().unwrap() == before);
+    assert_eq!(device.allocated_bytes(), bytes + first.gaussians.bytes());
+    // Shown, they alternate between the two.
+    let mut renderer = Renderer::new(&device);
+    renderer.show(&first.gaussians).unwrap();
+    let drawn = pictures(&mut renderer);
+    drop(first);
+    let most = device.allocated_bytes();
+    let third = reconstruct(&model, &other, &request);
+    assert!(pictures(&mut renderer) == drawn, "what is shown was overwritten");
+    assert!(third.scene().unwrap() == second.scene().unwrap());
+    assert_eq!(device.allocated_bytes(), most + third.gaussians.bytes());
+}
+
+#[test]
+fn pictures_are_drawn_from_the_devices_own_gaussians_in_the_networks_arena() {
+    for staged in [false, true] {
+        let (device, model) = alone(staged);
+        let request = Request { unit: 0.5, ..Request::default() };
+        let made = reconstruct(&model, &photos(2), &request);
+        let mut renderer = Renderer::new(&device);
+        renderer.show(&made.gaussians).unwrap();
+        let own = pictures(&mut renderer);
+        assert!(own.iter().any(|frame| frame.rgb.as_ref().unwrap().iter().any(|value| *value > 0.0)));
+
+        let shape = model.shape(&photos(2), &request).unwrap();
+        let planned = model.plan(shape).unwrap();
+        let drawing =
+            plan_pictures(device.limits(), made.gaussians.tensors(), [56, 42], &RenderRequest::default()).unwrap();
+        let lanes = Arena::lane_bytes([&planned.plan, &drawing]) + drawing.arena_bytes();
+        assert_eq!(device.allocated_bytes(), model.weight_bytes() + planned.layout.bytes() + lanes);
+
+        let scene: Scene = made.scene().unwrap();
+        let mut other = Renderer::new(&device);
+        other.load(&scene).unwrap();
+        assert!(pictures(&mut other) == own, "another road, other bits");
+        // Both plans still run in the memory that grew.
+        assert!(reconstruct(&model, &photos(2), &request).scene().unwrap() == scene);
+        assert!(pictures(&mut renderer) == own);
+    }
+}
+
+#[test]
+fn who_finds_the_arena_in_use_takes_another() {
+    let (device, model) = alone(false);
+    let (photos, request) = (photos(2), Request::default());
+    let first = reconstruct(&model, &photos, &request);
+    let scene = first.scene().unwrap();
+    let mut renderer = Renderer::new(&device);
+    renderer.show(&first.gaussians).unwrap();
+    let drawn = pictures(&mut renderer);
+
+    // From a progress, while the network runs.
+    let mut inner = Vec::new();
+    let outer = model
+        .reconstruct(&photos, &request, |_| {
+            if inner.is_empty() {
+                inner.push(reconstruct(&model, &photos, &request).scene().unwrap());
+                assert!(pictures(&mut renderer) == drawn);
+            }
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    assert!(inner[0] == scene && outer.scene().unwrap() == scene);
+
+    // While pictures are in flight.
+    renderer.show(&first.gaussians).unwrap();
+    let mut frames = Vec::new();
+    let push = |_, frame| {
+        assert!(reconstruct(&model, &photos, &request).scene().unwrap() == scene);
+        frames.push(frame);
+        Ok(())
+    };
+    renderer.render_each(&cameras(), &RenderRequest::default(), push).unwrap();
+    assert!(frames == drawn);
+}
+
+#[test]
+fn a_scene_of_another_device_is_refused() {
+    let (_, model) = alone(false);
+    let (other, _) = alone(false);
+    let made = reconstruct(&model, &photos(1), &Request::default());
+    let error = Renderer::new(&other).show(&made.gaussians).unwrap_err();
+    assert!(error.to_string().contains("another device"), "{error}");
+}
