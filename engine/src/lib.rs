@@ -1,6 +1,27 @@
 //! ZipSplat on Vulkan: photos without poses to a compact 3D Gaussian scene in one forward pass.
 //!
-//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `refine` <- `reconstruct` <- `ffi`.
+//! ```no_run
+//! use std::ops::ControlFlow::Continue;
+//! use zipsplat::{Camera, Device, Image, Model, Renderer, gpu::DeviceOptions, reconstruct::Request};
+//! use zipsplat::{stages::render::RenderRequest, types::Intrinsics, types::Pose, types::preprocess::fit, weights::Checkpoint};
+//!
+//! # fn main() -> zipsplat::Result<()> {
+//! let device = Device::open(&DeviceOptions::default())?;
+//! let model = Model::load(&device, &Checkpoint::open("weights.safetensors")?, |_| Continue(()))?;
+//! let photos = [fit(&Image::open("a.jpg")?, 252, 252)?.image, fit(&Image::open("b.jpg")?, 252, 252)?.image];
+//! let made = model.reconstruct(&photos, &Request::default(), |_| Continue(()))?;
+//! zipsplat::types::write_scene("scene.ply", &made.scene()?, &Default::default())?;
+//!
+//! let mut renderer = Renderer::new(&device);
+//! renderer.show(&made.gaussians)?; // they never left the device
+//! let camera = Camera { intrinsics: Intrinsics::from_fov(252, 252, 1.0, 1.0), pose: Pose::IDENTITY };
+//! let frames = renderer.render_loaded(&[camera], &RenderRequest::default())?;
+//! # let _ = frames;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `reconstruct` <- `refine` <- `ffi`.
 
 mod error;
 pub mod ffi;
@@ -19,3 +40,7 @@ pub mod kernels {
 }
 
 pub use error::{Error, Result};
+pub use gpu::Device;
+pub use reconstruct::Model;
+pub use stages::render::Renderer;
+pub use types::{Camera, Image, Scene};

@@ -26,6 +26,21 @@ pub struct Direction {
     pub cameras: Vec<[f64; 10]>,
 }
 
+impl Direction {
+    /// Moves nothing.
+    pub fn still(gaussians: &Gaussians, cameras: usize) -> Self {
+        let count = gaussians.means.len();
+        let gaussians = Gaussians {
+            means: vec![[0.0; 3]; count],
+            quats: vec![[0.0; 4]; count],
+            scales: vec![[0.0; 3]; count],
+            opacities: vec![0.0; count],
+            sh_coeffs: vec![0.0; gaussians.sh_coeffs.len()],
+        };
+        Self { gaussians, cameras: vec![[0.0; 10]; cameras] }
+    }
+}
+
 /// How pictures are drawn.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {

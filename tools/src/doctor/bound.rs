@@ -138,6 +138,12 @@ impl Bounded {
         Self::new(value, carried, exponential(self.value.abs() + self.error))
     }
 
+    /// e to its power.
+    pub fn exp(self) -> Self {
+        let value = self.value.exp();
+        Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
+    }
+
     /// The smaller one: no farther off than its operands.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }

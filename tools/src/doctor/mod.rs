@@ -6,13 +6,16 @@
 //! catch. A bound that does not hold is a wrong kernel, a wrong driver or a wrong bound; none is loosened to pass. A fault
 //! that stays within twice the bound is a case that proves nothing: `tests/numerics/catalogue.rs` injects each of them.
 
+mod adam;
 mod attention;
 mod bound;
 mod cameras;
 mod case;
 mod cluster;
 mod head;
+mod head_backward;
 mod linear;
+mod loss;
 mod norm;
 mod positions;
 pub mod report;
@@ -192,5 +195,9 @@ pub fn catalogue() -> Vec<Area> {
         head::area(),
         sort::area(),
         splatting::area(),
+        loss::area(),
+        head_backward::activations(),
+        head_backward::gelu(),
+        adam::area(),
     ]
 }
