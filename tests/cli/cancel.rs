@@ -47,6 +47,7 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     for line in [
         "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/made/scene.ply",
         "render @/scene.ply --wiggle --frames 24 --size 64x48 --video @/made/film.gif -o @/made/pictures",
+        "refine @/scene.ply @/place/images --poses @/place --steps 12 -o @/made/scene.ply",
         "convert @/micro.safetensors @/made/half.safetensors --dtype f16",
         "bench tradeoff @/place --weights @/micro.safetensors --size 28x28 --views 2 --ratio 1 --repeats 1 -o @/made",
     ] {

@@ -59,6 +59,22 @@ fn moved_gaussians_find_back_and_always_alike() {
 }
 
 #[test]
+fn photos_of_a_step_together_are_as_one_after_the_other() {
+    let cameras = cameras(6);
+    let (scene, photos) = photos(&cameras);
+    let with = |together: usize| {
+        let request = Refine { steps: 8, views_per_step: 5, together: Some(together), ..Refine::default() };
+        refine(&moved(&scene), &photos, &cameras, &request)
+    };
+    let (alone, together) = (with(1), with(3));
+    assert_eq!(alone.losses[0], together.losses[0]);
+    // Sums have another order from then on.
+    for (alone, together) in alone.losses.iter().zip(&together.losses) {
+        assert!((alone - together).abs() < 1e-3 * alone, "{alone} and {together}");
+    }
+}
+
+#[test]
 fn the_best_so_far_is_returned_when_asked_to_stop() {
     let cameras = cameras(3);
     let (scene, photos) = photos(&cameras);

@@ -137,7 +137,7 @@ impl Gaussians {
             copies,
             steps: 0,
             plans: Vec::new(),
-            together: if device.limits().cpu { 1 } else { request.views_per_step },
+            together: request.together.unwrap_or(if device.limits().cpu { 1 } else { request.views_per_step }).max(1),
             capacity: (4 * len).max(1 << 16),
         })
     }

@@ -53,6 +53,8 @@ pub struct Refine {
     pub scale_penalty: f32,
     /// Whether photos are small in the first half.
     pub coarse: bool,
+    /// Photos of one size whose gradients are computed at once, at most. `None`: all of a step on a GPU, 1 on a CPU.
+    pub together: Option<usize>,
     /// Seed of the photos' order.
     pub seed: u64,
     /// Whether a step is timed by kernel.
@@ -72,6 +74,7 @@ impl Default for Refine {
             opacity_penalty: 0.0,
             scale_penalty: 0.1,
             coarse: true,
+            together: None,
             seed: 0,
             profile: false,
         }
