@@ -5,8 +5,8 @@ use glam::{DMat3, DVec3};
 use zipsplat::{
     gpu::Limits,
     stages::render::{
-        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderRequest, SceneGradients, SceneTensors,
-        camera_rows, record_with_gradients,
+        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderRequest, SceneGradients, SceneTensors, camera_rows,
+        record_with_gradients,
     },
     types::{Camera, Pose, Scene},
 };
@@ -103,7 +103,8 @@ impl How<'_> {
         let shape = FrameShape { cameras: cameras.len(), width: size.width, height: size.height };
         let gradients = Gradients { scene: self.scene.then_some(d), cameras: self.cameras.then_some(d_cameras) };
         let (rec, capacity) = (&mut case.rec, self.capacity);
-        let outputs = record_with_gradients(rec, &tensors, rows, shape, request, capacity, |_, _| d_frames, &gradients);
+        let outputs =
+            record_with_gradients(rec, &tensors, rows, shape, request, capacity, |_, _| d_frames, &gradients);
         let run = case.run();
         let read = |tensor| run.read(tensor).unwrap();
         Found {
@@ -150,11 +151,7 @@ fn deviation(name: &str, got: &[f32], truth: &[f64], width: usize, rms: f64, row
     });
     let (of_row, i) = worst.fold((0.0, 0), |a, b| if b.0 > a.0 { b } else { a });
     let show = |at: usize| (&got[at * width..][..width], &truth[at * width..][..width]);
-    assert!(
-        whole <= 1.0 && of_row <= 1.0,
-        "{name}: rms {whole:.3}, row {i} {of_row:.3} of what is allowed: {:?}",
-        show(i)
-    );
+    assert!(whole <= 1.0 && of_row <= 1.0, "{name}: rms {whole:.3}, row {i} {of_row:.3} of what is allowed: {:?}", show(i));
     [whole, of_row]
 }
 
@@ -199,13 +196,7 @@ fn equals_the_goldens() {
 
 fn compare(golden: &Golden, key: &str, found: &Found, expected: bool) {
     let hard = golden.file().contains("hard");
-    let rms = if expected {
-        3e-4
-    } else if hard {
-        1e-4
-    } else {
-        3e-5
-    };
+    let rms = if expected { 3e-4 } else if hard { 1e-4 } else { 3e-5 };
     let row = if expected { [1e-2, 1e-4] } else { [1e-3, 1e-6] };
     let truth = |field: &str| golden.f64(&format!("{key}/d_{field}"));
     let mut margins = Vec::new();
@@ -267,18 +258,13 @@ fn requests() -> [(RenderRequest, Drawing); 4] {
 /// Random weights of outputs that are asked for, 0 at pixels where rounding decides.
 fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Weights {
     let gaussians = reference_gaussians(scene);
-    let unstable =
-        |camera: &Camera| render(&gaussians, &reference_camera(camera), request.antialiased, [0.0; 3]).unstable;
+    let unstable = |camera: &Camera| render(&gaussians, &reference_camera(camera), request.antialiased, [0.0; 3]).unstable;
     let stable: Vec<f64> = cameras.iter().flat_map(unstable).map(|mark| f64::from(1 - mark)).collect();
     let weights = |seed, width: usize, on: bool| -> Vec<f64> {
         let each = |(i, weight): (usize, f32)| if on { f64::from(weight) * stable[i / width] } else { 0.0 };
         random(seed, width * stable.len()).into_iter().enumerate().map(each).collect()
     };
-    Weights {
-        rgb: weights(1, 3, request.rgb),
-        alpha: weights(2, 1, request.alpha),
-        depth: weights(3, 1, request.depth.is_some()),
-    }
+    Weights { rgb: weights(1, 3, request.rgb), alpha: weights(2, 1, request.alpha), depth: weights(3, 1, request.depth.is_some()) }
 }
 
 /// Holds gradients to differences of the reference along random directions of every field.
@@ -318,9 +304,7 @@ fn hold_to_differences(name: &str, scene: &Scene, cameras: &[Camera], (request, 
             "quats" => along_it(d.quats.as_flattened_mut(), &|_| 1.0, &found.quats),
             "opacities" => along_it(&mut d.opacities, &|_| 1.0, &found.opacities),
             "sh" => along_it(&mut d.sh_coeffs, &|_| 1.0, &found.sh),
-            _ => {
-                along_it(direction.cameras.as_flattened_mut(), &|i| if i % 10 < 6 { 1.0 } else { 50.0 }, &found.cameras)
-            }
+            _ => along_it(direction.cameras.as_flattened_mut(), &|i| if i % 10 < 6 { 1.0 } else { 50.0 }, &found.cameras),
         };
         let truth = along(&gaussians, &references, drawing, &weights, &direction, 1e-7);
         let apart = (sum - truth).abs() / size.max(1e-12);
@@ -392,8 +376,7 @@ fn too_little_room_adds_nothing() {
     let enough = find(&scene, &two_cameras(), &request, &d_frames);
     let needed = enough.status[1] as usize;
     assert!(enough.values().iter().any(|x| *x != 0.0));
-    let found =
-        |capacity| How { capacity, before: 0.5, ..How::default() }.find(&scene, &two_cameras(), &request, &d_frames);
+    let found = |capacity| How { capacity, before: 0.5, ..How::default() }.find(&scene, &two_cameras(), &request, &d_frames);
     for capacity in [1, needed / 2, needed - 1] {
         assert!(found(capacity).values().iter().all(|x| *x == 0.5), "capacity {capacity} of {needed}");
     }

@@ -84,8 +84,11 @@ fn moved_gaussians(gaussians: &Gaussians, direction: &Gaussians, by: f64) -> Gau
 
 fn moved_camera(camera: &Camera, direction: &[f64; 10], by: f64) -> Camera {
     let d = direction.map(|d| by * d);
-    let back =
-        DMat3::from_cols(DVec3::new(1.0, -d[2], d[1]), DVec3::new(d[2], 1.0, -d[0]), DVec3::new(-d[1], d[0], 1.0));
+    let back = DMat3::from_cols(
+        DVec3::new(1.0, -d[2], d[1]),
+        DVec3::new(d[2], 1.0, -d[0]),
+        DVec3::new(-d[1], d[0], 1.0),
+    );
     // To first order that is exp(-w^).
     Camera {
         rotation: back * camera.rotation,
