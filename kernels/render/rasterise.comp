@@ -108,23 +108,11 @@ void main() {
     for (uint i = tile_offsets[list]; i < end; ++i) {
         uint pair = pair_indices[i];
         Values seen = values(pair);
-        float opacity = xy_opacities[pair].z;
-        vec2 place = xy_opacities[pair].xy, first = vec2(tile() * TILE) + 0.5;
-        // Of the first pixel from the splat's place, and y again from the row where the ridge's x is that place's.
-        vec3 corner = vec3(first - place, first.y - ridge_row(place.y, size.y));
-        // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2), and the exponent below which alpha is below ALPHA_MIN.
-        vec3 conic = conics[pair] * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E);
-        float faint = log2(ALPHA_MIN / opacity) - ROUNDING;
+        Falloff splat = falloff(xy_opacities[pair], conics[pair]);
         bool live = false;
         for (uint run = 0; run < RUNS; ++run) {
-            vec3 from = corner + run_start(run).xyy + vec3(0, lane_offset().yy);
-            float shear = conic.y * from.z, across = conic.z * from.y * from.y;
-            float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
-            if (conic.x * nearest * nearest + across >= faint) {
-                float e = from.x + lane_offset().x - shear;
-                float alpha = min(ALPHA_MAX, opacity * exp2(conic.x * e * e + across));
-                blend(pixels[run], alpha, seen);
-            }
+            Sight sight;
+            if (sees(splat, run, sight)) blend(pixels[run], min(ALPHA_MAX, alpha(splat, sight)), seen);
             live = live || pixels[run].transmittance > 0;
         }
         if (!subgroupAny(live)) break;

@@ -105,51 +105,49 @@ uint slot_of(uint pair) {
     return slots[pair] + (set.mask != 0 ? bitCount(set.mask & (1u << t) - 1) : t);
 }
 
+// Takes a pixel past a splat, of which it sees `full` before that is clamped, and adds to the splat's gradient.
+void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, inout Gradient sum, inout uint open) {
+    float alpha = min(ALPHA_MAX, full);
+    bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
+    float left = pixel.transmittance * (1 - alpha);
+    bool drawn = seen && left > TRANSMITTANCE_MIN;
+    float weight = drawn ? alpha * pixel.transmittance : 0;
+    float value = weight * (dot(rgb, pixel.d_rgb) + depth * pixel.d_depth + pixel.d_alpha);
+    pixel.behind -= value;
+    float g = drawn && full <= ALPHA_MAX ? value - pixel.behind * alpha / (1 - alpha) : 0;
+    vec3 moment = g * vec3(1, sight.e, sight.y);
+    sum.first += moment;
+    sum.second += vec3(moment.yz * sight.e, moment.z * sight.y);
+    if (COLOUR) sum.rgb += weight * pixel.d_rgb;
+    if (DEPTH) sum.depth += weight * pixel.d_depth;
+    pixel.transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
+    if (seen && !drawn) --open;
+}
+
 void main() {
     const Gradient nothing = Gradient(vec3(0), vec3(0), vec3(0), 0);
     Pixel pixels[RUNS];
-    for (uint run = 0; run < RUNS; ++run) pixels[run] = pixel(position(run));
+    uint open = 0; // of the invocation's pixels those that are not done
+    for (uint run = 0; run < RUNS; ++run) {
+        pixels[run] = pixel(position(run));
+        if (pixels[run].transmittance > 0) ++open;
+    }
 
     uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
     uint i = tile_offsets[list], end = tile_offsets[list + 1];
-    bool live = true;
-    for (; i < end && live; ++i) {
+    for (; i < end && subgroupAny(open > 0); ++i) {
         uint pair = pair_indices[i];
         vec3 rgb = COLOUR ? colours[pair] : vec3(0);
         float depth = DEPTH ? depths[pair] : 0;
-        float opacity = xy_opacities[pair].z;
-        vec2 place = xy_opacities[pair].xy, first = vec2(tile() * TILE) + 0.5;
-        // As in render/rasterise.
-        vec3 corner = vec3(first - place, first.y - ridge_row(place.y, size.y));
-        vec3 conic = conics[pair] * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E);
-        float faint = log2(ALPHA_MIN / opacity) - ROUNDING;
+        Falloff splat = falloff(xy_opacities[pair], conics[pair]);
         Gradient sum = nothing;
-        bool reached = false, lit = false;
+        bool reached = false;
         for (uint run = 0; run < RUNS; ++run) {
-            vec3 from = corner + run_start(run).xyy + vec3(0, lane_offset().yy);
-            float shear = conic.y * from.z, across = conic.z * from.y * from.y;
-            float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
-            if (conic.x * nearest * nearest + across >= faint) {
-                Pixel pixel = pixels[run];
-                float e = from.x + lane_offset().x - shear, y = from.y;
-                float full = opacity * exp2(conic.x * e * e + across), alpha = min(ALPHA_MAX, full);
-                bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
-                float left = pixel.transmittance * (1 - alpha);
-                bool drawn = seen && left > TRANSMITTANCE_MIN;
-                float weight = drawn ? alpha * pixel.transmittance : 0;
-                float share = weight * (dot(rgb, pixel.d_rgb) + depth * pixel.d_depth + pixel.d_alpha);
-                float behind = pixel.behind - share;
-                float g = drawn && full <= ALPHA_MAX ? share - behind * alpha / (1 - alpha) : 0;
-                vec3 moment = g * vec3(1, e, y);
-                sum.first += moment;
-                sum.second += vec3(moment.yz * e, moment.z * y);
-                if (COLOUR) sum.rgb += weight * pixel.d_rgb;
-                if (DEPTH) sum.depth += weight * pixel.d_depth;
-                pixels[run].behind = behind;
-                pixels[run].transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
+            Sight sight;
+            if (sees(splat, run, sight)) {
+                share(pixels[run], alpha(splat, sight), sight, rgb, depth, sum, open);
                 reached = true;
             }
-            lit = lit || pixels[run].transmittance > 0;
         }
         if (subgroupAny(reached)) {
             sum.first = subgroupAdd(sum.first);
@@ -158,7 +156,6 @@ void main() {
             if (DEPTH) sum.depth = subgroupAdd(sum.depth);
         }
         if (subgroupElect()) put(slot_of(pair), sum);
-        live = subgroupAny(lit);
     }
     // Nothing is seen of the others.
     for (i += gl_LocalInvocationID.x; i < end; i += LANES) put(slot_of(pair_indices[i]), nothing);

@@ -1,5 +1,5 @@
-// The pixels of a workgroup that draws a tile, or a part of one: RUNS runs, row-major, each as long as the workgroup. Needs RUNS
-// and first_tile_row of the includer, and limits.
+// The pixels of a workgroup that owns a tile, or a part of one, and how they see a splat. There are RUNS runs, row-major, each as
+// long as the workgroup. Needs RUNS, size and first_tile_row of the includer, limits and splat.
 
 const uint LANES = gl_WorkGroupSize.x;
 const float LOG2_E = 1.4426950408889634;
@@ -20,3 +20,40 @@ uvec2 lane_offset() {
 uvec2 tile() { return uvec2(gl_WorkGroupID.x * RUNS * LANES / (TILE * TILE), first_tile_row + gl_WorkGroupID.y); }
 
 uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset(); }
+
+// A splat as its tile has it.
+struct Falloff {
+    // Of the tile's first pixel from the splat's place, and y again from the row where the ridge's x is that place's.
+    vec3 corner;
+    vec3 conic; // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2)
+    float opacity;
+    float faint; // the exponent below which alpha is below ALPHA_MIN
+};
+
+Falloff falloff(vec3 xy_opacity, vec3 conic) {
+    vec2 place = xy_opacity.xy, first = vec2(tile() * TILE) + 0.5;
+    vec3 corner = vec3(first - place, first.y - ridge_row(place.y, size.y));
+    float faint = log2(ALPHA_MIN / xy_opacity.z) - ROUNDING;
+    return Falloff(corner, conic * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E), xy_opacity.z, faint);
+}
+
+// A splat on an invocation's pixel of a run: dx - k dy, dy, and the part of the exponent that is a row's.
+struct Sight {
+    float e;
+    float y;
+    float across;
+};
+
+// Gives whether any pixel of the run can see it.
+bool sees(Falloff falloff, uint run, out Sight sight) {
+    vec3 from = falloff.corner + run_start(run).xyy + vec3(0, lane_offset().yy);
+    float shear = falloff.conic.y * from.z;
+    sight = Sight(from.x + lane_offset().x - shear, from.y, falloff.conic.z * from.y * from.y);
+    float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
+    return falloff.conic.x * nearest * nearest + sight.across >= falloff.faint;
+}
+
+// Not clamped to ALPHA_MAX.
+float alpha(Falloff falloff, Sight sight) {
+    return falloff.opacity * exp2(falloff.conic.x * sight.e * sight.e + sight.across);
+}

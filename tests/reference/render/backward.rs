@@ -26,6 +26,21 @@ pub struct Direction {
     pub cameras: Vec<[f64; 10]>,
 }
 
+impl Direction {
+    /// Moves nothing.
+    pub fn still(gaussians: &Gaussians, cameras: usize) -> Self {
+        let count = gaussians.means.len();
+        let gaussians = Gaussians {
+            means: vec![[0.0; 3]; count],
+            quats: vec![[0.0; 4]; count],
+            scales: vec![[0.0; 3]; count],
+            opacities: vec![0.0; count],
+            sh_coeffs: vec![0.0; gaussians.sh_coeffs.len()],
+        };
+        Self { gaussians, cameras: vec![[0.0; 10]; cameras] }
+    }
+}
+
 /// How pictures are drawn.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
@@ -84,11 +99,8 @@ fn moved_gaussians(gaussians: &Gaussians, direction: &Gaussians, by: f64) -> Gau
 
 fn moved_camera(camera: &Camera, direction: &[f64; 10], by: f64) -> Camera {
     let d = direction.map(|d| by * d);
-    let back = DMat3::from_cols(
-        DVec3::new(1.0, -d[2], d[1]),
-        DVec3::new(d[2], 1.0, -d[0]),
-        DVec3::new(-d[1], d[0], 1.0),
-    );
+    let back =
+        DMat3::from_cols(DVec3::new(1.0, -d[2], d[1]), DVec3::new(d[2], 1.0, -d[0]), DVec3::new(-d[1], d[0], 1.0));
     // To first order that is exp(-w^).
     Camera {
         rotation: back * camera.rotation,
