@@ -8,6 +8,7 @@ mod gradients;
 mod images;
 mod poses;
 mod references;
+mod refine;
 mod scene_files;
 mod scene_formats;
 mod trajectories;
