@@ -213,10 +213,10 @@ impl Gaussians {
         let status: Vec<u32> = planned.run.read(planned.outputs.status)?;
         let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
         if needed > planned.capacity {
-            let most = self.device.limits().max_binding_bytes / 4;
-            if needed as u64 > most {
+            let (bytes, available) = (intersection_bytes(learns), self.device.limits().max_binding_bytes);
+            if needed as u64 * bytes > available {
                 let what = "a list of the intersections of Gaussians with tiles".into();
-                return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });
+                return Err(Error::Memory { what, needed: needed as u64 * bytes, available });
             }
             self.capacity = self.capacity.max((needed + needed / 4).div_ceil(views.len()));
             return Ok(None);
@@ -241,8 +241,8 @@ impl Gaussians {
 
     fn record(&self, shape: FrameShape, learns: bool) -> Result<Planned> {
         let FrameShape { cameras: count, width, height } = shape;
-        let most = self.device.limits().max_binding_bytes as usize / 4;
-        let capacity = self.capacity.saturating_mul(count).min(most);
+        let most = self.device.limits().max_binding_bytes / intersection_bytes(learns);
+        let capacity = self.capacity.saturating_mul(count).min(most as usize);
         let mut rec = Recorder::new(self.device.limits());
         let cameras = rec.input::<CameraRows>("cameras", count);
         let drawing = RenderRequest::default();
@@ -303,6 +303,12 @@ impl Gaussians {
         profile.rows.extend(self.update.profile()?.rows);
         Ok(profile)
     }
+}
+
+/// Bytes of the largest list of a picture's intersections, for each.
+fn intersection_bytes(learns: bool) -> u64 {
+    // The backward pass has six moments.
+    if learns { 24 } else { 4 }
 }
 
 impl Planned {

@@ -1,0 +1,209 @@
+//! The loop of a refinement: steps, looks at the held-out photos, and when to stop.
+
+use super::{
+    Refine, Refined, Refining, Stopped,
+    gaussians::Gaussians,
+    schedule::Schedule,
+    views::{Order, View, size, split},
+};
+use crate::{
+    Result,
+    gpu::Profile,
+    types::{Camera, Image, Scene},
+};
+use rayon::prelude::*;
+use std::{ops::ControlFlow, time::Instant};
+
+/// How often the held-out photos are looked at, or the loss where there are none.
+const LOOKS: usize = 20;
+/// How many times its least value the mean loss of all photos may be before the refinement ends.
+const GROWN: f32 = 2.0;
+
+/// A refinement under way.
+pub(super) struct Refinement<'a> {
+    photos: &'a [Image],
+    cameras: &'a [Camera],
+    request: Refine,
+    schedule: Schedule,
+    gaussians: Gaussians,
+    order: Order,
+    /// The photos that are learnt from, and those as they are compared now.
+    learnt: Vec<usize>,
+    views: Vec<View>,
+    /// How many times shorter their sides are than at last.
+    shrink: u32,
+    tested: Vec<View>,
+    losses: Vec<f32>,
+    held_out: Vec<(usize, f64)>,
+    /// The step after which they were looked at last.
+    looked: Option<usize>,
+    /// The step with which photos of this size began, and the least mean loss of all of them since.
+    began: usize,
+    least: f32,
+    kept: Kept,
+    /// What is kept next, unless the loss says that it has become worse.
+    next: Option<Kept>,
+}
+
+/// The Gaussians after a step.
+struct Kept {
+    step: usize,
+    scene: Scene,
+}
+
+impl<'a> Refinement<'a> {
+    /// `scene` is what the Gaussians are before the first step; `request` says how many photos are held out.
+    ///
+    /// # Errors
+    /// Where a camera is not its photo's.
+    pub fn new(
+        gaussians: Gaussians,
+        scene: Scene,
+        photos: &'a [Image],
+        cameras: &'a [Camera],
+        request: Refine,
+    ) -> Result<Self> {
+        let (learnt, held) = split(photos.len(), request.hold_out.unwrap_or(0));
+        let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], request.size, 1);
+        let tested = held.par_iter().map(view).collect::<Result<Vec<_>>>()?;
+        Ok(Self {
+            photos,
+            cameras,
+            schedule: Schedule { steps: request.steps, rate: 1.0, coarse: request.coarse },
+            order: Order::new(learnt.len(), request.seed),
+            request,
+            gaussians,
+            learnt,
+            views: Vec::new(),
+            shrink: 0,
+            tested,
+            losses: Vec::new(),
+            held_out: Vec::new(),
+            looked: None,
+            began: 0,
+            least: f32::INFINITY,
+            kept: Kept { step: 0, scene },
+            next: None,
+        })
+    }
+
+    /// Takes all steps, or as many as it should.
+    ///
+    /// # Errors
+    /// As [`super::refine_scene`].
+    pub fn finish(mut self, progress: &mut dyn FnMut(Refining) -> ControlFlow<()>, begin: Instant) -> Result<Refined> {
+        let stopped = self.run(progress, begin)?;
+        let profile = self.request.profile.then(|| self.profile()).transpose()?;
+        let Self { losses, kept, held_out, .. } = self;
+        let (scene, best_step, took) = (kept.scene, kept.step, begin.elapsed());
+        Ok(Refined { scene, losses, best_step, held_out, took, stopped, profile })
+    }
+
+    fn run(
+        &mut self,
+        progress: &mut dyn FnMut(Refining) -> ControlFlow<()>,
+        begin: Instant,
+    ) -> Result<Option<Stopped>> {
+        let steps = self.request.steps;
+        let interval = steps.div_ceil(LOOKS).max(1);
+        self.look(0)?;
+        for step in 0..steps {
+            self.resize(step)?;
+            let chosen: Vec<usize> = (0..self.request.views_per_step).map(|_| self.order.next()).collect();
+            let views: Vec<&View> = chosen.iter().map(|i| &self.views[*i]).collect();
+            let loss = self.gaussians.step(&views, self.schedule.rate(step))?;
+            self.losses.push(loss);
+            let done = step + 1;
+            if !loss.is_finite() {
+                return Ok(Some(Stopped::Diverged(format!("the loss of step {done} is {loss}"))));
+            }
+            if done.is_multiple_of(interval) || done == steps {
+                if let Some(why) = self.grown() {
+                    return Ok(Some(Stopped::Diverged(why)));
+                }
+                self.look(done)?;
+            }
+            let left = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
+            let psnr = self.held_out.last().map(|(_, psnr)| *psnr);
+            if progress(Refining { step: done, steps, loss: Some(loss), psnr, left }).is_break() {
+                self.look(done)?;
+                self.keep();
+                return Ok(Some(Stopped::Cancelled));
+            }
+        }
+        self.keep();
+        Ok(None)
+    }
+
+    /// Brings the photos to the size of a step.
+    fn resize(&mut self, step: usize) -> Result<()> {
+        let shortest = |i: &usize| size(&self.photos[*i], self.request.size, 1).into_iter().min();
+        let shortest = self.learnt.iter().filter_map(shortest).min().unwrap_or(0);
+        let shrink = self.schedule.shrink(step, shortest);
+        if self.shrink != shrink {
+            let view = |i: &usize| View::new(*i, &self.photos[*i], &self.cameras[*i], self.request.size, shrink);
+            self.views = self.learnt.par_iter().map(view).collect::<Result<Vec<_>>>()?;
+            (self.shrink, self.began, self.least) = (shrink, step, f32::INFINITY);
+        }
+        Ok(())
+    }
+
+    /// Marks the Gaussians to be kept where they predict the held-out photos best so far; without such photos, always.
+    fn look(&mut self, step: usize) -> Result<()> {
+        if self.looked == Some(step) {
+            return Ok(());
+        }
+        self.looked = Some(step);
+        self.keep();
+        if !self.tested.is_empty() {
+            let mut sum = 0.0;
+            for view in &self.tested {
+                sum += psnr(&self.gaussians.draw(view)?, view) / self.tested.len() as f64;
+            }
+            let best = self.held_out.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
+            self.held_out.push((step, sum));
+            // Not where it is NaN, either.
+            let better = sum > best;
+            if !better {
+                return Ok(());
+            }
+        }
+        if step > 0 {
+            self.next = Some(Kept { step, scene: self.gaussians.scene()? });
+        }
+        Ok(())
+    }
+
+    /// Keeps what was marked.
+    fn keep(&mut self) {
+        if let Some(next) = self.next.take() {
+            self.kept = next;
+        }
+    }
+
+    /// Whether the mean loss of all photos is far above the least that it was with photos of this size. A loss is that of the
+    /// Gaussians before its step: it judges what was marked, not what they are now.
+    fn grown(&mut self) -> Option<String> {
+        let round = self.learnt.len().div_ceil(self.request.views_per_step);
+        let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;
+        let loss = self.losses[last..].iter().sum::<f32>() / round as f32;
+        if loss > GROWN * self.least {
+            return Some(format!("the loss grew from {:.4} to {loss:.4}", self.least));
+        }
+        self.least = self.least.min(loss);
+        None
+    }
+
+    fn profile(&mut self) -> Result<Profile> {
+        self.resize(self.request.steps)?;
+        let views: Vec<&View> = self.views.iter().take(self.request.views_per_step).collect();
+        self.gaussians.profile(&views)
+    }
+}
+
+/// Peak signal-to-noise ratio of a drawn picture, clamped to 0..1, in dB.
+fn psnr(drawn: &[f32], view: &View) -> f64 {
+    let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
+    let squares: f64 = drawn.iter().zip(view.values()).map(square).sum();
+    -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()
+}

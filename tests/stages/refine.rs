@@ -1,0 +1,103 @@
+//! Refinement: Gaussians that were moved find back to the photos, and what ends it early.
+
+use std::ops::ControlFlow;
+use zipsplat::refine::{Rates, Refine, Refined, Refining, Stopped, refine_scene};
+use zipsplat::stages::render::{RenderRequest, Renderer};
+use zipsplat::types::{Camera, Image, Scene};
+use zipsplat_tests::device::device;
+use zipsplat_tests::scenes::{camera, random_scene};
+
+fn cameras(count: usize) -> Vec<Camera> {
+    let at = |i: usize| {
+        // Sizes alternate.
+        let mut camera = if i % 2 == 0 { camera(48, 36) } else { camera(40, 40) };
+        camera.pose.translation.x += 0.05 * i as f64;
+        camera
+    };
+    (0..count).map(at).collect()
+}
+
+/// A scene, and photos of it.
+fn photos(cameras: &[Camera]) -> (Scene, Vec<Image>) {
+    let scene = random_scene(80, 1, 0.3);
+    let frames = Renderer::new(device()).render(&scene, cameras, &RenderRequest::default()).unwrap();
+    let photo = |frame: zipsplat::stages::render::Frame| {
+        Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.unwrap()).unwrap()
+    };
+    (scene, frames.into_iter().map(photo).collect())
+}
+
+/// The scene with every Gaussian a little elsewhere, larger and of another colour.
+fn moved(scene: &Scene) -> Scene {
+    let mut scene = scene.clone();
+    let shift = |i: usize| 0.1 * (i as f32 * 2.4).sin();
+    scene.means.iter_mut().flatten().enumerate().for_each(|(i, value)| *value += shift(i));
+    scene.scales.iter_mut().flatten().enumerate().for_each(|(i, value)| *value *= 1.0 + 2.0 * shift(i));
+    scene.sh_coeffs.iter_mut().flatten().enumerate().for_each(|(i, value)| *value += 3.0 * shift(i));
+    scene
+}
+
+fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &Refine) -> Refined {
+    refine_scene(device(), scene, photos, cameras, request, |_| ControlFlow::Continue(())).unwrap()
+}
+
+#[test]
+fn moved_gaussians_find_back_and_always_alike() {
+    let cameras = cameras(9);
+    let (scene, photos) = photos(&cameras);
+    let request = Refine { steps: 40, views_per_step: 3, profile: true, ..Refine::default() };
+    let refined = refine(&moved(&scene), &photos, &cameras, &request);
+    refined.scene.validate().unwrap();
+    let [after, before] = refined.psnr().unwrap();
+    assert!(after > before + 3.0, "{before} to {after} dB");
+    assert!(refined.losses[39] < 0.5 * refined.losses[0], "{:?}", refined.losses);
+    assert_eq!((refined.stopped.clone(), refined.losses.len(), refined.held_out.len()), (None, 40, 21));
+    let profile = refined.profile.as_ref().unwrap();
+    assert!(profile.rows.iter().any(|row| row.kernel.contains("adam") || row.scope.contains("adam")));
+    let again = refine(&moved(&scene), &photos, &cameras, &request);
+    assert!(again.scene == refined.scene && again.losses == refined.losses);
+}
+
+#[test]
+fn the_best_so_far_is_returned_when_asked_to_stop() {
+    let cameras = cameras(3);
+    let (scene, photos) = photos(&cameras);
+    let mut steps = Vec::new();
+    let progress = |at: Refining| {
+        steps.push(at.step);
+        if at.step == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    let start = moved(&scene);
+    let refined = refine_scene(device(), &start, &photos, &cameras, &Refine::default(), progress).unwrap();
+    assert_eq!((refined.stopped, refined.best_step, refined.losses.len()), (Some(Stopped::Cancelled), 3, 3));
+    assert_eq!(steps, [1, 2, 3]);
+    assert_ne!(refined.scene, start);
+    let none = refine(&start, &photos, &cameras, &Refine { steps: 0, ..Refine::default() });
+    assert_eq!((none.scene, none.best_step), (start, 0));
+}
+
+#[test]
+fn a_loss_that_grows_ends_with_the_last_good_scene() {
+    let cameras = cameras(2);
+    let (scene, photos) = photos(&cameras);
+    // Far too large: the first step already is worse than the scene that took the photos.
+    let rates = Rates { means: 10.0, ..Rates::default() };
+    let request = Refine { steps: 20, views_per_step: 2, rates, ..Refine::default() };
+    let refined = refine(&scene, &photos, &cameras, &request);
+    assert!(matches!(&refined.stopped, Some(Stopped::Diverged(why)) if why.contains("grew")), "{:?}", refined.stopped);
+    assert_eq!((refined.best_step, refined.losses.len()), (0, 2));
+    assert_eq!(refined.scene, scene);
+}
+
+#[test]
+fn what_cannot_be_refined_is_refused() {
+    let cameras = cameras(2);
+    let (scene, photos) = photos(&cameras);
+    let error = |scene: &Scene, count: usize, request: &Refine| {
+        let never = |_: Refining| -> ControlFlow<()> { panic!("a step") };
+        refine_scene(device(), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
+    };
+    assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
+    assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));
+    assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
+}
