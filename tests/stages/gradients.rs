@@ -293,7 +293,6 @@ fn twenty_steps_against_squares() {
 #[test]
 fn twenty_steps_of_scene_tokens() {
     for golden in goldens() {
-        // The sign of a difference near 0 is rounding's: tokens moved by 2e-7 end up to 7e-2 from the golden's.
-        check_steps(&golden, "adam_l1_scene", Steps::new(&golden, Loss::L1, true), 0.01, [3e-3, 1e-1]);
+        check_steps(&golden, "adam_l1_scene", Steps::new(&golden, Loss::L1, true), 0.01, [3e-3, 5e-2]);
     }
 }
