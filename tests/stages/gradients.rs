@@ -16,6 +16,9 @@ use zipsplat_tests::architectures;
 use zipsplat_tests::compare::{Tolerance, assert_close, columns};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
+use zipsplat_tests::reference::gaussians::activate::activate;
+use zipsplat_tests::reference::ops::{activation::gelu, linear::linear};
+use zipsplat_tests::reference::widen;
 use zipsplat_tests::scenes::golden_cameras;
 
 const LOSSES: [(Loss, &str); 4] =
@@ -32,11 +35,13 @@ fn rms(rms: f64) -> Tolerance {
 /// The head of a golden's network with its weights.
 fn head(golden: &Golden) -> (Head, Arc<Resident>) {
     let config = golden.metadata("config");
-    let architecture = architectures::golden(config);
+    load(&Checkpoint::seeded_architecture(architectures::golden(config), config).expect("a golden's network"))
+}
+
+fn load(checkpoint: &Checkpoint) -> (Head, Arc<Resident>) {
     let mut parameters = ParameterLayout::new(device().limits(), Arithmetic::EXACT);
-    let head = Head::new(&mut parameters, &architecture);
-    let checkpoint = Checkpoint::seeded_architecture(architecture, config).expect("a golden's network");
-    let resident = parameters.load(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("a small head fits");
+    let head = Head::new(&mut parameters, checkpoint.architecture());
+    let resident = parameters.load(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a small head fits");
     (head, Arc::new(resident))
 }
 
@@ -81,6 +86,62 @@ fn through_the_head() {
             check_observed(&golden, &run, &stem, &[("d_raw", 5e-5), ("d_tokens", 5e-5)]);
         }
     }
+}
+
+/// The raw Gaussians of `tokens` in f64.
+fn raw_of(checkpoint: &Checkpoint, tokens: &[f64]) -> Vec<f64> {
+    let read = |name: &str| {
+        let name = format!("gaussian_head.gaussian_head.{name}");
+        let mut values = vec![0.0; checkpoint.shape(&name).unwrap().iter().product()];
+        checkpoint.read_f32(&name, &mut values).unwrap();
+        values
+    };
+    let layer = |name: &str, x: &[f64]| linear(x, &read(&format!("{name}.weight")), &read(&format!("{name}.bias")));
+    let hidden: Vec<f64> = layer("0.fc1", tokens).into_iter().map(gelu).collect();
+    layer("1", &layer("0.fc2", &hidden))
+}
+
+/// A token of `pico` has 46 values of Gaussians, which do not fill whole vectors.
+#[test]
+fn through_a_head_of_odd_width() {
+    let checkpoint = Checkpoint::seeded_architecture(architectures::pico(), "pico").unwrap();
+    let (head, resident) = load(&checkpoint);
+    let (count, width, wave) = (3, 24, |i: usize| (i as f32 * 0.7).sin());
+    let tokens: Vec<f32> = (0..count * width).map(wave).collect();
+    let mut rec = Recorder::new(device().limits());
+    let input = rec.input::<f32>("tokens", tokens.len());
+    let unit = rec.input::<f32>("unit", 1);
+    let scene = SceneTensors::output(&mut rec, 2 * count, 1);
+    let kept = head.record(&mut rec, input, count, unit, &scene);
+    let widths = [3, 3, 4, 1, 12];
+    let d = widths.map(|width| rec.input::<f32>("d", 2 * count * width));
+    let [means, scales, quats, opacities, sh_coeffs] = d;
+    let d_gaussians = SceneGradients { means, scales, quats, opacities, sh_coeffs };
+    let d_tokens = head.record_backward(&mut rec, &kept, &d_gaussians);
+    rec.output(d_tokens);
+    let mut run = Run::with_resident(device(), rec.finish().unwrap(), Some(resident)).unwrap();
+    run.write(input, &tokens).unwrap();
+    run.write(unit, &[1.0f32]).unwrap();
+    let weights = widths.map(|width| (0..2 * count * width).map(wave).collect::<Vec<f32>>());
+    d.iter().zip(&weights).for_each(|(tensor, weights)| run.write(*tensor, weights).unwrap());
+    run.execute().unwrap();
+
+    let loss = |tokens: &[f64]| {
+        let gaussians: Vec<f64> = raw_of(&checkpoint, tokens).chunks(23).flat_map(activate).collect();
+        let ends = [0, 3, 6, 10, 11, 23];
+        let field = |i: usize| columns(&gaussians, 23, ends[i], ends[i + 1]);
+        (0..5).map(|i| field(i).iter().zip(&weights[i]).map(|(x, w)| x * f64::from(*w)).sum::<f64>()).sum::<f64>()
+    };
+    let slope = |i: usize| {
+        let moved = |step: f64| {
+            let mut tokens = widen(&tokens);
+            tokens[i] += step;
+            loss(&tokens)
+        };
+        (moved(1e-5) - moved(-1e-5)) / 2e-5
+    };
+    let truth: Vec<f64> = (0..tokens.len()).map(slope).collect();
+    assert_close("d_tokens", &run.read::<f32>(d_tokens).unwrap(), &truth, rms(1e-5));
 }
 
 /// Steps of tokens against a loss of pictures, on one plan.
@@ -232,7 +293,6 @@ fn twenty_steps_against_squares() {
 #[test]
 fn twenty_steps_of_scene_tokens() {
     for golden in goldens() {
-        // The sign of a difference near 0 is rounding's: tokens moved by 2e-7 end up to 7e-2 from the golden's.
-        check_steps(&golden, "adam_l1_scene", Steps::new(&golden, Loss::L1, true), 0.01, [3e-3, 1e-1]);
+        check_steps(&golden, "adam_l1_scene", Steps::new(&golden, Loss::L1, true), 0.01, [3e-3, 5e-2]);
     }
 }

@@ -11,5 +11,6 @@ mod references;
 mod refine;
 mod scene_files;
 mod scene_formats;
+mod tokens;
 mod trajectories;
 mod weights;

@@ -3,7 +3,7 @@
 use crate::source::{Source, files, paths, tokens};
 
 /// The engine's layers, each of which uses only those before it. `error` stands for the crate's `Error` and `Result`.
-const LAYERS: [&str; 9] = ["error", "gpu", "types", "weights", "ops", "stages", "refine", "reconstruct", "ffi"];
+const LAYERS: [&str; 9] = ["error", "gpu", "types", "weights", "ops", "stages", "reconstruct", "refine", "ffi"];
 
 /// Layers that dispatch kernels. The kernel table is made from `gpu`, which in turn needs the constants of both sides.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];

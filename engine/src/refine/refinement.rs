@@ -40,6 +40,8 @@ pub(super) struct Refinement<'a> {
     /// The step with which photos of this size began, and the least mean loss of all of them since.
     began: usize,
     least: f32,
+    /// The mean loss of all photos, when it was looked at last.
+    latest: f32,
     kept: Kept,
     /// What is kept next, unless the loss says that it has become worse.
     next: Option<Kept>,
@@ -82,6 +84,7 @@ impl<'a> Refinement<'a> {
             looked: None,
             began: 0,
             least: f32::INFINITY,
+            latest: 0.0,
             kept: Kept { step: 0, scene },
             next: None,
         })
@@ -143,12 +146,13 @@ impl<'a> Refinement<'a> {
         if self.shrink != shrink {
             let view = |i: &usize| View::new(*i, &self.photos[*i], &self.cameras[*i], self.request.size, shrink);
             self.views = self.learnt.par_iter().map(view).collect::<Result<Vec<_>>>()?;
-            (self.shrink, self.began, self.least) = (shrink, step, f32::INFINITY);
+            (self.shrink, self.began, self.least, self.latest) = (shrink, step, f32::INFINITY, 0.0);
         }
         Ok(())
     }
 
-    /// Marks the Gaussians to be kept where they predict the held-out photos best so far; without such photos, always.
+    /// Marks the Gaussians to be kept where they predict the held-out photos best so far; without such photos, where the loss of
+    /// all photos is the least so far with photos of this size.
     fn look(&mut self, step: usize) -> Result<()> {
         if self.looked == Some(step) {
             return Ok(());
@@ -168,7 +172,7 @@ impl<'a> Refinement<'a> {
                 return Ok(());
             }
         }
-        if step > 0 {
+        if step > 0 && (!self.tested.is_empty() || self.latest <= self.least) {
             self.next = Some(Kept { step, scene: self.gaussians.scene()? });
         }
         Ok(())
@@ -190,7 +194,7 @@ impl<'a> Refinement<'a> {
         if loss > GROWN * self.least {
             return Some(format!("the loss grew from {:.4} to {loss:.4}", self.least));
         }
-        self.least = self.least.min(loss);
+        (self.latest, self.least) = (loss, self.least.min(loss));
         None
     }
 

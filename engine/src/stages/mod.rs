@@ -7,7 +7,7 @@ pub mod gaussians;
 pub mod loss;
 pub mod render;
 
-use crate::gpu::{Recorder, Tensor};
+use crate::gpu::{Limits, Recorder, ResidentLayout, Tensor};
 
 /// Shape of the input: `views` pictures of `rows` x `columns` patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +48,83 @@ pub struct FrameShape {
     pub width: u32,
     /// Rows.
     pub height: u32,
+}
+
+/// A scene on the device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneTensors {
+    /// `[len, 3]` world.
+    pub means: Tensor,
+    /// `[len, 3]` standard deviations, world.
+    pub scales: Tensor,
+    /// `[len, 4]` wxyz, of any length but zero.
+    pub quats: Tensor,
+    /// `[len]` 0 to 1.
+    pub opacities: Tensor,
+    /// `[len, (sh_degree + 1)^2, 3]`.
+    pub sh_coeffs: Tensor,
+    /// Gaussians.
+    pub len: usize,
+    /// Degree of the coefficients; bands above that are all zero need not be here.
+    pub sh_degree: u32,
+}
+
+/// Gradients of a scene, each like the values in [`SceneTensors`], as these are stored: quaternions of any length, for one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneGradients {
+    /// `[len, 3]`.
+    pub means: Tensor,
+    /// `[len, 3]`.
+    pub scales: Tensor,
+    /// `[len, 4]`.
+    pub quats: Tensor,
+    /// `[len]`.
+    pub opacities: Tensor,
+    /// `[len, (sh_degree + 1)^2, 3]`.
+    pub sh_coeffs: Tensor,
+}
+
+impl SceneTensors {
+    /// The tensors of `len` Gaussians that a plan makes for the host.
+    pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
+        let tensors = Self {
+            means: rec.tensor::<[f32; 3]>("means", len),
+            scales: rec.tensor::<[f32; 3]>("scales", len),
+            quats: rec.tensor::<[f32; 4]>("quats", len),
+            opacities: rec.tensor::<f32>("opacities", len),
+            sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", len * coeffs_of(sh_degree)),
+            len,
+            sh_degree,
+        };
+        let Self { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
+        [means, scales, quats, opacities, sh_coeffs].into_iter().for_each(|tensor| rec.output(tensor));
+        tensors
+    }
+
+    /// The tensors of `len` Gaussians, laid out to be kept.
+    pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
+        Self {
+            means: layout.add::<[f32; 3]>(len),
+            scales: layout.add::<[f32; 3]>(len),
+            quats: layout.add::<[f32; 4]>(len),
+            opacities: layout.add::<f32>(len),
+            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
+            len,
+            sh_degree,
+        }
+    }
+
+    /// Bytes of the memory that [`SceneTensors::lay_out`] lays out.
+    pub fn bytes(limits: &Limits, len: usize, sh_degree: u32) -> u64 {
+        let mut layout = ResidentLayout::new(limits);
+        Self::lay_out(&mut layout, len, sh_degree);
+        layout.bytes()
+    }
+}
+
+/// Coefficients up to a degree.
+fn coeffs_of(degree: u32) -> usize {
+    (degree as usize + 1).pow(2)
 }
 
 /// Every patch embedded by a convolution whose stride is its size: `[tokens, width]`.

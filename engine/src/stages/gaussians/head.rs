@@ -7,7 +7,7 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::{gaussians as kernels, ops::Gelu},
     ops::{Epilogue, Linear, ParameterLayout, row_chunks},
-    stages::render::{SceneGradients, SceneTensors},
+    stages::{SceneGradients, SceneTensors},
     weights::Architecture,
 };
 

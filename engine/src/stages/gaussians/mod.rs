@@ -4,7 +4,7 @@
 
 mod head;
 
-use super::{ViewGrid, embed_patches, render::SceneTensors};
+use super::{SceneTensors, ViewGrid, embed_patches};
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::gaussians as kernels,

@@ -4,7 +4,7 @@
 //! Gaussian, so that each Gaussian adds up its own in a fixed order: nothing is added atomically.
 
 use super::{
-    Depth, FrameShape, RenderOutputs, RenderRequest, SceneTensors,
+    Depth, FrameShape, RenderOutputs, RenderRequest, SceneGradients, SceneTensors,
     intersect::{self, TileLists},
     project::{self, Splats},
     rasterise,
@@ -17,21 +17,6 @@ use crate::{
     },
     ops::scan::exclusive_scan,
 };
-
-/// Gradients of a scene, each like the values in [`SceneTensors`], as these are stored: quaternions of any length, for one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SceneGradients {
-    /// `[len, 3]`.
-    pub means: Tensor,
-    /// `[len, 3]`.
-    pub scales: Tensor,
-    /// `[len, 4]`.
-    pub quats: Tensor,
-    /// `[len]`.
-    pub opacities: Tensor,
-    /// `[len, (sh_degree + 1)^2, 3]`.
-    pub sh_coeffs: Tensor,
-}
 
 /// Where [`record_with_gradients`] adds gradients; what is `None` is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -19,11 +19,11 @@ use crate::{
     kernels::limits::TILE,
 };
 
-pub use super::FrameShape;
-pub use backward::{CAMERA_NUMBERS, Gradients, SceneGradients, record_with_gradients};
+pub use super::{FrameShape, SceneGradients, SceneTensors};
+pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
-pub use project::{CameraRows, SceneTensors, camera_rows};
+pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
 pub use renderer::{Renderer, plan_pictures};
 pub use scene::{DeviceScene, SceneMemory, WeakScene};

@@ -1,31 +1,12 @@
 //! Gaussians to ellipses.
 
-use super::{FrameShape, RenderRequest};
+use super::{FrameShape, RenderRequest, SceneTensors};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::{Normals, Project},
     types::{Camera, Pose},
 };
 use glam::DVec4;
-
-/// A scene on the device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SceneTensors {
-    /// `[len, 3]` world.
-    pub means: Tensor,
-    /// `[len, 3]` standard deviations, world.
-    pub scales: Tensor,
-    /// `[len, 4]` wxyz, of any length but zero.
-    pub quats: Tensor,
-    /// `[len]` 0 to 1.
-    pub opacities: Tensor,
-    /// `[len, (sh_degree + 1)^2, 3]`.
-    pub sh_coeffs: Tensor,
-    /// Gaussians.
-    pub len: usize,
-    /// Degree of the coefficients; bands above that are all zero need not be here.
-    pub sh_degree: u32,
-}
 
 /// A camera as kernels read it, 16 numbers: three rows of the world-to-camera rotation, each with a coordinate of the camera's
 /// centre behind it, and `(fx, fy, cx, cy)` in pixels. They come as f32, then again as what rounding took from each, so that

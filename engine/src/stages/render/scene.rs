@@ -1,9 +1,10 @@
 //! Gaussians on a device.
 
-use super::{project::SceneTensors, range::drawable};
+use super::{SceneTensors, range::drawable};
+use crate::stages::coeffs_of;
 use crate::{
     Result,
-    gpu::{Arena, Device, Limits, Recorder, Resident, ResidentLayout},
+    gpu::{Arena, Device, Resident, ResidentLayout},
     types::Scene,
 };
 use std::sync::{Arc, Weak};
@@ -45,44 +46,6 @@ pub struct SceneMemory {
     tensors: SceneTensors,
     arena: Option<Arena>,
     user: Weak<Gaussians>,
-}
-
-impl SceneTensors {
-    /// The tensors of `len` Gaussians that a plan makes for the host.
-    pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
-        let tensors = Self {
-            means: rec.tensor::<[f32; 3]>("means", len),
-            scales: rec.tensor::<[f32; 3]>("scales", len),
-            quats: rec.tensor::<[f32; 4]>("quats", len),
-            opacities: rec.tensor::<f32>("opacities", len),
-            sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", len * coeffs_of(sh_degree)),
-            len,
-            sh_degree,
-        };
-        let Self { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
-        [means, scales, quats, opacities, sh_coeffs].into_iter().for_each(|tensor| rec.output(tensor));
-        tensors
-    }
-
-    /// The tensors of `len` Gaussians, laid out to be kept.
-    pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
-        Self {
-            means: layout.add::<[f32; 3]>(len),
-            scales: layout.add::<[f32; 3]>(len),
-            quats: layout.add::<[f32; 4]>(len),
-            opacities: layout.add::<f32>(len),
-            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
-            len,
-            sh_degree,
-        }
-    }
-
-    /// Bytes of the memory that [`SceneTensors::lay_out`] lays out.
-    pub fn bytes(limits: &Limits, len: usize, sh_degree: u32) -> u64 {
-        let mut layout = ResidentLayout::new(limits);
-        Self::lay_out(&mut layout, len, sh_degree);
-        layout.bytes()
-    }
 }
 
 impl SceneMemory {
@@ -217,11 +180,6 @@ impl DeviceScene {
     pub(super) fn stored_degree(&self) -> u32 {
         self.0.stored_degree
     }
-}
-
-/// Coefficients up to a degree.
-fn coeffs_of(degree: u32) -> usize {
-    (degree as usize + 1).pow(2)
 }
 
 /// Degree of the highest band that is not all zero: what is above it is neither stored nor evaluated.

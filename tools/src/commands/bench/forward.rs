@@ -14,14 +14,16 @@ use crate::{
 use clap::Args;
 use serde::Serialize;
 use std::{
+    ops::ControlFlow,
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 use zipsplat::{
     Error, Result,
-    gpu::Profile,
-    reconstruct::{MAX_VIEWS, Model, Ratio, Request, Shape},
-    types::Image,
+    gpu::{Profile, Progress},
+    reconstruct::{MAX_VIEWS, Model, Ratio, Reconstruction, Request, Shape},
+    stages::render::{RenderRequest, Renderer},
+    types::{Camera, Image, Intrinsics, Pose},
     weights::Checkpoint,
 };
 
@@ -41,6 +43,9 @@ pub struct Forward {
     size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
+    /// Also time photos to a picture of this size: the first, the next, with Gaussians through the host, and from kept features
+    #[arg(long, value_name = "WxH")]
+    pictures: Option<Size>,
     #[command(flatten)]
     repeats: Repeats,
     /// Also time the same network in PyTorch, by this Python, on its GPU or else on the CPU, and print the ratio
@@ -110,6 +115,12 @@ impl Forward {
                 measured => measured?.0,
             };
             text += &describe(&measured, precision.name(), &device.limits().name, &peak);
+            let to_picture = self.pictures.map(|size| {
+                session.stage("pictures", |stage| self.to_picture(&model, &images[..*views], request, size, stage))
+            });
+            let to_picture = to_picture.transpose()?.map(|(rows, _)| rows).unwrap_or_default();
+            to_picture.iter().for_each(|row| text += &format!("  {:<44}{} ms\n", row.stage, row.ms));
+            rows.extend(to_picture.into_iter().map(|row| Row { precision: precision.name(), ..row }));
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
@@ -157,6 +168,77 @@ impl Forward {
             });
         }
         Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
+    }
+
+    /// Times from photos to a first picture, by the road that the Gaussians take.
+    fn to_picture(
+        &self,
+        model: &Model,
+        images: &[Image],
+        request: &Request,
+        Size(width, height): Size,
+        stage: &Stage<'_>,
+    ) -> Result<Vec<Row>> {
+        let device = model.arena().device();
+        let camera = Camera { intrinsics: Intrinsics::from_fov(width, height, 1.0, 1.0), pose: Pose::IDENTITY };
+        let drawing = RenderRequest::default();
+        let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
+        let timed = |road: &mut dyn FnMut() -> Result<Reconstruction>| -> Result<(Duration, Reconstruction)> {
+            let start = Instant::now();
+            let made = road()?;
+            Ok((start.elapsed(), made))
+        };
+        let show = |renderer: &mut Renderer, made: &Reconstruction| {
+            renderer.show(&made.gaussians)?;
+            renderer.render_loaded(&[camera], &drawing).map(drop)
+        };
+        // A model that has run keeps its memory: the first time is that of another arena.
+        model.arena().release()?;
+        let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
+        let mut on_device = || {
+            let made = model.reconstruct(images, request, go_on)?;
+            show(&mut renderer, &made)?;
+            Ok(made)
+        };
+        let (first, made) = timed(&mut on_device)?;
+        let (tokens, peak_bytes) = (made.tokens, device.allocated_bytes());
+        drop(made);
+        let again = (0..self.repeats.repeats).map(|_| Ok(timed(&mut on_device)?.0)).collect::<Result<Vec<_>>>()?;
+        let mut through_host = || {
+            let made = model.reconstruct(images, request, go_on)?;
+            of_host.load(&made.scene()?)?;
+            of_host.render_loaded(&[camera], &drawing)?;
+            Ok(made)
+        };
+        let host = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut through_host)?.0)).collect::<Result<Vec<_>>>()?;
+        let features = model.features(images, request, go_on)?;
+        let mut of_features = || {
+            let made = model.reconstruct_features(&features, request, go_on)?;
+            show(&mut renderer, &made)?;
+            Ok(made)
+        };
+        let kept = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut of_features)?.0)).collect::<Result<Vec<_>>>()?;
+        let row = |stage: &str, times: &[Duration]| Row {
+            precision: "",
+            views: images.len(),
+            tokens,
+            ratio: 0.0,
+            stage: stage.to_owned(),
+            kernel: String::new(),
+            commands: 0,
+            ms: Spread::of(times.iter().copied()),
+            gflop: 0.0,
+            gflop_per_s: 0.0,
+            peak_share: None,
+            peak_bytes,
+            arena_bytes: model.arena().bytes(),
+        };
+        Ok(vec![
+            row("photos to a picture, the first", &[first]),
+            row("photos to a picture, again", &again),
+            row("photos to a picture through the host, again", &host[1..]),
+            row("kept features to a picture, again", &kept[1..]),
+        ])
     }
 
     fn measure(

@@ -1,0 +1,88 @@
+//! Refinement of tokens through the frozen head: losses fall, bits are the same twice, and what is bad is refused.
+
+use std::ops::ControlFlow;
+use zipsplat::ops::Arithmetic;
+use zipsplat::reconstruct::{Model, Request, SceneTokens};
+use zipsplat::refine::{FrozenHead, Rates, Refine, Refined, refine_tokens};
+use zipsplat::types::{Camera, Image};
+use zipsplat::weights::Checkpoint;
+use zipsplat_tests::{architectures, device::device, networks, scenes::camera};
+
+const SIZE: [u32; 2] = [56, 42];
+
+/// A flat picture with a bright square: enough to learn from.
+fn photo(corner: u32) -> Image {
+    let pixel = |x: u32, y: u32| {
+        let inside = (corner..corner + 20).contains(&x) && (corner..corner + 16).contains(&y);
+        if inside { [230, 120, 40] } else { [30, 60, 90] }
+    };
+    let rgb = (0..SIZE[1]).flat_map(|y| (0..SIZE[0]).flat_map(move |x| pixel(x, y))).collect();
+    Image::new(SIZE[0], SIZE[1], rgb).unwrap()
+}
+
+fn photos() -> (Vec<Image>, Vec<Camera>) {
+    let moved = |i: u32| {
+        let mut camera = camera(SIZE[0], SIZE[1]);
+        camera.pose.translation.x = 0.01 * f64::from(i);
+        camera
+    };
+    ((0..2).map(|i| photo(8 + i)).collect(), (0..2).map(moved).collect())
+}
+
+fn network() -> (Model, FrozenHead) {
+    let model = networks::model("micro", Arithmetic::EXACT);
+    let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
+    let head = FrozenHead::load(device(), &checkpoint).unwrap();
+    (model, head)
+}
+
+fn tokens(model: &Model, unit: f64) -> SceneTokens {
+    let request = Request { unit, ..Request::default() };
+    model.tokens(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn refine(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Refined {
+    let (photos, cameras) = photos();
+    refine_tokens(head, tokens, &photos, &cameras, request, |_| ControlFlow::Continue(())).unwrap()
+}
+
+#[test]
+fn tokens_become_the_photos() {
+    let (model, head) = network();
+    for unit in [1.0, 0.5] {
+        let tokens = tokens(&model, unit);
+        // No steps: the Gaussians of the network itself, but for the rounding of sums in another order.
+        let none = refine(&head, &tokens, &Refine { steps: 0, ..Refine::default() });
+        let request = Request { unit, ..Request::default() };
+        let made = model.reconstruct(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+        let close = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + b.abs()));
+        assert!(none.scene.means.iter().zip(&made.means).all(|(a, b)| close(a, b)));
+        assert!(none.scene.scales.iter().zip(&made.scales).all(|(a, b)| close(a, b)));
+
+        // Random weights' scenes leave the picture at larger rates.
+        let rates = Rates { tokens: 1e-2, ..Rates::default() };
+        let request = Refine { steps: 60, rates, ..Refine::default() };
+        let [first, second] = [(); 2].map(|()| refine(&head, &tokens, &request));
+        assert!(first.scene == second.scene && first.losses == second.losses, "other bits the second time");
+        assert!(first.losses[59] < 0.97 * first.losses[0], "{:?}", first.losses);
+        assert!(first.best_step > 45 && first.stopped.is_none());
+    }
+}
+
+#[test]
+fn what_cannot_be_refined_is_refused() {
+    let (model, head) = network();
+    let (photos, cameras) = photos();
+    let tokens = tokens(&model, 1.0);
+    let go_on = |_: zipsplat::refine::Refining| ControlFlow::Continue(());
+    let refused = |cameras: &[Camera], request: &Refine, word: &str| {
+        let error = refine_tokens(&head, &tokens, &photos, cameras, request, go_on).unwrap_err();
+        assert!(error.to_string().contains(word), "{error}");
+    };
+    refused(&cameras[..1], &Refine::default(), "cameras");
+    refused(&cameras, &Refine { hold_out: Some(2), ..Refine::default() }, "held-out photos");
+    let other =
+        FrozenHead::load(device(), &Checkpoint::seeded_architecture(architectures::golden("tiny"), "tiny").unwrap());
+    let error = refine_tokens(&other.unwrap(), &tokens, &photos, &cameras, &Refine::default(), go_on).unwrap_err();
+    assert!(error.to_string().contains("width of the tokens"), "{error}");
+}
