@@ -10,7 +10,7 @@ use zipsplat_tests::scenes::{camera, random_scene};
 fn cameras(count: usize) -> Vec<Camera> {
     let at = |i: usize| {
         // Sizes alternate.
-        let mut camera = if i % 2 == 0 { camera(48, 36) } else { camera(40, 40) };
+        let mut camera = if i.is_multiple_of(2) { camera(48, 36) } else { camera(40, 40) };
         camera.pose.translation.x += 0.05 * i as f64;
         camera
     };

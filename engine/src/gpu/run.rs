@@ -1,5 +1,6 @@
 //! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
 
+mod bind;
 mod present;
 mod submit;
 
@@ -29,8 +30,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// The generation of no memory: what was encoded has to be encoded again.
-const STALE: u64 = u64::MAX;
 /// Submissions under way at once.
 const IN_FLIGHT: usize = 2;
 
@@ -173,49 +172,6 @@ impl Run {
             under_way: false,
             presenting: None,
         })
-    }
-
-    /// Runs from now on with another memory of the same layout.
-    ///
-    /// # Panics
-    /// Where the run has no memory of that layout.
-    pub fn replace_resident(&mut self, resident: Arc<Resident>) {
-        let own = self.residents.iter_mut().find(|own| own.layout == resident.layout).expect("a memory of that layout");
-        if !Arc::ptr_eq(own, &resident) {
-            *own = resident;
-            self.generation = STALE;
-        }
-    }
-
-    /// Makes the lane ready for this run: room for its arena, nothing under way, no bytes of others.
-    fn bind(&mut self) -> Result<()> {
-        self.settle()?;
-        let generation = self.lane.reserve(&self.plan.blocks)?;
-        if generation != self.generation {
-            self.generation = STALE;
-            self.rebind()?;
-            self.generation = generation;
-        }
-        if !self.lane.used_by(self.id) {
-            self.forget_inputs();
-        }
-        Ok(())
-    }
-
-    /// Descriptors, and later commands, for the memory that there is now.
-    fn rebind(&mut self) -> Result<()> {
-        self.settle()?;
-        self.discard_batches();
-        let arena = self.lane.memory();
-        self.descriptors = Descriptors::new(&self.device, &self.bound(&arena))?;
-        drop(arena);
-        self.make_twins()
-    }
-
-    /// What comes before every submission of the plan.
-    pub(super) fn begin(&mut self) -> Result<()> {
-        self.bind()?;
-        self.check_inputs()
     }
 
     /// The plan that runs.
@@ -362,22 +318,6 @@ impl Run {
         Ok(())
     }
 
-    fn check_inputs(&self) -> Result<()> {
-        for (allocation, written) in self.plan.allocations.iter().zip(&self.written) {
-            if allocation.role != Role::Scratch && !written && allocation.bytes > 0 {
-                return Err(Error::argument(format!("input {}", allocation.name), "nothing", "a write before the run"));
-            }
-        }
-        Ok(())
-    }
-
-    /// Later tensors may share an input's bytes, so it has to be written again.
-    pub(super) fn forget_inputs(&mut self) {
-        for (allocation, written) in self.plan.allocations.iter().zip(&mut self.written) {
-            *written &= allocation.role == Role::Constant;
-        }
-    }
-
     fn bound<'a>(&'a self, arena: &'a Memory) -> Bound<'a> {
         Bound { shared: &self.device.0, plan: &self.plan, arena, residents: &self.residents }
     }
@@ -426,14 +366,6 @@ impl Run {
         let stage = self.plan.stage(batch.first_command);
         let next = learned(self.speed(stage), batch.cost, took, late, self.device.limits().cpu);
         lock(&self.device.0.flops_per_ms).insert(stage.to_owned(), next);
-    }
-
-    fn discard_batches(&mut self) {
-        let commands: Vec<_> = self.batches.drain(..).map(|b| b.commands).collect();
-        if !commands.is_empty() {
-            // SAFETY: the caller waited for what was submitted.
-            unsafe { self.device.0.raw.free_command_buffers(self.pool, &commands) };
-        }
     }
 }
 

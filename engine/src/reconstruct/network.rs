@@ -71,6 +71,13 @@ pub struct NetworkPlan {
     pub layout: ResidentLayout,
 }
 
+impl NetworkPlan {
+    /// Bytes of the arena and of the Gaussians.
+    pub fn bytes(&self) -> u64 {
+        self.plan.arena_bytes() + self.layout.bytes()
+    }
+}
+
 impl Network {
     /// Lays out a network; needs no device.
     pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {

@@ -8,6 +8,7 @@ mod flights;
 mod frame;
 mod intersect;
 mod pack;
+mod planned;
 mod project;
 mod range;
 mod rasterise;
@@ -23,9 +24,10 @@ pub use super::{FrameShape, SceneGradients, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
+pub use planned::plan_pictures;
 pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
-pub use renderer::{Renderer, plan_pictures};
+pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, WeakScene};
 
 /// What [`record`] leaves on the device.

@@ -1,19 +1,19 @@
 //! Draws a scene again and again: keeps it on the device, and keeps plans.
 
 use super::{
-    CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderOutputs, RenderRequest, SceneMemory, SceneTensors,
-    camera_rows, flights::pictures_together, range::check, record, scene::used_degree,
+    CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderRequest, SceneMemory, SceneTensors, camera_rows,
+    planned::{Key, Planned, first_capacity, planned_capacity, together},
+    range::check,
+    scene::used_degree,
 };
 use crate::{
     Error, Result,
-    gpu::{Arena, Claim, Device, Limits, Plan, Profile, Recorder, ResidentLayout, Run, Target, Tensor},
+    gpu::{Arena, Claim, Device, Limits, Profile, ResidentLayout, Target},
     types::{Camera, LeftOut, Scene},
 };
 
 /// Plans that are kept: sizes and requests that alternate.
 const PLANS: usize = 4;
-/// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
-const GPU_TOGETHER: usize = 8;
 /// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed; all of them
 /// share an arena.
 pub struct Renderer {
@@ -31,59 +31,6 @@ pub struct Renderer {
     cameras_at_once: usize,
     /// Most pictures of one submission of [`Renderer::render_each`].
     pub(super) together: usize,
-}
-
-/// What a plan is for.
-#[derive(Clone, Copy, PartialEq)]
-struct Key {
-    shape: FrameShape,
-    request: RenderRequest,
-    /// The lane of the arena; pictures in flight take turns.
-    turn: usize,
-}
-
-pub(super) struct Planned {
-    key: Key,
-    /// The tensors that it draws.
-    scene: SceneTensors,
-    capacity: usize,
-    pub run: Run,
-    pub cameras: Tensor,
-    outputs: RenderOutputs,
-}
-
-/// Plans what [`Renderer::render_each`] begins with for many pictures of `[width, height]` pixels of a scene; needs no device.
-///
-/// # Errors
-/// [`Error::Memory`] where a device of these limits cannot hold or bind a tensor.
-pub fn plan_pictures(
-    limits: &Limits,
-    scene: &SceneTensors,
-    [width, height]: [u32; 2],
-    request: &RenderRequest,
-) -> Result<Plan> {
-    let cameras = pictures_together(together(limits), scene.len, [width, height]);
-    let shape = FrameShape { cameras, width, height };
-    let mut rec = Recorder::new(limits);
-    let rows = rec.input::<CameraRows>("cameras", cameras);
-    let capacity = planned_capacity(limits, first_capacity(scene.len), shape);
-    record(&mut rec, scene, rows, shape, request, capacity);
-    rec.finish()
-}
-
-/// Most pictures of one submission.
-fn together(limits: &Limits) -> usize {
-    if limits.cpu { 1 } else { GPU_TOGETHER }
-}
-
-/// Intersections of a picture that a renderer has room for before it has drawn any.
-fn first_capacity(gaussians: usize) -> usize {
-    (4 * gaussians).max(1 << 16)
-}
-
-/// Intersections of a plan of several pictures.
-fn planned_capacity(limits: &Limits, each: usize, shape: FrameShape) -> usize {
-    each.saturating_mul(shape.cameras).min(limits.max_binding_bytes as usize / 4)
 }
 
 impl Renderer {
@@ -394,36 +341,5 @@ impl Renderer {
     /// Waits for everything that is under way.
     pub(super) fn settle(&mut self) -> Result<()> {
         self.plans.iter_mut().try_for_each(|plan| plan.run.finish())
-    }
-}
-
-impl Planned {
-    fn new(arena: &Arena, scene: &DeviceScene, key: Key, capacity: usize) -> Result<Self> {
-        let mut rec = Recorder::new(arena.device().limits());
-        let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
-        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &key.request, capacity);
-        let run = Run::in_arena(arena, key.turn, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
-        Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
-    }
-
-    /// Intersections that the last run found; more than can be counted as 2^32.
-    fn needed(&self) -> Result<usize> {
-        let status: Vec<u32> = self.run.read(self.outputs.status)?;
-        Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))
-    }
-
-    /// The pictures of the last run, unless they needed more room.
-    pub(super) fn frames(&self) -> Result<Option<Vec<Frame>>> {
-        if self.needed()? > self.capacity { Ok(None) } else { self.read().map(Some) }
-    }
-
-    fn read(&self) -> Result<Vec<Frame>> {
-        let values: Vec<f32> = self.run.read(self.outputs.frames)?;
-        let FrameShape { cameras, width, height } = self.key.shape;
-        let frame = |values| Frame::from_channels(width, height, values, &self.key.request);
-        if cameras == 1 {
-            return Ok(vec![frame(values)]);
-        }
-        Ok(values.chunks_exact(values.len() / cameras).map(|values| frame(values.to_vec())).collect())
     }
 }

@@ -252,6 +252,7 @@ impl Forward {
         let shape = model.shape(images, request)?;
         let (plan, tensors) = model.record(shape, false)?;
         let (flops, commands, arena_bytes) = (plan.flops(), plan.len(), plan.arena_bytes());
+        let peak_bytes = model.weight_bytes() + model.plan(shape)?.bytes();
         let mut run = model.run(plan)?;
         let Repeats { warmup, repeats } = self.repeats;
         let (mut totals, mut profiles): (Vec<_>, Vec<Profile>) = Default::default();
@@ -279,7 +280,7 @@ impl Forward {
             gflop: group.flops as f64 / 1e9,
             gflop_per_s: group.ms.rate(group.flops),
             peak_share: peak.share(group.ms.rate(group.flops)),
-            peak_bytes: model.weight_bytes() + arena_bytes,
+            peak_bytes,
             arena_bytes,
         };
         let total = Group { name: String::new(), count: commands as u32, flops, ms: Spread::of(totals) };

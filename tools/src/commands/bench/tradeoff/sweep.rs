@@ -183,7 +183,7 @@ impl Bench<'_> {
     fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
         let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
         let (plan, tensors) = model.record(shape, false)?;
-        let (peak_bytes, flops) = (plan.arena_bytes() + model.weight_bytes(), plan.flops());
+        let (peak_bytes, flops) = (model.plan(shape)?.bytes() + model.weight_bytes(), plan.flops());
         let mut run = model.run(plan)?;
         let (mut times, mut stages) = (Vec::new(), StageTimes::default());
         for i in 0..self.args.warmup + self.args.repeats {
