@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A procedural place that the model has never seen, reconstructed from 8 of its photos and compared with the others:
+# A procedural place that the model has never seen, reconstructed from 8 of its photos, refined against them, and compared with the others:
 # out/place/comparison.png, and a flight around it: out/place/contact.png. Photos given are reconstructed as well:
 # out/scene.ply, out/NNN.png, out/contact.png.
 # usage: tools/demo.sh [PHOTO...]      ZIPSPLAT_WEIGHTS: a checkpoint, default the embedded model
@@ -14,7 +14,7 @@ mkdir -p "$out"
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
 stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
-stage reconstruct zipsplat eval "$out/place" --views 8 ${weights[@]+"${weights[@]}"} -o "$out/place"
+stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 ${weights[@]+"${weights[@]}"} -o "$out/place"
 stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 --overwrite -o "$out/place"
 say "photos that it was not shown, what it drew in their place, and the nearest it was shown: $out/place/comparison.png"
 if [[ $# != 0 ]]; then

@@ -92,6 +92,8 @@ pub(super) struct Lane {
     timeline: vk::Semaphore,
     /// The timeline's value behind everything that was submitted.
     signalled: AtomicU64,
+    /// The largest value that was waited for.
+    waited: AtomicU64,
     state: Mutex<State>,
 }
 
@@ -114,7 +116,13 @@ impl Lane {
         let timeline =
             unsafe { device.0.raw.create_semaphore(&info, None) }.map_err(|e| driver("vkCreateSemaphore", e))?;
         let state = Mutex::new(State { memory, sizes: Vec::new(), generation: 0, user: 0 });
-        Ok(Arc::new(Self { device: device.clone(), timeline, signalled: AtomicU64::new(0), state }))
+        Ok(Arc::new(Self {
+            device: device.clone(),
+            timeline,
+            signalled: AtomicU64::new(0),
+            waited: AtomicU64::new(0),
+            state,
+        }))
     }
 
     /// Makes room for a plan's blocks, once everything that was submitted here is done. Returns the memory's generation.
@@ -192,12 +200,15 @@ impl Lane {
         unsafe { self.device.0.raw.wait_semaphores(&info, u64::MAX) }
             .map_err(|e| self.device.0.failed("vkWaitSemaphores", e))?;
         // A wait on a lost device may end with success all the same.
-        self.device.0.check_lost()
+        self.device.0.check_lost()?;
+        self.waited.fetch_max(value, Ordering::Relaxed);
+        Ok(())
     }
 
     /// Waits for everything that was submitted here.
     pub fn settle(&self) -> Result<()> {
-        self.wait(self.signalled.load(Ordering::Relaxed))
+        let last = self.signalled.load(Ordering::Relaxed);
+        if last > self.waited.load(Ordering::Relaxed) { self.wait(last) } else { Ok(()) }
     }
 }
 

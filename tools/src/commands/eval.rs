@@ -73,9 +73,10 @@ pub struct Eval {
     /// which its head makes Gaussians, and not the Gaussians themselves
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", conflicts_with = "pose_free")]
     refine: Option<Steps>,
-    /// What the refinement starts from. Points of a capture may come from the held-out photos, too
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene", requires = "refine")]
-    start: Start,
+    /// What the refinement starts from [default: points where the capture has enough, else the scene]. Points of a capture may come
+    /// from the held-out photos, too
+    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    start: Option<Start>,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
@@ -131,6 +132,7 @@ impl Eval {
         let mut scene = result.scene()?;
         self.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
+        let mut started = "the network's tokens";
         let refined = match self.refine {
             Some(Steps { count, tokens: true }) => {
                 let (head, tokens) =
@@ -139,7 +141,9 @@ impl Eval {
             }
             Some(Steps { count, tokens: false }) => {
                 let cloud = choice.points(&capture.unit)?;
-                let start = self.start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
+                let start = Start::or_best(self.start, cloud.as_ref());
+                started = start.name();
+                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
                 Some(self.refine(session, Refinable::Scene(&device, &start), &capture, count)?)
             }
             None => None,
@@ -195,10 +199,12 @@ impl Eval {
             took.as_secs_f64(),
             capture.unit
         ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
-            + &refined.as_ref().map_or_else(String::new, |refined| format!("\n{}", refinement::summary(refined)));
+            + &refined
+                .as_ref()
+                .map_or_else(String::new, |refined| format!("\n{}", refinement::summary(refined, started)));
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
-            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(refinement::as_json),
+            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started)),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
             "peak_bytes": result.peak_bytes,

@@ -81,9 +81,10 @@ pub struct Reconstruct {
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         default_missing_value = "100")]
     refine: Option<Steps>,
-    /// What --refine starts from; points are those that structure from motion left beside the cameras
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene", requires = "refine")]
-    start: Start,
+    /// What --refine starts from; points are those that structure from motion left beside the cameras [default: points where there
+    /// are enough, else the scene]
+    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    start: Option<Start>,
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
     #[arg(long, value_name = "WxH", default_value = "1600x1600", requires = "refine")]
     refine_size: Size,
@@ -204,7 +205,7 @@ impl Reconstruct {
             }
             _ => None,
         };
-        if let Some(refined) = &refined {
+        if let Some((refined, _)) = &refined {
             scene = refined.scene.clone();
         }
         let world = frames.first().map(|first| self.world.of(first));
@@ -242,7 +243,7 @@ impl Reconstruct {
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
-        times.extend(refined.iter().map(|refined| ("refine", refined.took)));
+        times.extend(refined.iter().map(|(refined, _)| ("refine", refined.took)));
         times.push(("write", write));
         let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
         let tokens = shape.grid.tokens();
@@ -281,9 +282,9 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some(refined) = &refined {
-            text += &format!("{}\n", refinement::summary(refined));
-            json["refined"] = refinement::as_json(refined);
+        if let Some((refined, started)) = &refined {
+            text += &format!("{}\n", refinement::summary(refined, started));
+            json["refined"] = refinement::as_json(refined, started);
         }
         if let Some((pictures, told)) = drawn {
             json["pictures"] = pictures;
@@ -300,7 +301,7 @@ impl Reconstruct {
         from: From<'_>,
         (scene, cloud): (Scene, Option<&PointCloud>),
         (photos, frames): (&[PathBuf], &[&Frame]),
-    ) -> Result<Refined> {
+    ) -> Result<(Refined, &'static str)> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
@@ -308,18 +309,21 @@ impl Reconstruct {
             session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
+        let mut started = "the network's tokens";
         let refined = if steps.tokens {
             let head = FrozenHead::load(from.device, from.checkpoint)?;
             let tokens = session.tokens(from.model, from.images, from.request)?;
             refinement::refine(session, Refinable::Tokens(&head, &tokens), &photos, &cameras, &request)?
         } else {
-            let start = self.start.scene(Some(scene), cloud, &cameras)?;
+            let start = Start::or_best(self.start, cloud);
+            started = start.name();
+            let start = start.scene(Some(scene), cloud, &cameras)?;
             refinement::refine(session, Refinable::Scene(from.device, &start), &photos, &cameras, &request)?
         };
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) => Err(Error::Cancelled),
-            _ => Ok(refined),
+            _ => Ok((refined, started)),
         }
     }
 

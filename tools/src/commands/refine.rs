@@ -174,14 +174,14 @@ impl Refine {
         let count = refined.scene.len();
         let mut json = json!({
             "output": self.output, "device": device, "photos": photos, "gaussians": count,
-            "refined": refinement::as_json(&refined),
+            "refined": refinement::as_json(&refined, self.start.name()),
         });
         let mut text = format!(
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
             counted(photos, "photo"),
-            refinement::summary(&refined),
+            refinement::summary(&refined, self.start.name()),
         );
         if let Some(profile) = refined.profile {
             let explanation = Explanation::of_kernels(&profile, Vec::new());
