@@ -196,7 +196,7 @@ fn point_clouds_are_found_and_read() {
     for (file, bytes, reason) in [
         ("binary/points3D.bin", bytes[..bytes.len() - 1].to_vec(), "truncated"),
         ("text/points3D.txt", b"7 1.5 here 3.25\n".to_vec(), "line 1: Y"),
-        ("text/points3D.txt", b"7 1.5 NaN 3.25\n".to_vec(), "finite"),
+        ("text/points3D.txt", b"7 1.5 NaN 3.25 1 2 3 0.5\n".to_vec(), "finite"),
         (
             "json/points.ply",
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n".to_vec(),
