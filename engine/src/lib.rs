@@ -7,7 +7,7 @@
 //!
 //! # fn main() -> zipsplat::Result<()> {
 //! let device = Device::open(&DeviceOptions::default())?;
-//! let model = Model::load(&device, &Checkpoint::open("weights.safetensors")?, |_| Continue(()))?;
+//! let model = Model::load(&device, &Checkpoint::open("weights.safetensors", None)?, |_| Continue(()))?;
 //! let photos = [fit(&Image::open("a.jpg")?, 252, 252)?.image, fit(&Image::open("b.jpg")?, 252, 252)?.image];
 //! let made = model.reconstruct(&photos, &Request::default(), |_| Continue(()))?;
 //! zipsplat::types::write_scene("scene.ply", &made.scene()?, &Default::default())?;
