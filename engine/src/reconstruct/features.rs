@@ -10,7 +10,7 @@ use crate::{
 };
 use std::{ops::ControlFlow, sync::Arc};
 
-/// What the backbone makes of photos, on the device. Scenes of any ratio and selection follow from it.
+/// The backbone's features of photos, on the device. Scenes of any ratio and selection follow from it.
 pub struct Features {
     shape: Shape,
     tensors: FeatureTensors,

@@ -13,7 +13,7 @@ pub struct Adam {
     pub beta1: f32,
     /// Decay of the mean of squared gradients.
     pub beta2: f32,
-    /// What is added to the root of the latter.
+    /// The number that is added to the root of the latter.
     pub eps: f32,
 }
 
@@ -24,14 +24,14 @@ impl Default for Adam {
 }
 
 impl Adam {
-    /// What [`record_adam`] reads in step `step`, counted from 1: the rate, the corrections of both moments, and 0.
+    /// The numbers that [`record_adam`] reads in step `step`, counted from 1: the rate, the corrections of both moments, and 0.
     pub fn schedule(&self, rate: f32, step: u32) -> [f32; 4] {
         let correction = |beta: f32| (1.0 / (1.0 - f64::from(beta).powi(step as i32))) as f32;
         [rate, correction(self.beta1), correction(self.beta2), 0.0]
     }
 }
 
-/// What Adam steps in place of a stored value.
+/// The space in which Adam steps, in place of that of a stored value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Space {
     /// The value itself.

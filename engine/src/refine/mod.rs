@@ -43,7 +43,7 @@ pub struct Refine {
     pub size: Option<[u32; 2]>,
     /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: 1 of 9 or more.
     pub hold_out: Option<usize>,
-    /// What is made less.
+    /// The loss that is made less.
     pub loss: Loss,
     /// How far a step moves each value.
     pub rates: Rates,
@@ -84,17 +84,17 @@ impl Default for Refine {
 /// Adam's rates at first, which fall to a tenth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Of centres, in shares of the scene's distance from the cameras.
+    /// The rate of centres, in shares of the scene's distance from the cameras.
     pub means: f32,
-    /// Of logarithms of scales.
+    /// The rate of logarithms of scales.
     pub scales: f32,
-    /// Of unit quaternions.
+    /// The rate of unit quaternions.
     pub quats: f32,
-    /// Of logits of opacities.
+    /// The rate of logits of opacities.
     pub opacities: f32,
-    /// Of coefficients of spherical harmonics.
+    /// The rate of coefficients of spherical harmonics.
     pub sh_coeffs: f32,
-    /// Of tokens, where these are refined.
+    /// The rate of tokens, where these are refined.
     pub tokens: f32,
 }
 
@@ -185,7 +185,7 @@ pub fn refine_scene(
 /// that makes Gaussians of them stays as it is. The scene is that of the tokens at the best step.
 ///
 /// # Errors
-/// As [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
+/// Those of [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
 pub fn refine_tokens(
     head: &FrozenHead,
     tokens: &SceneTokens,

@@ -25,7 +25,7 @@ pub enum Loss {
     L1Dssim,
 }
 
-/// What [`record_loss`] leaves on the device.
+/// The loss of each picture and its gradient, on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTensors {
     /// `[cameras]` f32: the loss of each picture.

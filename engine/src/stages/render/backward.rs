@@ -21,9 +21,9 @@ use crate::{
 /// Where [`record_with_gradients`] adds gradients; what is `None` is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gradients {
-    /// Of the Gaussians.
+    /// Gradients of the Gaussians.
     pub scene: Option<SceneGradients>,
-    /// `[cameras, 10]` f32, of each camera: w x, y, z, v x, y, z, where the camera-to-world pose moves as
+    /// Gradients of each camera, `[cameras, 10]` f32: w x, y, z, v x, y, z, where the camera-to-world pose moves as
     /// pose o (exp(w^), v); fx, fy, cx, cy.
     pub cameras: Option<Tensor>,
 }

@@ -31,10 +31,10 @@ pub(super) struct Planned {
     pub outputs: RenderOutputs,
 }
 
-/// Plans what [`Renderer::render_each`] begins with for many pictures of `[width, height]` pixels of a scene; needs no device.
+/// Plans what [`Renderer::render_each`](super::Renderer::render_each) begins with for many pictures of `[width, height]` pixels of a scene; needs no device.
 ///
 /// # Errors
-/// [`Error::Memory`] where a device of these limits cannot hold or bind a tensor.
+/// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
 pub fn plan_pictures(
     limits: &Limits,
     scene: &SceneTensors,

@@ -167,7 +167,7 @@ impl Renderer {
     /// that copy. Of `request`, background and antialiasing count; drawn are colour and alpha.
     ///
     /// # Errors
-    /// As [`Renderer::render_loaded`], and those of [`Run::present`].
+    /// As [`Renderer::render_loaded`], and those of [`Run::present`](crate::gpu::Run::present).
     pub fn render_to(
         &mut self,
         camera: &Camera,
