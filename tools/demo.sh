@@ -14,7 +14,7 @@ mkdir -p "$out"
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
 stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
-stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 ${weights[@]+"${weights[@]}"} -o "$out/place"
+stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 --start scene ${weights[@]+"${weights[@]}"} -o "$out/place"
 stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 --overwrite -o "$out/place"
 say "photos that it was not shown, what it drew in their place, and the nearest it was shown: $out/place/comparison.png"
 if [[ $# != 0 ]]; then
