@@ -72,7 +72,7 @@ impl Reconstruction {
     /// The Gaussians, on the host.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A transfer that fails.
     pub fn scene(&self) -> Result<Scene> {
         self.gaussians.read()
     }

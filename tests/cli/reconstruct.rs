@@ -329,8 +329,9 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
             let read = |at: &str| image::open(folder.path(&format!("{at}-{i}")).join(name)).unwrap().into_rgb16();
             let (ours, theirs) = (read("at-once"), read("after"));
             // A PLY keeps logarithms of scales and of odds, whose rounding may move a value over the edge to the next level.
+            let level = if name.contains("depth") { 1 } else { 257 };
             let most = ours.as_raw().iter().zip(theirs.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
-            assert!(most <= Some(257), "{name:?}: {most:?}");
+            assert!(most <= Some(level), "{name:?}: {most:?}");
         }
     }
 }

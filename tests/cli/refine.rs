@@ -96,3 +96,30 @@ fn held_out_photos_are_compared_after_a_refinement() {
     let outcome = folder.run(&format!("{line} --refine tokens"));
     assert!(outcome.code == 2 && outcome.err.contains("steps"), "{}", outcome.err);
 }
+
+#[test]
+fn reconstructions_are_refined() {
+    let folder = place();
+    let line = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 --json");
+    let run = |options: &str| folder.run(&format!("{line} {options} -o @/sharp.ply --overwrite")).json();
+    for (options, start) in [
+        // Weights that were not measured start from their own scene.
+        ("--refine=8", "the scene"),
+        ("--refine=8:tokens", "the network's tokens"),
+        ("--refine=8 --start points", "the capture's points"),
+    ] {
+        let json = run(options);
+        assert_eq!(
+            (&json["refined"]["start"], json["refined"]["steps"].as_u64()),
+            (&start.into(), Some(8)),
+            "{options}"
+        );
+        assert!(json["seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0), "{json}");
+        let scene = read_scene(folder.path("sharp.ply")).expect("a scene");
+        assert_eq!(json["gaussians"].as_u64(), Some(scene.len() as u64));
+    }
+    let wrong = line.replace("--json", "--refine=8:tokens --start points -o @/none.ply");
+    folder.run(&wrong).fails(3, &["--start", "tokens"]);
+    assert_eq!(folder.run("reconstruct @/photos --weights @/micro.safetensors --refine -o @/none.ply").code, 2);
+    assert!(!folder.path("none.ply").exists());
+}

@@ -38,7 +38,8 @@ fn network() -> (Model, FrozenHead) {
 
 fn tokens(model: &Model, unit: f64) -> SceneTokens {
     let request = Request { unit, ..Request::default() };
-    model.tokens(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap()
+    let features = model.features(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap();
+    model.tokens(&features, &request, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn refine(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Refined {

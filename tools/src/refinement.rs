@@ -23,14 +23,15 @@ pub enum Start {
     Both,
 }
 
-/// From so many points on they are a better start than the network's scene: so it is on 16 of 17 captures, of 650 to 20,000
+/// From so many points on they are a better start than the scene of the model that is built in: so it is on 16 of 17 captures, of 650 to 20,000
 /// points, and on average 2.9 dB after 100 steps.
 const ENOUGH: usize = 500;
 
 impl Start {
-    /// The start that was asked for, else the one that measures best: points, where there are enough.
-    pub fn or_best(asked: Option<Self>, cloud: Option<&PointCloud>) -> Self {
-        let enough = cloud.is_some_and(|cloud| cloud.positions.len() >= ENOUGH);
+    /// The start that was asked for, else the one that measures best: for the model that is built in points, where there are
+    /// enough. Other weights were not measured, and who chose them wants their scene.
+    pub fn or_best(asked: Option<Self>, cloud: Option<&PointCloud>, embedded: bool) -> Self {
+        let enough = embedded && cloud.is_some_and(|cloud| cloud.positions.len() >= ENOUGH);
         asked.unwrap_or(if enough { Self::Points } else { Self::Scene })
     }
 
@@ -68,12 +69,21 @@ impl Start {
     }
 }
 
+/// Most pixels of a photo along x and y, where nobody says.
+pub const MOST_PIXELS: &str = "1600x1600";
+
 /// Steps, and what is moved in them, as `--refine` has them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Steps {
     pub count: usize,
     /// Whether the scene's tokens are moved, through the network's head, and not its Gaussians.
     pub tokens: bool,
+}
+
+impl Default for Steps {
+    fn default() -> Self {
+        Self { count: Refine::default().steps, tokens: false }
+    }
 }
 
 impl Steps {

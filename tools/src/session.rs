@@ -15,7 +15,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    gpu::{Device, DeviceOptions},
+    gpu::{Device, DeviceOptions, Progress},
     ops::Arithmetic,
     reconstruct::{Model, Reconstruction, Request, SceneTokens},
     types::Image,
@@ -135,18 +135,31 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Reconstructs up to the scene's tokens, with progress.
+    /// Reconstructs a scene and, where asked, its tokens, with progress. The backbone runs once for both.
     ///
     /// # Errors
-    /// As [`Model::tokens`].
-    pub fn tokens(&self, model: &Model, images: &[Image], request: &Request) -> Result<SceneTokens> {
-        let (tokens, _) = self.stage("tokens", |stage| {
-            model.tokens(images, request, |progress| {
+    /// As [`Model::reconstruct`].
+    pub fn reconstruct_with_tokens(
+        &self,
+        model: &Model,
+        images: &[Image],
+        request: &Request,
+        tokens: bool,
+    ) -> Result<(Reconstruction, Option<SceneTokens>, Duration)> {
+        if !tokens {
+            return self.reconstruct(model, images, request).map(|(made, took)| (made, None, took));
+        }
+        let ((mut made, tokens, features), took) = self.stage("reconstruct", |stage| {
+            let told = |progress: Progress<'_>| {
                 stage.name(progress.scope);
                 stage.at(progress.fraction)
-            })
+            };
+            let features = model.features(images, request, told)?;
+            let made = model.reconstruct_features(&features, request, told)?;
+            Ok((made, model.tokens(&features, request, told)?, features))
         })?;
-        Ok(tokens)
+        made.times.0.splice(0..0, features.times.0);
+        Ok((made, Some(tokens), took))
     }
 
     /// Prints a command's result: `value` with `--json`, else `text` unless `--quiet`.

@@ -26,7 +26,7 @@ pub struct zs_model {
     pub(super) model: Model,
     /// Side of the pictures it is best with.
     pub(super) picture_side: u32,
-    /// Its latest scene, which stays on the device for renderers.
+    /// The latest scene, which stays on the device for renderers.
     pub(super) latest: LatestScene,
     precision: Precision,
     /// GPUs and kernels that are not used, one a line.

@@ -28,7 +28,7 @@ pub struct zs_scene {
     on_device: Option<WeakScene>,
 }
 
-/// What keeps a model's latest scene on its device.
+/// A model's latest scene, kept on its device.
 pub(super) type LatestScene = Mutex<Option<DeviceScene>>;
 
 impl zs_scene {

@@ -8,9 +8,6 @@ use std::sync::{
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-/// Lanes of an arena: plans that may be under way at the same time, such as two pictures in flight.
-const LANES: usize = 2;
-
 /// Scratch memory that plans share which never run at the same time. Each plan of a lane begins at the lane's first byte, so a
 /// lane is as large as the largest of its plans, not as their sum. Cloning shares the memory.
 #[derive(Clone)]
@@ -18,7 +15,7 @@ pub struct Arena(Arc<Lanes>);
 
 struct Lanes {
     device: Device,
-    lanes: [Mutex<Option<Arc<Lane>>>; LANES],
+    lanes: [Mutex<Option<Arc<Lane>>>; Arena::LANES],
     claimed: AtomicBool,
 }
 
@@ -26,8 +23,8 @@ struct Lanes {
 pub struct Claim(Arena);
 
 impl Arena {
-    /// Lanes that plans run in.
-    pub const LANES: usize = LANES;
+    /// Lanes: plans that may be under way at the same time, such as two pictures in flight.
+    pub const LANES: usize = 2;
 
     /// An arena without memory: it grows with the plans that run in it.
     pub fn new(device: &Device) -> Self {
@@ -45,7 +42,7 @@ impl Arena {
         &self.0.device
     }
 
-    /// Whether both are the same memory.
+    /// Whether both arenas are the same memory.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
@@ -65,7 +62,7 @@ impl Arena {
     /// Gives the memory back; for whoever has the claim. Plans take theirs anew when they run again.
     ///
     /// # Errors
-    /// Where the device is lost.
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost).
     pub fn release(&self) -> Result<()> {
         self.0.lanes.iter().try_for_each(|lane| lock(lane).as_ref().map_or(Ok(()), |lane| lane.release()))
     }
@@ -163,7 +160,7 @@ impl Lane {
         std::mem::replace(&mut lock(&self.state).user, run) == run
     }
 
-    /// Whether what lies in the lane is this run's.
+    /// Whether this run used the lane last: inputs and results in it are its own.
     pub fn holds(&self, run: u64) -> bool {
         lock(&self.state).user == run
     }

@@ -3,7 +3,7 @@
 /// Every tensor starts on a multiple of this: the largest offset alignment that Vulkan lets a driver ask for.
 pub(super) const ALIGNMENT: u64 = 256;
 
-/// What is to be placed: bytes, and the first and last command that uses them.
+/// A tensor to be placed: its bytes, and the first and last command that uses them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lifetime {
     pub bytes: u64,
@@ -11,7 +11,7 @@ pub(super) struct Lifetime {
     pub last: u32,
 }
 
-/// Where it lies.
+/// The place of a tensor.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Placement {
     pub block: u32,

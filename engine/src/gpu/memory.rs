@@ -276,7 +276,7 @@ impl Resident {
     /// Reads a tensor of this memory, once every run that writes it is done.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A transfer that fails.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         self.memory.read(self.block(tensor), tensor.offset, bytemuck::cast_slice_mut(&mut data))?;

@@ -34,8 +34,6 @@ pub struct SceneTokens {
     count: usize,
     width: usize,
     unit: f64,
-    /// Time of each stage.
-    pub times: StageTimes,
 }
 
 impl SceneTokens {
@@ -100,10 +98,7 @@ impl Model {
         request: &Request,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
-        let (grid, cameras) = (features.shape.grid, features.shape.cameras);
-        let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
-        let chosen = (request.ratio, &request.selection);
-        let shape = Shape::new(self.architecture(), grid.views, size, chosen, cameras)?;
+        let shape = self.shape_of(features, request)?;
         let request = Request { unit: features.unit, ..request.clone() };
 
         let mut layout = ResidentLayout::new(self.device.limits());
@@ -128,29 +123,37 @@ impl Model {
         })
     }
 
-    /// Reconstructs up to the scene's tokens and keeps these on the device, for [`crate::refine::refine_tokens`].
+    /// Fuses features to the scene's tokens, which stay on the device for [`crate::refine::refine_tokens`]. Of `request`, ratio and
+    /// selection count.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
     pub fn tokens(
         &self,
-        images: &[Image],
+        features: &Features,
         request: &Request,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<SceneTokens> {
-        let shape = self.shape(images, request)?;
+        let shape = self.shape_of(features, request)?;
         let width = self.architecture().width + self.architecture().color_width;
         let mut layout = ResidentLayout::new(self.device.limits());
         let tensor = layout.add::<f32>(shape.tokens * width);
         let mut rec = Recorder::new(self.device.limits());
-        let (inputs, choice) = self.network.record_tokens(&mut rec, shape, tensor);
+        let choice = self.network.record_tokens(&mut rec, shape, &features.tensors, tensor);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
         let (arena, _claim) = self.claimed();
-        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.resident.clone(), memory.clone()])?;
-        self.write_photos(&mut run, &inputs, shape, images, request)?;
+        let memories = [self.resident.clone(), features.memory.clone(), memory.clone()];
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, request)?;
-        let times = run.execute_with(progress)?;
-        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, unit: request.unit, times })
+        run.execute_with(progress)?;
+        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, unit: features.unit })
+    }
+
+    /// The shape of a scene that is made of features.
+    fn shape_of(&self, features: &Features, request: &Request) -> Result<Shape> {
+        let (grid, cameras) = (features.shape.grid, features.shape.cameras);
+        let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
+        Shape::new(self.architecture(), grid.views, size, (request.ratio, &request.selection), cameras)
     }
 
     /// The model's arena, or one of its own where another thread uses that one now.

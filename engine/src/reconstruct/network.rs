@@ -149,15 +149,18 @@ impl Network {
         Choice { unit: Some(unit), indices }
     }
 
-    /// Records everything up to the tokens that the head reads, which stay on the device in `into`.
-    pub(super) fn record_tokens(&self, rec: &mut Recorder, shape: Shape, into: Tensor) -> (BackboneInputs, Choice) {
-        let inputs = self.inputs(rec, shape);
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
-        let features = FeatureTensors { images: inputs.images, layers };
-        let (indices, tokens) = self.head_tokens(rec, shape, &features);
+    /// Records the way from features to the tokens that the head reads, which stay on the device in `into`.
+    pub(super) fn record_tokens(
+        &self,
+        rec: &mut Recorder,
+        shape: Shape,
+        features: &FeatureTensors,
+        into: Tensor,
+    ) -> Choice {
+        let (indices, tokens) = self.head_tokens(rec, shape, features);
         let joined = tokens.joined(rec, Element::F32);
         rec.copy(joined, into);
-        (inputs, Choice { unit: None, indices })
+        Choice { unit: None, indices }
     }
 
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, HeadTokens) {

@@ -6,12 +6,12 @@
 use super::{Adam, Rates, Refine, Space, record_adam, views::View};
 use crate::{
     Error, Result,
-    gpu::{Device, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     stages::{
         loss::{LossTensors, record_loss},
         render::{
-            CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients, SceneTensors, record,
-            record_with_gradients,
+            CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients, SceneTensors,
+            first_capacity, record, record_with_gradients,
         },
     },
     types::{Scene, unit_quaternion},
@@ -42,7 +42,8 @@ struct Field {
 
 /// Gaussians, their gradients and their moments.
 pub(super) struct Gaussians {
-    device: Device,
+    /// All plans take turns in it.
+    arena: Arena,
     memories: Vec<Arc<Resident>>,
     scene: SceneTensors,
     gradients: Gradients,
@@ -50,8 +51,6 @@ pub(super) struct Gaussians {
     clear: Run,
     update: Run,
     schedule: Tensor,
-    snapshot: Run,
-    copies: [Tensor; 5],
     steps: u32,
     /// Last used last.
     plans: Vec<Planned>,
@@ -104,28 +103,28 @@ impl Gaussians {
             penalty: penalties[i] / len as f32,
         };
         let fields = [0, 1, 2, 3, 4].map(field);
-        let update = update(device, &memory, &fields)?;
+        let arena = Arena::new(device);
+        let update = update(&arena, &memory, &fields)?;
         write(&memory, values, scene)?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
-        filling(device, &memory, zero)?.execute()?;
+        filling(&arena, &memory, zero)?.execute()?;
         let begin = fields.map(|field| (field.gradient, field.penalty));
-        Self::of(device, request, vec![memory], scene_tensors(values, len, scene.sh_degree), begin, update)
+        Self::of(arena, request, vec![memory], scene_tensors(values, len, scene.sh_degree), begin, update)
     }
 
     /// Gaussians in the first of some memories, their gradients there with what they begin with, and a plan that moves them.
     pub(super) fn of(
-        device: &Device,
+        arena: Arena,
         request: &Refine,
         memories: Vec<Arc<Resident>>,
         scene: SceneTensors,
         gradients: [(Tensor, f32); 5],
         (update, schedule): (Run, Tensor),
     ) -> Result<Self> {
-        let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = scene;
-        let (snapshot, copies) = snapshot(device, &memories[0], [means, scales, quats, opacities, sh_coeffs])?;
-        let clear = filling(device, &memories[0], gradients.into_iter())?;
+        let clear = filling(&arena, &memories[0], gradients.into_iter())?;
+        let at_once = if arena.device().limits().cpu { 1 } else { request.views_per_step };
         Ok(Self {
-            device: device.clone(),
+            arena,
             memories,
             scene,
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
@@ -133,12 +132,10 @@ impl Gaussians {
             clear,
             update,
             schedule,
-            snapshot,
-            copies,
             steps: 0,
             plans: Vec::new(),
-            together: request.together.unwrap_or(if device.limits().cpu { 1 } else { request.views_per_step }).max(1),
-            capacity: (4 * len).max(1 << 16),
+            together: request.together.unwrap_or(at_once).max(1),
+            capacity: first_capacity(scene.len),
         })
     }
 
@@ -213,7 +210,7 @@ impl Gaussians {
         let status: Vec<u32> = planned.run.read(planned.outputs.status)?;
         let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
         if needed > planned.capacity {
-            let (bytes, available) = (intersection_bytes(learns), self.device.limits().max_binding_bytes);
+            let (bytes, available) = (intersection_bytes(learns), self.limits().max_binding_bytes);
             if needed as u64 * bytes > available {
                 let what = "a list of the intersections of Gaussians with tiles".into();
                 return Err(Error::Memory { what, needed: needed as u64 * bytes, available });
@@ -225,25 +222,18 @@ impl Gaussians {
         Ok(Some(self.plans.len() - 1))
     }
 
-    /// A new plan, in the place of the others where there is no room beside them.
+    fn limits(&self) -> &Limits {
+        self.arena.device().limits()
+    }
+
     fn plan(&mut self, shape: FrameShape, learns: bool) -> Result<Planned> {
         if self.plans.len() == PLANS {
             self.plans.remove(0);
         }
-        match self.record(shape, learns) {
-            Err(Error::Memory { .. }) if !self.plans.is_empty() => {
-                self.plans.clear();
-                self.record(shape, learns)
-            }
-            planned => planned,
-        }
-    }
-
-    fn record(&self, shape: FrameShape, learns: bool) -> Result<Planned> {
         let FrameShape { cameras: count, width, height } = shape;
-        let most = self.device.limits().max_binding_bytes / intersection_bytes(learns);
+        let most = self.limits().max_binding_bytes / intersection_bytes(learns);
         let capacity = self.capacity.saturating_mul(count).min(most as usize);
-        let mut rec = Recorder::new(self.device.limits());
+        let mut rec = Recorder::new(self.limits());
         let cameras = rec.input::<CameraRows>("cameras", count);
         let drawing = RenderRequest::default();
         let mut learning = None;
@@ -262,25 +252,16 @@ impl Gaussians {
         } else {
             record(&mut rec, &self.scene, cameras, shape, &drawing, capacity)
         };
-        let run = Run::with_resident(&self.device, rec.finish()?, self.memories.iter().cloned())?;
+        let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned())?;
         Ok(Planned { shape, capacity, run, cameras, learning, outputs })
     }
 
     /// The Gaussians as they are.
     ///
     /// # Errors
-    /// Those of [`Run::execute`].
-    pub fn scene(&mut self) -> Result<Scene> {
-        self.snapshot.execute()?;
-        let [means, scales, quats, opacities, sh_coeffs] = self.copies;
-        Ok(Scene {
-            means: self.snapshot.read(means)?,
-            scales: self.snapshot.read(scales)?,
-            quats: self.snapshot.read(quats)?,
-            opacities: self.snapshot.read(opacities)?,
-            sh_coeffs: self.snapshot.read(sh_coeffs)?,
-            sh_degree: self.scene.sh_degree,
-        })
+    /// A transfer that fails.
+    pub fn scene(&self) -> Result<Scene> {
+        self.scene.read(&self.memories[0])
     }
 
     /// Device time of a step by kernel, with the photos of one size that come first; the Gaussians are as before.
@@ -349,35 +330,23 @@ fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
 
 /// A plan that fills tensors.
 pub(super) fn filling(
-    device: &Device,
+    arena: &Arena,
     memory: &Arc<Resident>,
     fills: impl Iterator<Item = (Tensor, f32)>,
 ) -> Result<Run> {
-    let mut rec = Recorder::new(device.limits());
+    let mut rec = Recorder::new(arena.device().limits());
     fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
-    Run::with_resident(device, rec.finish()?, Some(memory.clone()))
+    Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])
 }
 
 /// A plan that moves all Gaussians, and what the host tells it of each step.
-fn update(device: &Device, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
-    let mut rec = Recorder::new(device.limits());
+fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
+    let mut rec = Recorder::new(arena.device().limits());
     let schedule = rec.input::<f32>("schedule", 4);
     rec.scope("adam", |rec| {
         for Field { values, gradient, moments, len, rate, space, .. } in fields {
             record_adam(rec, ADAM, *values, *gradient, *moments, schedule, *rate, *space, *len);
         }
     });
-    Ok((Run::with_resident(device, rec.finish()?, Some(memory.clone()))?, schedule))
-}
-
-/// A plan that copies tensors for the host to read.
-fn snapshot(device: &Device, memory: &Arc<Resident>, values: [Tensor; 5]) -> Result<(Run, [Tensor; 5])> {
-    let mut rec = Recorder::new(device.limits());
-    let copies = values.map(|value| {
-        let copy = rec.tensor::<u8>("copy", value.bytes() as usize);
-        rec.copy(value, copy);
-        rec.output(copy);
-        copy
-    });
-    Ok((Run::with_resident(device, rec.finish()?, Some(memory.clone()))?, copies))
+    Ok((Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])?, schedule))
 }

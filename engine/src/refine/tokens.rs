@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    gpu::{Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     reconstruct::SceneTokens,
     stages::gaussians::Head,
@@ -38,11 +38,6 @@ impl FrozenHead {
         let memory = Arc::new(parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?);
         Ok(Self { device: device.clone(), head, architecture, memory })
     }
-
-    /// Bytes of its weights on the device.
-    pub fn bytes(&self) -> u64 {
-        self.memory.bytes()
-    }
 }
 
 /// The Gaussians of tokens, to be moved through them, and what they are before the first step.
@@ -60,7 +55,8 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     let unit = layout.add::<f32>(1);
     let memory = Arc::new(Resident::new(device, &layout)?);
     memory.write(unit, &[tokens.unit() as f32])?;
-    filling(device, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
+    let arena = Arena::new(device);
+    filling(&arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
     let scene = scene_tensors(values, len, sh_degree);
 
     // Once: the tokens' own Gaussians. The tokens that they were given as stay.
@@ -68,7 +64,7 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     rec.copy(tokens.tensor(), moved);
     head.record(&mut rec, moved, count, unit, &scene);
     let given = [memory.clone(), weights.clone(), tokens.resident().clone()];
-    Run::with_resident(device, rec.finish()?, given)?.execute()?;
+    Run::in_arena(&arena, 0, rec.finish()?, given)?.execute()?;
 
     // Every step. What the gradient needs of the head's forward pass is computed again: it would be many times the tokens.
     let mut rec = Recorder::new(device.limits());
@@ -81,10 +77,10 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     });
     head.record(&mut rec, moved, count, unit, &scene);
     let memories = vec![memory, weights.clone()];
-    let update = (Run::with_resident(device, rec.finish()?, memories.iter().cloned())?, schedule);
+    let update = (Run::in_arena(&arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
 
     let gradients = begin(gradients, len, request);
-    let mut gaussians = Gaussians::of(device, request, memories, scene, gradients, update)?;
+    let gaussians = Gaussians::of(arena, request, memories, scene, gradients, update)?;
     let scene = gaussians.scene()?;
     Ok((gaussians, scene))
 }

@@ -7,7 +7,11 @@ pub mod gaussians;
 pub mod loss;
 pub mod render;
 
-use crate::gpu::{Limits, Recorder, ResidentLayout, Tensor};
+use crate::{
+    Result,
+    gpu::{Recorder, Resident, ResidentLayout, Tensor},
+    types::Scene,
+};
 
 /// Shape of the input: `views` pictures of `rows` x `columns` patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,11 +118,19 @@ impl SceneTensors {
         }
     }
 
-    /// Bytes of the memory that [`SceneTensors::lay_out`] lays out.
-    pub fn bytes(limits: &Limits, len: usize, sh_degree: u32) -> u64 {
-        let mut layout = ResidentLayout::new(limits);
-        Self::lay_out(&mut layout, len, sh_degree);
-        layout.bytes()
+    /// The Gaussians, on the host.
+    ///
+    /// # Errors
+    /// A transfer that fails.
+    pub fn read(&self, memory: &Resident) -> Result<Scene> {
+        Ok(Scene {
+            means: memory.read(self.means)?,
+            scales: memory.read(self.scales)?,
+            quats: memory.read(self.quats)?,
+            opacities: memory.read(self.opacities)?,
+            sh_coeffs: memory.read(self.sh_coeffs)?,
+            sh_degree: self.sh_degree,
+        })
     }
 }
 

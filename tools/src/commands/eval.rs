@@ -73,8 +73,8 @@ pub struct Eval {
     /// which its head makes Gaussians, and not the Gaussians themselves
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", conflicts_with = "pose_free")]
     refine: Option<Steps>,
-    /// What the refinement starts from [default: points where the capture has enough, else the scene]. Points of a capture may come
-    /// from the held-out photos, too
+    /// What the refinement starts from [default: with the model that is built in points, where the capture has enough,
+    /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
@@ -128,25 +128,25 @@ impl Eval {
             cameras: posed.then_some(cameras),
             unit: 1.0,
         };
-        let (result, took) = session.reconstruct(&model, &images, &request)?;
+        let of_tokens = self.refine.is_some_and(|steps| steps.tokens);
+        let (result, tokens, took) = session.reconstruct_with_tokens(&model, &images, &request, of_tokens)?;
         let mut scene = result.scene()?;
         self.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
         let mut started = "the network's tokens";
-        let refined = match self.refine {
-            Some(Steps { count, tokens: true }) => {
-                let (head, tokens) =
-                    (FrozenHead::load(&device, &checkpoint)?, session.tokens(&model, &images, &request)?);
-                Some(self.refine(session, Refinable::Tokens(&head, &tokens), &capture, count)?)
+        let refined = match (self.refine, &tokens) {
+            (Some(Steps { count, .. }), Some(tokens)) => {
+                let head = FrozenHead::load(&device, &checkpoint)?;
+                Some(self.refine(session, Refinable::Tokens(&head, tokens), &capture, count)?)
             }
-            Some(Steps { count, tokens: false }) => {
+            (Some(Steps { count, .. }), None) => {
                 let cloud = choice.points(&capture.unit)?;
-                let start = Start::or_best(self.start, cloud.as_ref());
+                let start = Start::or_best(self.start, cloud.as_ref(), self.weights.is_embedded());
                 started = start.name();
                 let start = start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
                 Some(self.refine(session, Refinable::Scene(&device, &start), &capture, count)?)
             }
-            None => None,
+            (None, _) => None,
         };
         if let Some(refined) = &refined {
             scene = refined.scene.clone();

@@ -6,7 +6,7 @@ use crate::{
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Refinable, Start, Steps, placed},
+    refinement::{self, MOST_PIXELS, Refinable, Start, Steps, placed},
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
@@ -19,11 +19,11 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     gpu::Device,
-    reconstruct::{MAX_VIEWS, Model, Request, Shape},
+    reconstruct::{MAX_VIEWS, Request, SceneTokens, Shape},
     refine::{FrozenHead, Refine, Refined, Stopped},
     stages::render::Renderer,
     types::{
-        Camera, Image, PointCloud, Scene, SceneFormat, World, WriteOptions,
+        Camera, PointCloud, Scene, SceneFormat, World, WriteOptions,
         poses::{Frame, read_cloud, read_poses},
         spz_coarsening,
     },
@@ -79,14 +79,14 @@ pub struct Reconstruct {
     /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
     /// the step that predicts it best
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
-        default_missing_value = "100")]
-    refine: Option<Steps>,
-    /// What --refine starts from; points are those that structure from motion left beside the cameras [default: points where there
-    /// are enough, else the scene]
+        )]
+    refine: Option<Option<Steps>>,
+    /// What --refine starts from; points are those that structure from motion left beside the cameras [default: with the
+    /// model that is built in points, where there are enough, else the scene]
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
-    #[arg(long, value_name = "WxH", default_value = "1600x1600", requires = "refine")]
+    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
     /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more]
     #[arg(long, value_name = "K", requires = "refine")]
@@ -106,9 +106,8 @@ const COARSE: f64 = 1e-3;
 struct From<'a> {
     device: &'a Device,
     checkpoint: &'a Checkpoint,
-    model: &'a Model,
-    images: &'a [Image],
-    request: &'a Request,
+    /// Where they are what is moved.
+    tokens: Option<SceneTokens>,
 }
 
 /// The world that a scene is in.
@@ -140,7 +139,7 @@ impl Reconstruct {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         let drawing = self.drawing()?;
-        self.refine.map_or(Ok(()), |steps| steps.check(self.start))?;
+        self.refine().map_or(Ok(()), |steps| steps.check(self.start))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
@@ -186,22 +185,17 @@ impl Reconstruct {
         let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit: length };
-        let (result, _) = session.reconstruct(&model, &images, &request)?;
+        let of_tokens = self.refine().is_some_and(|steps| steps.tokens);
+        let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, of_tokens)?;
         let mut scene = result.scene()?;
         self.quality.prune(&mut scene, checkpoint.architecture());
         turned.iter().for_each(|first| scene.place(1.0, first));
-        let refined = match (self.refine, frames.first()) {
+        let refined = match (self.refine(), frames.first()) {
             (Some(steps), Some(first)) => {
-                let from = From {
-                    device: &device,
-                    checkpoint: &checkpoint,
-                    model: &model,
-                    images: &images,
-                    request: &request,
-                };
+                let from = From { device: &device, checkpoint: &checkpoint, tokens };
                 let cloud = poses.as_ref().and_then(|poses| poses.points.as_ref()).map(read_cloud).transpose()?;
                 let cloud = cloud.map(|cloud| placed(cloud, &first.camera.pose.inverse(), 1.0));
-                Some(self.refine(session, steps, from, (scene.clone(), cloud.as_ref()), (&photos, &frames))?)
+                Some(self.refine_scene(session, steps, from, (scene.clone(), cloud.as_ref()), (&photos, &frames))?)
             }
             _ => None,
         };
@@ -293,8 +287,13 @@ impl Reconstruct {
         session.report(&json, text)
     }
 
+    /// The steps of --refine; on its own it takes the default's.
+    fn refine(&self) -> Option<Steps> {
+        self.refine.map(Option::unwrap_or_default)
+    }
+
     /// Makes the scene look like the photos, in the world of the first one's camera.
-    fn refine(
+    fn refine_scene(
         &self,
         session: &mut Session<'_>,
         steps: Steps,
@@ -310,12 +309,11 @@ impl Reconstruct {
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
         let mut started = "the network's tokens";
-        let refined = if steps.tokens {
+        let refined = if let Some(tokens) = &from.tokens {
             let head = FrozenHead::load(from.device, from.checkpoint)?;
-            let tokens = session.tokens(from.model, from.images, from.request)?;
-            refinement::refine(session, Refinable::Tokens(&head, &tokens), &photos, &cameras, &request)?
+            refinement::refine(session, Refinable::Tokens(&head, tokens), &photos, &cameras, &request)?
         } else {
-            let start = Start::or_best(self.start, cloud);
+            let start = Start::or_best(self.start, cloud, self.weights.is_embedded());
             started = start.name();
             let start = start.scene(Some(scene), cloud, &cameras)?;
             refinement::refine(session, Refinable::Scene(from.device, &start), &photos, &cameras, &request)?

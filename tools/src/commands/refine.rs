@@ -6,7 +6,7 @@ use crate::{
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Refinable, Start, placed},
+    refinement::{self, MOST_PIXELS, Refinable, Start, placed},
     session::Session,
     table::counted,
 };
@@ -59,7 +59,7 @@ pub struct Refine {
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().steps)]
     steps: usize,
     /// Most pixels of a photo along x and y: a larger one is compared at the largest size that fits
-    #[arg(long, value_name = "WxH", default_value = "1600x1600")]
+    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS)]
     size: Size,
     /// Photos of a step
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]

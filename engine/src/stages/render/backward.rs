@@ -4,10 +4,8 @@
 //! Gaussian, so that each Gaussian adds up its own in a fixed order: nothing is added atomically.
 
 use super::{
-    Depth, FrameShape, RenderOutputs, RenderRequest, SceneGradients, SceneTensors,
-    intersect::{self, TileLists},
-    project::{self, Splats},
-    rasterise,
+    Depth, FrameShape, RenderOutputs, RenderRequest, SceneGradients, SceneTensors, draw, intersect::TileLists,
+    project::Splats,
 };
 use crate::{
     gpu::{Recorder, Tensor},
@@ -61,9 +59,7 @@ pub fn record_with_gradients(
     assert!(request.layout.is_none(), "pixels of another layout have no gradient");
     assert!(request.alpha || request.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
     let (splats, lists, frames) = rec.scope("render", |rec| {
-        let splats = project::record(rec, scene, cameras, shape, request);
-        let lists = intersect::record(rec, &splats, shape, capacity);
-        let frames = rasterise::record(rec, &splats, &lists, shape, request);
+        let (splats, lists, frames) = draw(rec, scene, cameras, shape, request, capacity);
         rec.output(frames);
         rec.output(lists.status);
         (splats, lists, frames)

@@ -20,11 +20,14 @@ use crate::{
     kernels::limits::TILE,
 };
 
+use intersect::TileLists;
+use project::Splats;
+
 pub use super::{FrameShape, SceneGradients, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
-pub use planned::plan_pictures;
+pub use planned::{first_capacity, plan_pictures};
 pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
 pub use renderer::Renderer;
@@ -62,9 +65,7 @@ pub fn record(
     capacity: usize,
 ) -> RenderOutputs {
     rec.scope("render", |rec| {
-        let splats = project::record(rec, scene, cameras, shape, request);
-        let lists = intersect::record(rec, &splats, shape, capacity);
-        let frames = rasterise::record(rec, &splats, &lists, shape, request);
+        let (_, lists, frames) = draw(rec, scene, cameras, shape, request, capacity);
         let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
         match request.layout {
             // Then only the app reads them, on the device.
@@ -74,6 +75,21 @@ pub fn record(
         rec.output(lists.status);
         RenderOutputs { frames, pixels, status: lists.status }
     })
+}
+
+/// Gaussians to frames, with what the way back needs.
+fn draw(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    request: &RenderRequest,
+    capacity: usize,
+) -> (Splats, TileLists, Tensor) {
+    let splats = project::record(rec, scene, cameras, shape, request);
+    let lists = intersect::record(rec, &splats, shape, capacity);
+    let frames = rasterise::record(rec, &splats, &lists, shape, request);
+    (splats, lists, frames)
 }
 
 impl FrameShape {

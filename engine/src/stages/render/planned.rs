@@ -55,8 +55,8 @@ pub(super) fn together(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }
 
-/// Intersections of a picture that a renderer has room for before it has drawn any.
-pub(super) fn first_capacity(gaussians: usize) -> usize {
+/// Intersections that a picture has room for before any was drawn: a few tiles a Gaussian.
+pub fn first_capacity(gaussians: usize) -> usize {
     (4 * gaussians).max(1 << 16)
 }
 

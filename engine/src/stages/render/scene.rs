@@ -89,7 +89,7 @@ impl SceneMemory {
     /// Writes a scene whose bands above that of the tensors are all zero.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A transfer that fails.
     pub fn write(&mut self, scene: &Scene) -> Result<DeviceScene> {
         let Self { memory, tensors, .. } = self;
         memory.write(tensors.means, &scene.means)?;
@@ -113,32 +113,12 @@ impl SceneMemory {
 }
 
 impl DeviceScene {
-    /// Brings a scene to a device; bands of spherical harmonics that are all zero stay behind.
-    ///
-    /// # Errors
-    /// [`Error::Argument`](crate::Error::Argument) where the scene is not valid, [`Error::Memory`](crate::Error::Memory) where
-    /// the device has too little.
-    pub fn upload(device: &Device, scene: &Scene) -> Result<Self> {
-        scene.validate()?;
-        let mut layout = ResidentLayout::new(device.limits());
-        let tensors = SceneTensors::lay_out(&mut layout, scene.len(), used_degree(scene));
-        SceneMemory::new(device, &layout, tensors)?.write(scene)
-    }
-
     /// The Gaussians, on the host.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A transfer that fails.
     pub fn read(&self) -> Result<Scene> {
-        let Gaussians { memory, tensors, .. } = &*self.0;
-        Ok(Scene {
-            means: memory.read(tensors.means)?,
-            scales: memory.read(tensors.scales)?,
-            quats: memory.read(tensors.quats)?,
-            opacities: memory.read(tensors.opacities)?,
-            sh_coeffs: memory.read(tensors.sh_coeffs)?,
-            sh_degree: tensors.sh_degree,
-        })
+        self.0.tensors.read(&self.0.memory)
     }
 
     /// The same scene without a hold on it.
