@@ -1,8 +1,8 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{Norm, Units, attention_tile::AttentionTile};
+use super::{Norm, Tile, Units};
 use crate::{
-    gpu::{Element, Kernel, Recorder, Tensor},
+    gpu::{Element, Kernel, Limits, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
@@ -85,7 +85,9 @@ impl Attention {
             AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
             // The last workgroup reads queries beyond the end.
             AttentionKernel::Matrix(units) => {
-                (queries + AttentionTile::most_rows(rec.limits(), units) * self.channels(), keys, keys)
+                let tiles = Tile::attention(rec.limits(), units, 8);
+                let most_rows = tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0);
+                (queries + most_rows * self.channels(), keys, keys)
             }
         };
         let element = self.kernel.element();
@@ -179,8 +181,7 @@ impl Attention {
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v]: [Tensor; 3], out: Tensor) {
-        let heads = self.heads.count * self.sequences;
-        let tile = AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, heads);
+        let tile = self.tile(rec.limits(), units);
         let Units { factor, shape, .. } = units;
         let kernel = ops::AttentionMatrix {
             q,
@@ -192,16 +193,27 @@ impl Attention {
             sequences: self.sequences as u32,
             heads: self.heads.count as u32,
             dim: self.heads.dim as u32,
-            subgroups: tile.subgroups,
+            subgroups: tile.subgroups[0],
             matrix_m: shape.m,
             matrix_n: shape.n,
             matrix_k: shape.k,
-            repeat_m: tile.repeat,
-            tile: tile.keys,
+            repeat_m: tile.repeats[0],
+            tile: tile.k,
             channels: self.channels() as u32,
             factor,
         };
-        self.dispatch(rec, kernel, tile.rows(shape));
+        self.dispatch(rec, kernel, tile.sides(units)[0]);
+    }
+
+    fn tile(&self, limits: &Limits, units: Units) -> Tile {
+        let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
+        let candidates = Tile::attention(limits, units, channels);
+        // Wide heads do not fit every tile.
+        let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
+        let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
+        let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));
+        let by_rule = candidates.iter().take_while(|tile| tile.repeats == candidates[0].repeats).count();
+        Tile::choose(&candidates, measured, by_rule, |tile| self.queries.div_ceil(tile.sides(units)[0]) * heads)
     }
 
     /// Workgroups of `rows` queries.
@@ -212,5 +224,30 @@ impl Attention {
 
     fn flops(&self) -> u64 {
         (4 * self.sequences * self.queries * self.keys * self.heads.width()) as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::Tiles;
+
+    #[test]
+    fn few_queries_get_small_tiles_and_only_measuring_gets_several_matrices_a_subgroup() {
+        let limits = Limits::default();
+        let units = Units::of(Element::F16, &limits).expect("an ordinary device has matrix units");
+        let choose = |units, queries, count, dim| {
+            let kernel = AttentionKernel::Matrix(units);
+            Attention { heads: Heads { count, dim }, sequences: 1, queries, keys: 1, kernel }.tile(&limits, units)
+        };
+        let tiles = Tile::attention(&limits, units, Tile::TUNED_CHANNELS);
+        assert_eq!([(1, 1), (60_000, 24)].map(|(q, h)| choose(units, q, h, 64).subgroups), [[1, 1], [4, 1]]);
+        assert!([(1, 1), (300, 16), (60_000, 24)].iter().all(|&(q, h)| choose(units, q, h, 64).repeats == [1, 1]));
+        assert!(tiles.iter().any(|tile| tile.repeats == [2, 1]));
+        for (index, tile) in tiles.iter().enumerate() {
+            let units = Units { tiles: Tiles::always(index), ..units };
+            // Also for heads of other sizes, as far as it fits them.
+            assert_eq!([16, 64].map(|channels| choose(units, 300, 16, channels)), [*tile; 2]);
+        }
     }
 }

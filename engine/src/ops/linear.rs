@@ -3,10 +3,10 @@
 use super::{
     Units,
     rows::{SCRATCH_BYTES, quantise_rows, row_chunks},
-    tile::LinearTile,
+    tile::Tile,
 };
 use crate::{
-    gpu::{Element, Recorder, Tensor},
+    gpu::{Element, Limits, Recorder, Tensor},
     kernels::{limits::LINEAR_ROWS, ops},
 };
 
@@ -152,9 +152,9 @@ impl Linear {
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, input: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
-        let chosen = LinearTile::choose(rec.limits(), units, rows, self.columns);
-        let (tile, Units { factor, shape, .. }) = (chosen.0, units);
+        let Units { factor, shape, .. } = units;
         let (columns, inner) = (self.columns, self.inner);
+        let tile = self.tile(rec.limits(), units, rows);
         let (a, row_scales, column_scales) = match factor {
             Element::I8 => {
                 let (a, scales) = quantise_rows(rec, input, rows, inner);
@@ -174,7 +174,7 @@ impl Linear {
             rows: rows as u32,
             inner: inner as u32,
             columns: columns as u32,
-            subgroups: tile.subgroups[0] * tile.subgroups[1],
+            subgroups: tile.all_subgroups(),
             subgroups_n: tile.subgroups[1],
             matrix_m: shape.m,
             matrix_n: shape.n,
@@ -188,10 +188,19 @@ impl Linear {
             factor,
             output: epilogue.output,
         };
-        let [tile_rows, tile_columns] = chosen.sides(shape);
+        let [tile_rows, tile_columns] = tile.sides(units);
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    fn tile(&self, limits: &Limits, units: Units, rows: usize) -> Tile {
+        let candidates = Tile::linear(limits, units);
+        let workgroups = |tile: &Tile| {
+            let [tile_rows, tile_columns] = tile.sides(units);
+            rows.div_ceil(tile_rows) * self.columns.div_ceil(tile_columns)
+        };
+        Tile::choose(&candidates, units.tiles.of(rows * self.columns), if limits.cpu { 1 } else { 2 }, workgroups)
     }
 
     fn flops(&self, rows: usize) -> u64 {

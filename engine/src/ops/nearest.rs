@@ -1,6 +1,6 @@
 //! The nearest of some rows for each of others, without a matrix of distances.
 
-use super::{NearestTile, Units};
+use super::{Tile, Units};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{cluster as kernels, limits::NEAREST_ROWS},
@@ -10,7 +10,7 @@ use crate::{
 const ORIGIN_ROWS: usize = 256;
 
 /// Parts of the targets that different workgroups go through, so that there are enough workgroups.
-pub(super) const SHARES: usize = 8;
+const SHARES: usize = 8;
 
 /// What finds nearest rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,8 +133,14 @@ impl Nearest {
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, points: NearestRows, targets: NearestRows, out: Tensor) {
-        let tile = NearestTile::choose(rec.limits(), units, points.count, targets.count);
-        let ([tile_points, tile_targets], NearestTile(part)) = (tile.sides(units.shape), tile);
+        let candidates = Tile::nearest(rec.limits(), units);
+        let workgroups = |tile: &Tile| {
+            let [tile_points, tile_targets] = tile.sides(units);
+            points.count.div_ceil(tile_points) * targets.count.div_ceil(tile_targets).min(SHARES)
+        };
+        let measured = units.tiles.of(points.count * targets.count);
+        let tile = Tile::choose(&candidates, measured, candidates.len(), workgroups);
+        let [tile_points, tile_targets] = tile.sides(units);
         let share = targets.count.div_ceil(SHARES).next_multiple_of(tile_targets);
         let shares = targets.count.div_ceil(share);
         let candidates = rec.tensor::<[u32; 4]>("candidates", shares * points.count);
@@ -149,14 +155,14 @@ impl Nearest {
             column_count: targets.count as u32,
             pieces: self.width.div_ceil(8) as u32,
             share: share as u32,
-            subgroups: part.subgroups[0] * part.subgroups[1],
-            subgroups_n: part.subgroups[1],
+            subgroups: tile.all_subgroups(),
+            subgroups_n: tile.subgroups[1],
             matrix_m: units.shape.m,
             matrix_n: units.shape.n,
             matrix_k: units.shape.k,
-            repeat_m: part.repeats[0],
-            repeat_n: part.repeats[1],
-            tile_k: part.k,
+            repeat_m: tile.repeats[0],
+            repeat_n: tile.repeats[1],
+            tile_k: tile.k,
             factor: units.factor,
         };
         // Shares run fastest: workgroups that run at once have the same few points, which so stay in the cache.

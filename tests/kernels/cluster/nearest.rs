@@ -7,7 +7,7 @@ use crate::case::{Case, nearest_kernels, random, random_below};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
-    ops::{Nearest, NearestKernel, NearestTile, Tiles, Units},
+    ops::{Nearest, NearestKernel, Tile, Tiles, Units},
 };
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
@@ -251,7 +251,7 @@ fn tiles_of_gpus() {
     let [points, targets] = [(16, 150), (17, 700)].map(|(seed, rows)| random(seed, rows * 100));
     for kernel in nearest_kernels() {
         let NearestKernel::Matrix(units) = kernel else { continue };
-        let tiles = NearestTile::candidates(&limits, units);
+        let tiles = Tile::nearest(&limits, units);
         assert!(!tiles.is_empty());
         for (index, tile) in tiles.iter().enumerate() {
             let kernel = NearestKernel::Matrix(Units { tiles: Tiles::always(index), ..units });

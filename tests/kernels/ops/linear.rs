@@ -4,7 +4,7 @@ use crate::case::{Case, elements, linear_kernels, random, stored};
 use zipsplat::{
     gpu::{Element, Limits, Tensor},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel, LinearTile, Tiles, Units, pack_matrix},
+    ops::{Activation, Epilogue, Linear, LinearKernel, Tile, Tiles, Units, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -257,7 +257,7 @@ fn tiles_of_gpus() {
     let limits = Limits { cpu: false, ..device().limits().clone() };
     let layer = Layer::random(72, 260);
     for units in [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, &limits)) {
-        for (index, tile) in LinearTile::candidates(&limits, units).iter().enumerate() {
+        for (index, tile) in Tile::linear(&limits, units).iter().enumerate() {
             let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
             println!("{tile}");
             check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);
