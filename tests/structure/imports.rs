@@ -6,7 +6,7 @@ use crate::source::{Source, files, paths, tokens};
 /// The engine's layers, each of which uses only those before it; the first three are crates. `error` stands for `Error` and
 /// `Result`.
 const LAYERS: [&str; 10] =
-    ["error", "gpu", "types", "weights", "ops", "tune", "stages", "reconstruct", "refine", "ffi"];
+    ["error", "gpu", "types", "ops", "tune", "stages", "weights", "reconstruct", "refine", "ffi"];
 
 /// Layers that dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];

@@ -1,10 +1,18 @@
 //! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
 
 use super::{Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, row_chunks};
-use crate::{
-    gpu::{Recorder, Tensor},
-    weights::Ffn,
-};
+use crate::gpu::{Recorder, Tensor};
+use serde::{Deserialize, Serialize};
+
+/// The feed-forward network of a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ffn {
+    /// `fc2(gelu(fc1(x)))`, the exact (erf) GELU.
+    Gelu,
+    /// `w3(silu(gate) * value)` with `w12(x)` = [gate | value].
+    SwiGlu,
+}
 
 /// A block's parameters.
 pub struct Block {
@@ -53,7 +61,7 @@ impl Block {
             qkv: p.block_linear(&format!("{name}.attn.qkv"), width, 3 * width),
             qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),
             proj: p.block_linear(&format!("{name}.attn.proj"), width, width),
-            gamma1: p.vector(format!("{name}.ls1.gamma"), width),
+            gamma1: p.vector(&format!("{name}.ls1.gamma"), &[width]),
             mlp: Mlp::new(p, name, width, ffn, eps),
         }
     }
@@ -96,7 +104,6 @@ impl Block {
 impl Mlp {
     pub fn new(p: &mut ParameterLayout, name: &str, width: usize, (ffn, hidden): (Ffn, usize), eps: f32) -> Self {
         let norm = p.norm(&format!("{name}.norm2"), width, eps);
-        let gamma = p.vector(format!("{name}.ls2.gamma"), width);
         let (fc1, fc2, activation) = match ffn {
             Ffn::Gelu => (
                 p.block_linear(&format!("{name}.mlp.fc1"), width, hidden),
@@ -109,7 +116,7 @@ impl Mlp {
                 Activation::SwiGlu,
             ),
         };
-        Self { norm, fc1, fc2, gamma, activation }
+        Self { norm, fc1, fc2, gamma: p.vector(&format!("{name}.ls2.gamma"), &[width]), activation }
     }
 
     /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all `[rows, width]`.

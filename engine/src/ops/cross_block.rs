@@ -1,14 +1,11 @@
 //! A cross-attention block: queries look at keys; what it adds to the queries is returned on its own.
 
 use super::{
-    Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part,
+    Attention, AttentionKernel, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Part,
     block::{Mlp, QK_NORM_EPS},
     row_chunks,
 };
-use crate::{
-    gpu::{Recorder, Tensor},
-    weights::Ffn,
-};
+use crate::gpu::{Recorder, Tensor};
 
 /// A cross-attention block's parameters.
 pub struct CrossBlock {
@@ -39,7 +36,7 @@ impl CrossBlock {
             q_norm: p.norm(&format!("{name}.attn.q_norm"), heads.dim, QK_NORM_EPS),
             k_norm: p.norm(&format!("{name}.attn.k_norm"), heads.dim, QK_NORM_EPS),
             proj: p.block_linear(&format!("{name}.attn.proj"), width, width),
-            gamma1: p.vector(format!("{name}.ls1.gamma"), width),
+            gamma1: p.vector(&format!("{name}.ls1.gamma"), &[width]),
             mlp: Mlp::new(p, name, width, (Ffn::Gelu, hidden), eps),
         }
     }

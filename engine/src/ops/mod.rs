@@ -16,12 +16,12 @@ mod tile;
 
 pub use arithmetic::{Arithmetic, Precision, Units};
 pub use attention::{Attention, AttentionKernel, Heads, Part};
-pub use block::{Block, Sequences};
+pub use block::{Block, Ffn, Sequences};
 pub use cross_block::CrossBlock;
 pub use linear::{Activation, Epilogue, Linear, LinearKernel};
 pub use nearest::{Nearest, NearestKernel, NearestRows};
 pub use norm::{Norm, NormRows};
-pub use parameters::{ParameterLayout, pack_matrix};
+pub use parameters::{HostParameter, ParameterLayout, Parameters, pack_matrix};
 pub(crate) use rows::row_chunks;
 pub use rows::{add, gather_rows, join_columns, quantise_rows};
 pub use tile::{Tile, Tiles};

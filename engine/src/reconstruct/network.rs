@@ -6,24 +6,20 @@ use crate::{
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
-        ViewGrid,
-        backbone::{Backbone, BackboneInputs, POSE_VALUES},
+        Architecture, Stages, ViewGrid,
+        backbone::{BackboneInputs, POSE_VALUES},
         cluster,
-        fuse::Fuse,
-        gaussians::{Gaussians, HeadTokens},
+        gaussians::HeadTokens,
         render::SceneTensors,
     },
     types::Scene,
-    weights::Architecture,
 };
 
 /// A network's parameters, laid out for a device.
 pub struct Network {
     pub(super) architecture: Architecture,
     pub(super) parameters: ParameterLayout,
-    backbone: Backbone,
-    fuse: Fuse,
-    gaussians: Gaussians,
+    pub(super) stages: Stages,
 }
 
 /// The tensors that go in and out of a plan.
@@ -82,13 +78,8 @@ impl Network {
     /// Lays out a network; needs no device.
     pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
         let mut parameters = ParameterLayout::new(limits, arithmetic);
-        Self {
-            backbone: Backbone::new(&mut parameters, architecture),
-            fuse: Fuse::new(&mut parameters, architecture),
-            gaussians: Gaussians::new(&mut parameters, architecture),
-            architecture: architecture.clone(),
-            parameters,
-        }
+        let stages = Stages::new(&mut parameters, architecture);
+        Self { architecture: architecture.clone(), parameters, stages }
     }
 
     /// Bytes of the weights on the device.
@@ -121,7 +112,7 @@ impl Network {
 
     fn record_into(&self, rec: &mut Recorder, shape: Shape, scene: SceneTensors) -> Tensors {
         let inputs = self.inputs(rec, shape);
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let layers = rec.scope("backbone", |rec| self.stages.backbone.record(rec, inputs, shape.grid));
         let choice = self.record_decoding(rec, shape, &FeatureTensors { images: inputs.images, layers }, &scene);
         Tensors { inputs, choice, scene }
     }
@@ -130,7 +121,7 @@ impl Network {
     pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> BackboneInputs {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let layers = rec.scope("backbone", |rec| self.stages.backbone.record(rec, inputs, shape.grid));
         layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer, *kept));
         inputs
     }
@@ -145,7 +136,7 @@ impl Network {
     ) -> Choice {
         let unit = rec.input::<f32>("unit", 1);
         let (indices, tokens) = self.head_tokens(rec, shape, features);
-        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, unit, scene));
+        rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, unit, scene));
         Choice { unit: Some(unit), indices }
     }
 
@@ -175,8 +166,8 @@ impl Network {
             (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
-        let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, layers, grid.tokens(), chosen));
-        (indices, rec.scope("gaussians", |rec| self.gaussians.tokens(rec, tokens, *images, grid, chosen)))
+        let tokens = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, grid.tokens(), chosen));
+        (indices, rec.scope("gaussians", |rec| self.stages.gaussians.tokens(rec, tokens, *images, grid, chosen)))
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {

@@ -4,8 +4,8 @@
 
 use crate::{
     gpu::{Recorder, Tensor},
-    ops::{Block, CrossBlock, Heads, ParameterLayout, Sequences, add, gather_rows},
-    weights::{Architecture, Ffn},
+    ops::{Block, CrossBlock, Ffn, Heads, ParameterLayout, Sequences, add, gather_rows},
+    stages::Architecture,
 };
 
 const EPS: f32 = 1e-5;
@@ -13,19 +13,20 @@ const EPS: f32 = 1e-5;
 /// The fusion's parameters: one cross- and one self-attention block for each layer.
 pub struct Fuse {
     width: usize,
-    layers: Vec<(CrossBlock, Block)>,
+    cross: Vec<CrossBlock>,
+    own: Vec<Block>,
 }
 
 impl Fuse {
     /// Lays out the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.fusion_heads, a.width);
-        let layer = |l: usize| {
-            let cross = CrossBlock::new(p, &format!("cross_attention.{l}"), heads, a.fusion_hidden, EPS);
-            let own = Block::new(p, &format!("self_attention.{l}"), heads, true, (Ffn::Gelu, a.fusion_hidden), EPS);
-            (cross, own)
-        };
-        Self { width: a.width, layers: (0..a.out_layers.len()).map(layer).collect() }
+        let (layers, ffn) = (0..a.out_layers.len(), (Ffn::Gelu, a.fusion_hidden));
+        let name = |kind: &str, layer: usize| format!("{kind}_attention.{layer}");
+        let cross =
+            layers.clone().map(|l| CrossBlock::new(p, &name("cross", l), heads, a.fusion_hidden, EPS)).collect();
+        let own = layers.map(|l| Block::new(p, &name("self", l), heads, true, ffn, EPS)).collect();
+        Self { width: a.width, cross, own }
     }
 
     /// Records the fusion of `layers` (`[tokens, width]` each, deepest first) for the `count` tokens `chosen`, or for all
@@ -46,7 +47,7 @@ impl Fuse {
         let scene = rec.tensor::<f32>("scene", count * self.width);
         rec.copy(first, scene);
         rec.observe("scene_init", scene);
-        for (l, ((cross, own), layer)) in self.layers.iter().zip(layers).enumerate() {
+        for (l, ((cross, own), layer)) in self.cross.iter().zip(&self.own).zip(layers).enumerate() {
             let queries = if l == 0 { first } else { pick(rec, *layer) };
             let delta = rec.scope("cross", |rec| cross.record(rec, (queries, count), (*layer, tokens)));
             rec.observe(&format!("ca{l}_delta"), delta);

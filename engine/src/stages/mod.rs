@@ -1,5 +1,6 @@
 //! The stages, in the order of the data, which is the alphabet's: each records its dispatches and knows no other.
 
+mod architecture;
 pub mod backbone;
 pub mod cluster;
 pub mod fuse;
@@ -7,11 +8,35 @@ pub mod gaussians;
 pub mod loss;
 pub mod render;
 
+pub use architecture::{Architecture, RECIPES, VARIANTS};
+pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
+
 use crate::{
     Result,
     gpu::{Recorder, Resident, ResidentLayout, Tensor},
+    ops::ParameterLayout,
     types::Scene,
 };
+use backbone::Backbone;
+use fuse::Fuse;
+use gaussians::Gaussians;
+
+/// The stages that have parameters.
+pub struct Stages {
+    /// From pixels to tokens.
+    pub backbone: Backbone,
+    /// From tokens to scene tokens.
+    pub fuse: Fuse,
+    /// From scene tokens to Gaussians.
+    pub gaussians: Gaussians,
+}
+
+impl Stages {
+    /// Declares the parameters, in the order and with the names of the reference's `state_dict`.
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        Self { backbone: Backbone::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
+    }
+}
 
 /// Shape of the input: `views` pictures of `rows` x `columns` patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

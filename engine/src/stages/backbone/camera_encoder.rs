@@ -2,21 +2,24 @@
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
-    ops::{Activation, Block, Epilogue, Heads, Linear, Norm, ParameterLayout, Sequences},
-    weights::{Architecture, Ffn},
+    ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Sequences},
+    stages::Architecture,
 };
 
-/// Values of a pose encoding (`types::prior_encoding`), padded with zeros from 9 to whole vec4.
-pub const POSE_VALUES: usize = 12;
+/// Values of a pose encoding (`types::prior_encoding`): translation 3, quaternion 4, vertical and horizontal field of view.
+const POSE_ENCODING: usize = 9;
+
+/// Values of a pose encoding, padded with zeros to whole vec4.
+pub const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 const EPS: f32 = 1e-5;
 
 pub(super) struct CameraEncoder {
+    trunk: Vec<Block>,
+    token_norm: Norm,
+    trunk_norm: Norm,
     fc1: Linear,
     fc2: Linear,
-    token_norm: Norm,
-    trunk: Vec<Block>,
-    trunk_norm: Norm,
 }
 
 impl CameraEncoder {
@@ -27,12 +30,12 @@ impl CameraEncoder {
             Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.camera_hidden), EPS)
         };
         Self {
-            // Poses are geometry, which stays in f32.
-            fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), 9, a.camera_pose_hidden),
-            fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
-            token_norm: p.norm(&format!("{root}.token_norm"), a.width, EPS),
             trunk: (0..a.camera_depth).map(|i| block(p, i)).collect(),
+            token_norm: p.norm(&format!("{root}.token_norm"), a.width, EPS),
             trunk_norm: p.norm(&format!("{root}.trunk_norm"), a.width, EPS),
+            // Poses are geometry, which stays in f32.
+            fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), POSE_ENCODING, a.camera_pose_hidden),
+            fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
         }
     }
 

@@ -4,40 +4,43 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::backbone as kernels,
     ops::{Epilogue, Linear, Norm, NormRows, ParameterLayout, row_chunks},
-    stages::ViewGrid,
-    weights::Architecture,
+    stages::{Architecture, ViewGrid},
 };
 
 const EPS: f32 = 1e-5;
 
+/// One for each out layer, 0 the deepest.
 pub(super) struct Features {
     width: usize,
-    final_norm: Norm,
-    layers: Vec<Layer>,
-}
-
-struct Layer {
-    local_norm: Norm,
-    global_norm: Norm,
-    downscale: Linear,
+    local_norms: Vec<Norm>,
+    global_norms: Vec<Norm>,
+    downscales: Vec<Linear>,
 }
 
 impl Features {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        let layer = |j: usize| Layer {
-            local_norm: p.norm(&format!("pre_norm_local.{j}"), a.width, EPS),
-            global_norm: p.norm(&format!("pre_norm_global.{j}"), a.width, EPS),
-            downscale: p.linear(&format!("downscale.{j}"), 2 * a.width, a.width),
-        };
-        let layers = (0..a.out_layers.len()).map(layer).collect();
-        Self { width: a.width, final_norm: p.norm("backbone.backbone.norm", a.width, super::EPS), layers }
+        let layers = 0..a.out_layers.len();
+        Self {
+            width: a.width,
+            local_norms: layers.clone().map(|j| p.norm(&format!("pre_norm_local.{j}"), a.width, EPS)).collect(),
+            global_norms: layers.clone().map(|j| p.norm(&format!("pre_norm_global.{j}"), a.width, EPS)).collect(),
+            downscales: layers.map(|j| p.linear(&format!("downscale.{j}"), 2 * a.width, a.width)).collect(),
+        }
     }
 
     /// Prepares feature `j` (0 is the deepest) from the residual stream after its block, `global`, and after the newest
     /// local block: W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)). Camera tokens
     /// are left out.
-    pub fn record(&self, rec: &mut Recorder, j: usize, local: Tensor, global: Tensor, grid: ViewGrid) -> Tensor {
-        let Layer { local_norm, global_norm, downscale } = &self.layers[j];
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        j: usize,
+        local: Tensor,
+        global: Tensor,
+        final_norm: Norm,
+        grid: ViewGrid,
+    ) -> Tensor {
+        let downscale = self.downscales[j];
         let (width, patches) = (self.width, grid.patches());
         let out = rec.tensor::<f32>("prepared", grid.tokens() * width);
         let output = downscale.element();
@@ -48,12 +51,12 @@ impl Features {
             let rows = part.len() * patches;
             let halves = rec.tensor_of(output, "halves", rows * 2 * width);
             let left = NormRows { rows, out_stride: 2 * width, out_column: 0, output, patches };
-            local_norm.record(rec, views_of(local), None, halves, left);
+            self.local_norms[j].record(rec, views_of(local), None, halves, left);
             let finished = rec.tensor::<f32>("finished", rows * width);
             let packed = NormRows { patches, ..NormRows::packed(rows, width) };
-            self.final_norm.record(rec, views_of(global), None, finished, packed);
+            final_norm.record(rec, views_of(global), None, finished, packed);
             let right = NormRows { rows, out_stride: 2 * width, out_column: width, output, patches: 0 };
-            global_norm.record(rec, finished, None, halves, right);
+            self.global_norms[j].record(rec, finished, None, halves, right);
 
             let out = out.slice::<f32>(part.start * patches * width, rows * width);
             let (rows32, width32) = (rows as u32, width as u32);

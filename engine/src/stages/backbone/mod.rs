@@ -9,12 +9,11 @@ mod positions;
 pub use camera_encoder::POSE_VALUES;
 pub use positions::{interpolate as interpolate_positions, rotary_tables};
 
-use super::{ViewGrid, embed_patches};
+use super::{Architecture, ViewGrid, embed_patches};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::backbone as kernels,
-    ops::{Block, Heads, Linear, ParameterLayout, Sequences},
-    weights::Architecture,
+    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Sequences},
 };
 use camera_encoder::CameraEncoder;
 use features::Features;
@@ -25,10 +24,12 @@ const EPS: f32 = 1e-6;
 /// The backbone's parameters.
 pub struct Backbone {
     architecture: Architecture,
-    patch_embed: Linear,
     class_token: Tensor,
     camera_tokens: Tensor,
+    pub(crate) learned_positions: HostParameter,
+    patch_embed: Linear,
     blocks: Vec<Block>,
+    final_norm: Norm,
     camera_encoder: CameraEncoder,
     features: Features,
 }
@@ -52,15 +53,17 @@ impl Backbone {
         let root = "backbone.backbone";
         let heads = Heads::new(a.heads, a.width);
         Self {
-            patch_embed: p.linear(&format!("{root}.patch_embed.proj"), 3 * a.patch * a.patch, a.width),
-            class_token: p.vector(format!("{root}.cls_token"), a.width),
-            camera_tokens: p.vector(format!("{root}.camera_token"), 2 * a.width),
+            class_token: p.vector(&format!("{root}.cls_token"), &[1, 1, a.width]),
+            camera_tokens: p.vector(&format!("{root}.camera_token"), &[1, 2, a.width]),
+            learned_positions: p.host(&format!("{root}.pos_embed"), &[1, 1 + a.position_grid.pow(2), a.width]),
+            patch_embed: p.convolution(&format!("{root}.patch_embed.proj"), &[3, a.patch, a.patch], a.width),
             blocks: (0..a.depth)
                 .map(|i| {
                     let name = format!("{root}.blocks.{i}");
                     Block::new(p, &name, heads, i >= a.qk_norm_start, (a.ffn, a.ffn_hidden), EPS)
                 })
                 .collect(),
+            final_norm: p.norm(&format!("{root}.norm"), a.width, EPS),
             camera_encoder: CameraEncoder::new(p, a),
             features: Features::new(p, a),
             architecture: a.clone(),
@@ -100,7 +103,9 @@ impl Backbone {
             rec.observe(&format!("bb/block{i}"), x);
             if out_layer {
                 let feature = a.out_layers.len() - 1 - prepared.len();
-                prepared.push(rec.scope("features", |rec| self.features.record(rec, feature, local, x, grid)));
+                prepared.push(
+                    rec.scope("features", |rec| self.features.record(rec, feature, local, x, self.final_norm, grid)),
+                );
             }
         }
         prepared.reverse();

@@ -7,8 +7,7 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::{gaussians as kernels, ops::Gelu},
     ops::{Epilogue, Linear, ParameterLayout, row_chunks},
-    stages::{SceneGradients, SceneTensors},
-    weights::Architecture,
+    stages::{Architecture, SceneGradients, SceneTensors},
 };
 
 /// The head's parameters, forwards and transposed.

@@ -4,14 +4,13 @@
 
 mod head;
 
-use super::{SceneTensors, ViewGrid, embed_patches};
+use super::{Architecture, SceneTensors, ViewGrid, embed_patches};
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::gaussians as kernels,
     ops::{
         Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, add, gather_rows, join_columns, row_chunks,
     },
-    weights::Architecture,
 };
 
 pub use head::{Head, HeadKept};
@@ -47,7 +46,7 @@ impl Gaussians {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.color_heads, a.color_width);
         Self {
-            color_embed: p.linear("color_embed.proj", 3 * a.patch * a.patch, a.color_width),
+            color_embed: p.convolution("color_embed.proj", &[3, a.patch, a.patch], a.color_width),
             color_cross: CrossBlock::new(p, "color_cross_attention", heads, a.color_hidden, EPS),
             head: head::layers(a).map(|(name, inner, columns)| p.linear(&name, inner, columns)),
             architecture: a.clone(),
