@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use zipsplat::{
     Error,
     gpu::{Element, Matrices, Recorder, Run},
-    ops::{Arithmetic, Epilogue, Linear, LinearKernel, Precision, Tile, Tiles, Units, pack_matrix},
+    ops::{Arithmetic, Epilogue, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, pack_matrix},
     tune::{Measured, Tuning},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
@@ -100,7 +100,8 @@ fn a_tile_changes_no_bit_of_a_linear_layer() {
             let (packed_weight, bias) = (rec.input::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));
             let input = rec.input::<u8>("input", rows * inner * kernel.element().bytes());
             let layer = Linear { weight: packed_weight, bias, inner, columns, kernel };
-            let out = layer.apply(&mut rec, "out", input, rows, Epilogue::default());
+            let x_rows = Rows { tensor: input, count: rows, width: inner, element: kernel.element() };
+            let out = layer.apply(&mut rec, "out", x_rows, Element::F32, Epilogue::default()).tensor;
             rec.output(out);
             let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
             run.write(packed_weight, &packed).unwrap();

@@ -1,6 +1,6 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{Norm, Tile, Units};
+use super::{Columns, Norm, Rows, Tile, Units};
 use crate::{
     gpu::{Element, Kernel, Limits, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
@@ -27,11 +27,9 @@ impl Heads {
     }
 }
 
-/// Queries, keys or values: which columns of a projection they are and what happens to them on the way.
+/// Queries, keys or values: what happens to them on the way from a projection.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part {
-    /// First column.
-    pub column: usize,
     /// Norm over a head's channels.
     pub norm: Option<Norm>,
     /// Rotary table `[tokens, dim / 2, 2]` f32 and its tokens.
@@ -104,22 +102,16 @@ impl Attention {
         }
     }
 
-    /// Takes a part of `projection` `[rows, stride]`, whose first row is row `first_row` of all, into `out`.
-    pub fn split(
-        &self,
-        rec: &mut Recorder,
-        projection: (Tensor, usize),
-        first_row: usize,
-        rows: usize,
-        part: Part,
-        out: Tensor,
-    ) {
+    /// Takes a part out of columns of a projection, whose first row is row `first_row` of all, into `out`.
+    pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
         let sequence = if part.keys || part.scale == 0.0 { self.keys } else { self.queries };
+        let Columns { of: Rows { tensor: projection, count: rows, width: stride, .. }, first: column, .. } =
+            projection.into();
         let (norm_weight, norm_bias, eps) =
-            part.norm.map_or((projection.0, projection.0, 0.0), |n| (n.weight, n.bias, n.eps));
-        let (rotary, tokens) = part.rotary.unwrap_or((projection.0, 1));
+            part.norm.map_or((projection, projection, 0.0), |n| (n.weight, n.bias, n.eps));
+        let (rotary, tokens) = part.rotary.unwrap_or((projection, 1));
         let kernel = ops::SplitHeads {
-            projection: projection.0,
+            projection,
             weight: norm_weight,
             bias: norm_bias,
             rotary,
@@ -128,8 +120,8 @@ impl Attention {
             heads: self.heads.count as u32,
             dim: self.heads.dim as u32,
             out_dim: self.channels() as u32,
-            stride: projection.1 as u32,
-            column: part.column as u32,
+            stride: stride as u32,
+            column: column as u32,
             first_row: first_row as u32,
             out_rows: (self.sequences * sequence) as u32,
             sequence: sequence as u32,
@@ -150,12 +142,12 @@ impl Attention {
     }
 
     /// softmax(q k) v of every head, `[sequences * queries, width]`.
-    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 3]) -> Tensor {
-        let len = self.sequences * self.queries * self.heads.width();
-        let out = rec.tensor_of(self.kernel.element(), "attended", len);
+    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 3]) -> Rows {
+        let rows = self.sequences * self.queries;
+        let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
         match self.kernel {
-            AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out),
-            AttentionKernel::Matrix(units) => self.matrix(rec, units, tensors, out),
+            AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out.tensor),
+            AttentionKernel::Matrix(units) => self.matrix(rec, units, tensors, out.tensor),
         }
         out
     }

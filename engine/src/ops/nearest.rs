@@ -1,6 +1,6 @@
 //! The nearest of some rows for each of others, without a matrix of distances.
 
-use super::{Tile, Units};
+use super::{Rows, Tile, Units};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{cluster as kernels, limits::NEAREST_ROWS},
@@ -53,12 +53,13 @@ impl Nearest {
     /// the rounding of a sum does to it.
     pub const TIE: f32 = 1.0 / 65536.0;
 
-    /// For rows of `width`, a multiple of 4, that lie among those of `sample` `[count, width]` f32.
-    pub fn among(rec: &mut Recorder, kernel: NearestKernel, (sample, count): (Tensor, usize), width: usize) -> Self {
+    /// For rows as wide as `sample`, a multiple of 4, that lie among those, f32.
+    pub fn among(rec: &mut Recorder, kernel: NearestKernel, sample: Rows) -> Self {
+        let Rows { tensor: source, count, width, .. } = sample;
         let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
         let origin = rec.tensor::<f32>("origin", width);
         let kernel = kernels::Origin {
-            source: sample,
+            source,
             out: origin,
             rows: count as u32,
             width: width as u32,
@@ -81,8 +82,8 @@ impl Nearest {
         }
     }
 
-    /// `rows` `[count, width]` f32 as they are now.
-    pub fn rows(&self, rec: &mut Recorder, (rows, count): (Tensor, usize)) -> NearestRows {
+    /// f32 rows as they are now.
+    pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
             return NearestRows { rows, values: rows, scales: rows, norms: rows, count };
         };

@@ -4,12 +4,11 @@ use super::{Kept, Shape};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout},
+    ops::{Arithmetic, ParameterLayout, Rows, join_columns},
     stages::{
         Architecture, Stages, ViewGrid,
         backbone::{BackboneInputs, POSE_VALUES},
         cluster,
-        gaussians::HeadTokens,
         render::SceneTensors,
     },
     types::Scene,
@@ -44,14 +43,15 @@ pub(super) struct Choice {
 pub(super) struct FeatureTensors {
     /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
     pub images: Tensor,
-    /// `[tokens, width]` f32 each, deepest first.
-    pub layers: Vec<Tensor>,
+    /// All tokens of each, f32, deepest first.
+    pub layers: Vec<Rows>,
 }
 
 impl FeatureTensors {
     /// The features of a shape, laid out to be kept.
     pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
-        let mut layer = |_| layout.add::<f32>(grid.tokens() * architecture.width);
+        let (tokens, width) = (grid.tokens(), architecture.width);
+        let mut layer = |_| Rows::new(layout.add::<f32>(tokens * width), tokens, width);
         let layers = architecture.out_layers.iter().map(&mut layer).collect();
         Self { images: layout.add::<f32>(grid.values()), layers }
     }
@@ -122,7 +122,7 @@ impl Network {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
         let layers = rec.scope("backbone", |rec| self.stages.backbone.record(rec, inputs, shape.grid));
-        layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer, *kept));
+        layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer.tensor, kept.tensor));
         inputs
     }
 
@@ -149,25 +149,26 @@ impl Network {
         into: Tensor,
     ) -> Choice {
         let (indices, tokens) = self.head_tokens(rec, shape, features);
-        let joined = tokens.joined(rec, Element::F32);
-        rec.copy(joined, into);
+        let joined = join_columns(rec, tokens, Element::F32);
+        rec.copy(joined.tensor, into);
         Choice { unit: None, indices }
     }
 
-    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, HeadTokens) {
+    /// What says which tokens are kept, and what the head reads of those: scene tokens and their colours.
+    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
         let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
-                let sizes = [grid.tokens(), tokens, self.architecture.width];
-                Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, sizes, rounds))
+                Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, tokens, rounds))
             }
             (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
-        let tokens = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, grid.tokens(), chosen));
-        (indices, rec.scope("gaussians", |rec| self.stages.gaussians.tokens(rec, tokens, *images, grid, chosen)))
+        let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
+        let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
+        (indices, [scene, colors])
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {

@@ -13,8 +13,9 @@ pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
 
 use crate::{
     Result,
-    gpu::{Recorder, Resident, ResidentLayout, Tensor},
-    ops::ParameterLayout,
+    gpu::{Element, Recorder, Resident, ResidentLayout, Tensor},
+    kernels::backbone::Patchify,
+    ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
 use backbone::Backbone;
@@ -164,29 +165,25 @@ fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }
 
-/// Every patch embedded by a convolution whose stride is its size: `[tokens, width]`.
-fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &crate::ops::Linear) -> Tensor {
-    let values = 3 * grid.patch * grid.patch;
-    let out = rec.tensor::<f32>("embedded", grid.tokens() * linear.columns);
-    let (view, row) = (values * grid.patches(), linear.inner);
-    let widths = [4 * view, linear.element().bytes() * grid.patches() * row, 4 * grid.patches() * linear.columns];
-    for part in crate::ops::row_chunks(rec, grid.views, &widths) {
-        let tokens = part.len() * grid.patches();
-        let patches = rec.tensor_of(linear.element(), "patches", tokens * row);
-        let kernel = crate::kernels::backbone::Patchify {
+/// Every patch embedded by a convolution whose stride is its size: a row a token.
+fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
+    let (view, patches) = (3 * grid.patch * grid.patch * grid.patches(), grid.patches());
+    let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);
+    let widths = [4 * view, linear.element().bytes() * patches * linear.inner, patches * out.row_bytes()];
+    for part in row_chunks(rec, grid.views, &widths) {
+        let rows = Rows::scratch(rec, "patches", part.len() * patches, linear.inner, linear.element());
+        let kernel = Patchify {
             images: images.slice::<f32>(part.start * view, part.len() * view),
-            out: patches,
+            out: rows.tensor,
             views: part.len() as u32,
             height: (grid.rows * grid.patch) as u32,
             width: (grid.columns * grid.patch) as u32,
             patch_size: grid.patch as u32,
-            stride: row as u32,
-            output: linear.element(),
+            stride: rows.width as u32,
+            output: rows.element,
         };
-        rec.dispatch(kernel, tokens * row);
-        let first = part.start * grid.patches() * linear.columns;
-        let out = out.slice::<f32>(first, tokens * linear.columns);
-        linear.record(rec, patches, tokens, out, crate::ops::Epilogue::default());
+        rec.dispatch(kernel, rows.values());
+        linear.record(rec, rows, out.part(part.start * patches..part.end * patches), Epilogue::default());
     }
     out
 }

@@ -4,7 +4,7 @@ use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::encoded_no
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Arithmetic, Attention, AttentionKernel, Heads, Part, Tile, Units},
+    ops::{Arithmetic, Attention, AttentionKernel, Heads, Part, Rows, Tile, Units},
 };
 
 pub(super) struct Attentions;
@@ -78,9 +78,10 @@ fn attention(
     let of_queries = Part { scale: attention.scale(), ..Part::default() };
     let parts = [of_queries, Part { keys: true, ..Part::default() }, Part::default()];
     for i in 0..3 {
-        attention.split(&mut rec, (inputs[i], COLUMNS), 0, tokens[i], parts[i], tensors[i]);
+        let projection = Rows { tensor: inputs[i], count: tokens[i], width: COLUMNS, element: kernel.element() };
+        attention.split(&mut rec, projection, 0, parts[i], tensors[i]);
     }
-    let out = attention.record(&mut rec, tensors);
+    let out = attention.record(&mut rec, tensors).tensor;
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     for (input, values) in inputs.into_iter().zip(&values) {

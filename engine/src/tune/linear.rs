@@ -8,7 +8,7 @@ use super::{
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Activation, Arithmetic, Epilogue, Linear, LinearKernel, Tile, Units, pack_matrix},
+    ops::{Activation, Arithmetic, Epilogue, Linear, LinearKernel, Rows, Tile, Units, pack_matrix},
 };
 
 pub(super) struct LinearLayers;
@@ -94,19 +94,22 @@ impl Layer {
         let values = encoded_noise(1, rows, inner, factor, kernel.element());
         let mut rec = Recorder::new(device.limits());
         let (weight, bias) = (rec.constant::<u8>("weight", packed.len()), rec.constant::<f32>("bias", columns));
-        let input = rec.constant::<u8>("input", values.len());
-        let residual = (self.activation == Activation::Gelu).then(|| rec.constant::<f32>("residual", rows * columns));
+        let tensor = rec.constant::<u8>("input", values.len());
+        let input = Rows { tensor, count: rows, width: inner, element: kernel.element() };
+        let with_residual = self.activation == Activation::Gelu;
+        let residual = with_residual.then(|| Rows::new(rec.constant::<f32>("residual", rows * columns), rows, columns));
         // The bias scales, too.
         let gamma = residual.map(|_| bias);
-        let epilogue = Epilogue { activation: self.activation, gamma, residual, output: self.output };
-        let out = Linear { weight, bias, inner, columns, kernel }.apply(&mut rec, "out", input, rows, epilogue);
+        let epilogue = Epilogue { activation: self.activation, gamma, residual };
+        let layer = Linear { weight, bias, inner, columns, kernel };
+        let out = layer.apply(&mut rec, "out", input, self.output, epilogue).tensor;
         rec.output(out);
         let mut run = Run::new(device, rec.finish()?)?;
         run.write(weight, &packed)?;
         run.write(bias, &noise(3, 1, columns, factor))?;
-        run.write(input, &values)?;
+        run.write(tensor, &values)?;
         if let Some(residual) = residual {
-            run.write(residual, &noise(4, rows, columns, Element::F32))?;
+            run.write(residual.tensor, &noise(4, rows, columns, Element::F32))?;
         }
         Ok((run, out))
     }

@@ -4,7 +4,7 @@ use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::noise, sel
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Arithmetic, Nearest, NearestKernel, Tile, Units},
+    ops::{Arithmetic, Nearest, NearestKernel, Rows, Tile, Units},
 };
 
 pub(super) struct NearestSearches;
@@ -75,14 +75,14 @@ impl Operation for NearestSearches {
 /// A run over points and targets, and its result.
 fn nearest(device: &Device, kernel: NearestKernel, rows: [&[f32]; 2], width: usize) -> Result<(Run, Tensor)> {
     let mut rec = Recorder::new(device.limits());
-    let inputs = rows.map(|rows| (rec.constant::<f32>("rows", rows.len()), rows.len() / width));
-    let nearest = Nearest::among(&mut rec, kernel, inputs[1], width);
+    let inputs = rows.map(|rows| Rows::new(rec.constant::<f32>("rows", rows.len()), rows.len() / width, width));
+    let nearest = Nearest::among(&mut rec, kernel, inputs[1]);
     let [points, targets] = inputs.map(|rows| nearest.rows(&mut rec, rows));
     let out = nearest.record(&mut rec, points, targets);
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
-    for ((input, _), rows) in inputs.into_iter().zip(rows) {
-        run.write(input, rows)?;
+    for (input, rows) in inputs.into_iter().zip(rows) {
+        run.write(input.tensor, rows)?;
     }
     Ok((run, out))
 }

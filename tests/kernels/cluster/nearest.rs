@@ -7,7 +7,7 @@ use crate::case::{Case, nearest_kernels, random, random_below};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
-    ops::{Nearest, NearestKernel, Tile, Tiles, Units},
+    ops::{Nearest, NearestKernel, Rows, Tile, Tiles, Units},
 };
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
@@ -25,13 +25,13 @@ fn find(
     about: Option<f32>,
 ) -> (Vec<u32>, Vec<f32>) {
     let mut case = Case::within(limits);
-    let [points, targets] = [points, targets].map(|rows| (case.input(rows), rows.len() / width));
+    let [points, targets] = [points, targets].map(|rows| Rows::new(case.input(rows), rows.len() / width, width));
     let nearest = match (kernel, about) {
         (NearestKernel::Matrix(units), Some(x)) => Nearest::about(case.input(&vec![x; width]), units, width),
-        _ => Nearest::among(&mut case.rec, kernel, targets, width),
+        _ => Nearest::among(&mut case.rec, kernel, targets),
     };
     let rows = [points, targets].map(|rows| nearest.rows(&mut case.rec, rows));
-    let out = case.output::<u32>(points.1);
+    let out = case.output::<u32>(points.count);
     nearest.record_into(&mut case.rec, rows[0], rows[1], out);
     nearest.origin().into_iter().for_each(|origin| case.rec.output(origin));
     let run = case.run();

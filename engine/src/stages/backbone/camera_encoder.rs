@@ -2,7 +2,7 @@
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
-    ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Sequences},
+    ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
     stages::Architecture,
 };
 
@@ -39,17 +39,17 @@ impl CameraEncoder {
         }
     }
 
-    /// `[views, POSE_VALUES]` -> `[views, width]`. The views are one sequence.
-    pub fn record(&self, rec: &mut Recorder, poses: Tensor, views: usize) -> Tensor {
+    /// One token a view of `poses` `[views, POSE_VALUES]`. The views are one sequence.
+    pub fn record(&self, rec: &mut Recorder, poses: Rows) -> Tensor {
         rec.scope("camera_encoder", |rec| {
             let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
-            let hidden = self.fc1.apply(rec, "pose", poses, views, gelu);
-            let embedded = self.fc2.apply(rec, "embedded", hidden, views, Epilogue::default());
-            let x = self.token_norm.apply(rec, embedded, views, Element::F32);
+            let hidden = self.fc1.apply(rec, "pose", poses, Element::F32, gelu);
+            let embedded = self.fc2.apply(rec, "embedded", hidden, Element::F32, Epilogue::default());
+            let x = self.token_norm.apply(rec, embedded, Element::F32);
             for block in &self.trunk {
-                block.record(rec, x, Sequences { count: 1, tokens: views, rotary: None });
+                block.record(rec, x, Sequences { count: 1, tokens: x.count, rotary: None });
             }
-            let tokens = self.trunk_norm.apply(rec, x, views, Element::F32);
+            let tokens = self.trunk_norm.apply(rec, x, Element::F32).tensor;
             rec.observe("bb/cam_token", tokens);
             tokens
         })

@@ -1,9 +1,9 @@
 //! Out-layer features: the local and the global half, normalised, merged to the model's width.
 
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder},
     kernels::backbone as kernels,
-    ops::{Epilogue, Linear, Norm, NormRows, ParameterLayout, row_chunks},
+    ops::{Epilogue, Linear, Norm, ParameterLayout, Rows, row_chunks},
     stages::{Architecture, ViewGrid},
 };
 
@@ -11,7 +11,6 @@ const EPS: f32 = 1e-5;
 
 /// One for each out layer, 0 the deepest.
 pub(super) struct Features {
-    width: usize,
     local_norms: Vec<Norm>,
     global_norms: Vec<Norm>,
     downscales: Vec<Linear>,
@@ -21,7 +20,6 @@ impl Features {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let layers = 0..a.out_layers.len();
         Self {
-            width: a.width,
             local_norms: layers.clone().map(|j| p.norm(&format!("pre_norm_local.{j}"), a.width, EPS)).collect(),
             global_norms: layers.clone().map(|j| p.norm(&format!("pre_norm_global.{j}"), a.width, EPS)).collect(),
             downscales: layers.map(|j| p.linear(&format!("downscale.{j}"), 2 * a.width, a.width)).collect(),
@@ -35,37 +33,36 @@ impl Features {
         &self,
         rec: &mut Recorder,
         j: usize,
-        local: Tensor,
-        global: Tensor,
+        local: Rows,
+        global: Rows,
         final_norm: Norm,
         grid: ViewGrid,
-    ) -> Tensor {
-        let downscale = self.downscales[j];
-        let (width, patches) = (self.width, grid.patches());
-        let out = rec.tensor::<f32>("prepared", grid.tokens() * width);
+    ) -> Rows {
+        let (width, patches, downscale) = (global.width, grid.patches(), self.downscales[j]);
+        let out = Rows::scratch(rec, "prepared", grid.tokens(), width, Element::F32);
         let output = downscale.element();
-        let widths = [4 * (1 + patches) * width, output.bytes() * patches * 2 * width, 4 * patches * width];
+        let widths =
+            [(1 + patches) * global.row_bytes(), output.bytes() * patches * 2 * width, patches * out.row_bytes()];
         for part in row_chunks(rec, grid.views, &widths) {
-            let stream = (1 + patches) * width;
-            let views_of = |t: Tensor| t.slice::<f32>(part.start * stream, part.len() * stream);
-            let rows = part.len() * patches;
-            let halves = rec.tensor_of(output, "halves", rows * 2 * width);
-            let left = NormRows { rows, out_stride: 2 * width, out_column: 0, output, patches };
-            self.local_norms[j].record(rec, views_of(local), None, halves, left);
-            let finished = rec.tensor::<f32>("finished", rows * width);
-            let packed = NormRows { patches, ..NormRows::packed(rows, width) };
-            final_norm.record(rec, views_of(global), None, finished, packed);
-            let right = NormRows { rows, out_stride: 2 * width, out_column: width, output, patches: 0 };
-            self.global_norms[j].record(rec, finished, None, halves, right);
-
-            let out = out.slice::<f32>(part.start * patches * width, rows * width);
-            let (rows32, width32) = (rows as u32, width as u32);
-            let kernel = kernels::AverageHalves { halves, out, rows: rows32, width: width32, input: output };
-            rec.dispatch(kernel, rows * width);
+            let rows_of_views = |rows: Rows, tokens: usize| rows.part(part.start * tokens..part.end * tokens);
+            let out = rows_of_views(out, patches);
+            let halves = Rows::scratch(rec, "halves", out.count, 2 * width, output);
+            self.local_norms[j].record(rec, rows_of_views(local, 1 + patches), None, halves.columns(0, width), patches);
+            let finished = Rows::scratch(rec, "finished", out.count, width, Element::F32);
+            final_norm.record(rec, rows_of_views(global, 1 + patches), None, finished, patches);
+            self.global_norms[j].record(rec, finished, None, halves.columns(width, width), 0);
+            let kernel = kernels::AverageHalves {
+                halves: halves.tensor,
+                out: out.tensor,
+                rows: out.count as u32,
+                width: width as u32,
+                input: output,
+            };
+            rec.dispatch(kernel, out.values());
             let epilogue = Epilogue { residual: Some(out), ..Epilogue::default() };
-            downscale.record(rec, halves, rows, out, epilogue);
+            downscale.record(rec, halves, out, epilogue);
         }
-        rec.observe(&format!("prep/layer{j}"), out);
+        rec.observe(&format!("prep/layer{j}"), out.tensor);
         out
     }
 }

@@ -11,9 +11,9 @@ pub use positions::{interpolate as interpolate_positions, rotary_tables};
 
 use super::{Architecture, ViewGrid, embed_patches};
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::backbone as kernels,
-    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Sequences},
+    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Rows, Sequences},
 };
 use camera_encoder::CameraEncoder;
 use features::Features;
@@ -70,26 +70,28 @@ impl Backbone {
         }
     }
 
-    /// Records the backbone. Returns the prepared tokens `[views * patches, width]` of each out layer, deepest first.
-    pub fn record(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Vec<Tensor> {
+    /// Records the backbone. Returns the prepared tokens of all views for each out layer, deepest first.
+    pub fn record(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Vec<Rows> {
         let a = &self.architecture;
         let tokens = 1 + grid.patches();
-        let len = grid.views * tokens * a.width;
-        let camera_tokens = inputs.poses.map(|poses| self.camera_encoder.record(rec, poses, grid.views));
+        let camera_tokens = inputs.poses.map(|poses| {
+            let poses = Rows::new(poses, grid.views, POSE_VALUES);
+            self.camera_encoder.record(rec, poses)
+        });
         let x = self.first_tokens(rec, inputs, grid);
         // The newest local block's output, where a global block has overwritten it.
         let mut local = x;
         let mut prepared = Vec::new();
         for (i, block) in self.blocks.iter().enumerate() {
             if i == a.alt_start {
-                self.insert_camera_tokens(rec, x, camera_tokens, grid);
-                rec.observe("bb/alt_in", x);
+                self.insert_camera_tokens(rec, x.tensor, camera_tokens, grid);
+                rec.observe("bb/alt_in", x.tensor);
             }
             let global = a.is_global(i);
             let out_layer = a.out_layers.contains(&i);
             if global && out_layer {
-                local = rec.tensor::<f32>("local", len);
-                rec.copy(x, local);
+                local = Rows::scratch(rec, "local", x.count, x.width, Element::F32);
+                rec.copy(x.tensor, local.tensor);
             } else if !global {
                 local = x;
             }
@@ -100,7 +102,7 @@ impl Backbone {
                 rotary: (i >= a.rope_start).then_some(table),
             };
             rec.scope("block", |rec| block.record(rec, x, sequences));
-            rec.observe(&format!("bb/block{i}"), x);
+            rec.observe(&format!("bb/block{i}"), x.tensor);
             if out_layer {
                 let feature = a.out_layers.len() - 1 - prepared.len();
                 prepared.push(
@@ -112,23 +114,23 @@ impl Backbone {
         prepared
     }
 
-    fn first_tokens(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Tensor {
+    fn first_tokens(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Rows {
         let width = self.architecture.width;
         let tokens = 1 + grid.patches();
         rec.scope("embed", |rec| {
             let patches = embed_patches(rec, inputs.images, grid, &self.patch_embed);
-            let out = rec.tensor::<f32>("tokens", grid.views * tokens * width);
+            let out = Rows::scratch(rec, "tokens", grid.views * tokens, width, Element::F32);
             let kernel = kernels::Tokens {
-                patches,
+                patches: patches.tensor,
                 class_token: self.class_token,
                 positions: inputs.positions,
-                out,
+                out: out.tensor,
                 views: grid.views as u32,
                 tokens: tokens as u32,
                 width: width as u32,
             };
-            rec.dispatch(kernel, grid.views * tokens * width);
-            rec.observe("bb/tokens0", out);
+            rec.dispatch(kernel, out.values());
+            rec.observe("bb/tokens0", out.tensor);
             out
         })
     }
