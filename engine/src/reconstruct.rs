@@ -13,14 +13,13 @@ use crate::{
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
     ops::{Arithmetic, Parameters},
     stages::{
-        backbone::{BackboneInputs, POSE_VALUES, interpolate_positions, rotary_tables},
         cluster::{even_indices, random_indices},
         render::{DeviceScene, SceneMemory},
     },
-    types::{Camera, Image, LeftOut, Scene, prior_encoding},
+    types::{Camera, Image, LeftOut, Scene},
     weights::{Architecture, Checkpoint},
 };
-use network::Choice;
+use network::{Choice, Inputs};
 use request::check_cameras;
 use std::{ops::ControlFlow, sync::Mutex};
 
@@ -256,33 +255,20 @@ impl Model {
     fn write_photos(
         &self,
         run: &mut Run,
-        inputs: &BackboneInputs,
+        inputs: &Inputs,
         shape: Shape,
         images: &[Image],
         request: &Request,
     ) -> Result<()> {
-        let (a, grid) = (self.architecture(), shape.grid);
         run.write(inputs.images, &planar(images))?;
-        let learned = &self.parameters[self.network.stages.backbone.learned_positions];
-        let positions = interpolate_positions(learned, a.position_grid, a.width, grid.rows, grid.columns);
-        run.write(inputs.positions, &positions)?;
-        for (tensor, table) in inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
-            run.write(*tensor, &table)?;
-        }
-        if let (Some(tensor), Some(cameras)) = (inputs.poses, &request.cameras) {
-            let in_units = |camera: &Camera| {
-                let mut camera = *camera;
-                camera.pose.translation /= request.unit;
-                camera
-            };
-            let cameras: Vec<Camera> = cameras.iter().map(in_units).collect();
-            let padded: Vec<_> = prior_encoding(&cameras)?
-                .iter()
-                .map(|e| std::array::from_fn::<f32, POSE_VALUES, _>(|i| e.get(i).copied().unwrap_or(0.0)))
-                .collect();
-            run.write(tensor, &padded)?;
-        }
-        Ok(())
+        let in_units = |camera: &Camera| {
+            let mut camera = *camera;
+            camera.pose.translation /= request.unit;
+            camera
+        };
+        let cameras = request.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
+        let backbone = &self.network.stages.backbone;
+        backbone.write(run, &inputs.backbone, shape.grid, cameras.as_deref(), &self.parameters)
     }
 }
 

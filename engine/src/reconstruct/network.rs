@@ -5,12 +5,7 @@ use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout, Rows, join_columns},
-    stages::{
-        Architecture, Stages, ViewGrid,
-        backbone::{BackboneInputs, POSE_VALUES},
-        cluster,
-        render::SceneTensors,
-    },
+    stages::{Architecture, Stages, ViewGrid, cluster, render::SceneTensors},
     types::Scene,
 };
 
@@ -22,11 +17,20 @@ pub struct Network {
 }
 
 /// The tensors that go in and out of a plan.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Tensors {
-    pub(super) inputs: BackboneInputs,
+    pub(super) inputs: Inputs,
     pub(super) choice: Choice,
     scene: SceneTensors,
+}
+
+/// What the host says of the photos.
+#[derive(Clone, Debug)]
+pub(super) struct Inputs {
+    /// `[views, 3, height, width]` f32, RGB in 0..1.
+    pub images: Tensor,
+    /// See [`Backbone::inputs`](crate::stages::backbone::Backbone::inputs).
+    pub backbone: Vec<Tensor>,
 }
 
 /// What the host says of the scene that is made of features.
@@ -112,16 +116,16 @@ impl Network {
 
     fn record_into(&self, rec: &mut Recorder, shape: Shape, scene: SceneTensors) -> Tensors {
         let inputs = self.inputs(rec, shape);
-        let layers = rec.scope("backbone", |rec| self.stages.backbone.record(rec, inputs, shape.grid));
+        let layers = self.features(rec, shape, &inputs);
         let choice = self.record_decoding(rec, shape, &FeatureTensors { images: inputs.images, layers }, &scene);
         Tensors { inputs, choice, scene }
     }
 
     /// Records the first half, up to features that stay on the device in `into`.
-    pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> BackboneInputs {
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> Inputs {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
-        let layers = rec.scope("backbone", |rec| self.stages.backbone.record(rec, inputs, shape.grid));
+        let layers = self.features(rec, shape, &inputs);
         layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer.tensor, kept.tensor));
         inputs
     }
@@ -171,16 +175,14 @@ impl Network {
         (indices, [scene, colors])
     }
 
-    fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {
-        let (a, grid) = (&self.architecture, shape.grid);
-        let tokens = 1 + grid.patches();
-        let rotary = ["local", "global"].map(|kind| rec.input::<f32>(&format!("rotary_{kind}"), tokens * a.head_dim()));
-        BackboneInputs {
-            images: rec.input::<f32>("images", grid.values()),
-            positions: rec.input::<f32>("positions", tokens * a.width),
-            rotary,
-            poses: shape.cameras.then(|| rec.input::<[f32; POSE_VALUES]>("poses", grid.views)),
-        }
+    fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {
+        let images = rec.input::<f32>("images", shape.grid.values());
+        Inputs { images, backbone: self.stages.backbone.inputs(rec, shape.grid, shape.cameras) }
+    }
+
+    fn features(&self, rec: &mut Recorder, shape: Shape, inputs: &Inputs) -> Vec<Rows> {
+        let Inputs { images, backbone } = inputs;
+        rec.scope("backbone", |rec| self.stages.backbone.record(rec, *images, backbone, shape.grid))
     }
 }
 

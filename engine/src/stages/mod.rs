@@ -18,14 +18,14 @@ use crate::{
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
-use backbone::Backbone;
+use backbone::{Backbone, backbone};
 use fuse::Fuse;
 use gaussians::Gaussians;
 
 /// The stages that have parameters.
 pub struct Stages {
     /// From pixels to tokens.
-    pub backbone: Backbone,
+    pub backbone: Box<dyn Backbone>,
     /// From tokens to scene tokens.
     pub fuse: Fuse,
     /// From scene tokens to Gaussians.
@@ -35,7 +35,7 @@ pub struct Stages {
 impl Stages {
     /// Declares the parameters, in the order and with the names of the reference's `state_dict`.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        Self { backbone: Backbone::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
+        Self { backbone: backbone(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
 }
 

@@ -10,7 +10,7 @@ use crate::{
 const POSE_ENCODING: usize = 9;
 
 /// Values of a pose encoding, padded with zeros to whole vec4.
-pub const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
+pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 const EPS: f32 = 1e-5;
 
