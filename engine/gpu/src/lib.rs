@@ -1,4 +1,4 @@
-//! The only place that names Vulkan: device, arena, kernels, recorder, runs and their profile.
+//! Vulkan compute as plans: device, arena, recorder, runs and their profile. This crate alone names Vulkan, and it knows no kernel.
 //!
 //! A [`Recorder`] turns calls of typed kernels into a [`Plan`]: a plain command list, with an offset in one arena for
 //! every tensor. A [`Run`] allocates that arena on a [`Device`] and executes the plan as often as wanted.
