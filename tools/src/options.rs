@@ -6,8 +6,9 @@ use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
-    ops::{Arithmetic, Chosen, Precision},
+    ops::{Arithmetic, Precision},
     reconstruct::{Ratio, Selection},
+    tune::Chosen,
     types::{Image, Scene, SceneFormat, open_file, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
 };
