@@ -23,7 +23,11 @@ fn main() {
     name_shared_library();
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
-    println!("cargo:rerun-if-changed={}", root.display());
+    // Not kernels/reference, but for its list of areas, which grows with every new one.
+    for watched in sources::folders(&root).iter().filter(|name| *name != "reference") {
+        println!("cargo:rerun-if-changed={}", root.join(watched).display());
+    }
+    println!("cargo:rerun-if-changed={}", root.join("reference/lib.rs").display());
     println!("cargo:rerun-if-env-changed=ZIPSPLAT_RECOMPILE_KERNELS");
 
     let kernels = sources::find(&root);

@@ -158,7 +158,8 @@ fn with_includes(root: &Path, file: &str, seen: &mut BTreeSet<String>) -> String
     text
 }
 
-fn folders(root: &Path) -> Vec<String> {
+/// The folders of kernels, by area, and what else lies beside them.
+pub fn folders(root: &Path) -> Vec<String> {
     entries(root).into_iter().filter(|n| root.join(n).is_dir()).collect()
 }
 

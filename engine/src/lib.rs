@@ -21,26 +21,31 @@
 //! # }
 //! ```
 //!
-//! Layers use only what stands before them: `gpu` <- `types` <- `ops` <- `stages` <- `reconstruct` <- `refine` <- `ffi`.
+//! The crates below: [`types`] (`zipsplat-formats`, no GPU in it) and [`gpu`] (`zipsplat-gpu`, which names Vulkan and knows no
+//! kernel). Modules use only what stands before them: `weights` <- `ops` <- `stages` <- `reconstruct` <- `refine` <- `ffi`.
 
-mod error;
 pub mod ffi;
-pub mod gpu;
 pub mod ops;
 pub mod reconstruct;
 pub mod refine;
 pub mod stages;
-pub mod types;
 pub mod weights;
 
 /// The typed kernel table that build.rs makes of `kernels/`.
 pub mod kernels {
     #![allow(clippy::too_many_arguments, missing_docs)]
     include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
+
+    // Recorder and kernels fold long dispatches alike.
+    const _: () = assert!(limits::GROUP_FOLD == crate::gpu::GROUP_FOLD);
 }
 
-pub use error::{Error, Result};
 pub use gpu::Device;
 pub use reconstruct::Model;
 pub use stages::render::Renderer;
 pub use types::{Camera, Image, Scene};
+pub use zipsplat_error::{Error, Result};
+#[doc(inline)]
+pub use zipsplat_formats as types;
+#[doc(inline)]
+pub use zipsplat_gpu as gpu;

@@ -259,7 +259,6 @@ fn kind(error: &Error) -> &'static str {
         Error::DeviceLost => "device_lost",
         Error::Driver { .. } => "driver",
         Error::Cancelled => "cancelled",
-        _ => "other",
     }
 }
 

@@ -5,7 +5,10 @@ use super::{
     layout::{self, Lifetime},
     plan::{Allocation, Command, Dispatch, Groups, Home, Operation, Role},
 };
-use crate::{Error, Result, kernels::limits::GROUP_FOLD};
+use crate::{Error, Result};
+
+/// Workgroups along x of a long one-dimensional dispatch, whose rest goes along y: devices allow 65,535 on an axis.
+pub const GROUP_FOLD: u32 = 32_768;
 
 /// Records a plan. Needs the device's limits, not the device: plans can be made and measured without one.
 pub struct Recorder {

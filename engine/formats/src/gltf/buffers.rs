@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{Document, Parsed, document::Buffer};
-use crate::types::file::read_file;
+use crate::file::read_file;
 use crate::{Error, Result};
 
 /// The bytes that buffers are made of, and which of them each buffer is: several may name one file.

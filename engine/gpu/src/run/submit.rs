@@ -1,15 +1,12 @@
 //! Submitting what is encoded, and waiting for it.
 
 use super::Run;
-use crate::{
-    Result,
-    gpu::{commands::driver, lost::is_under_way},
-};
+use crate::{Result, commands::driver, lost::is_under_way};
 use ash::vk;
 
 impl Run {
     /// Submits; the timeline's value that says that it is done.
-    pub(in crate::gpu) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
+    pub(crate) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.device.0.check_lost()?;
         let value = self.lane.next_value()?;
         let submitted = self.submit_as(commands, value);
@@ -19,7 +16,7 @@ impl Run {
         submitted.map(|()| value)
     }
 
-    pub(in crate::gpu) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
+    pub(crate) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let signals = [vk::SemaphoreSubmitInfo::default()
             .semaphore(self.lane.timeline())
@@ -33,7 +30,7 @@ impl Run {
         submitted
     }
 
-    pub(in crate::gpu) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
+    pub(crate) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
         let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
         // SAFETY: the pool is used by this run only, which is borrowed by one thread at a time.
         unsafe { self.device.0.raw.allocate_command_buffers(&info) }

@@ -1,10 +1,7 @@
 //! Keeping a run bound to memory that may be replaced: by a larger one of its lane, or by another of the same layout.
 
 use super::Run;
-use crate::{
-    Error, Result,
-    gpu::{Resident, descriptors::Descriptors, plan::Role},
-};
+use crate::{Error, Resident, Result, descriptors::Descriptors, plan::Role};
 use std::sync::Arc;
 
 /// The generation of no memory: what was encoded has to be encoded again.
@@ -49,7 +46,7 @@ impl Run {
     }
 
     /// What comes before every submission of the plan.
-    pub(in crate::gpu) fn begin(&mut self) -> Result<()> {
+    pub(crate) fn begin(&mut self) -> Result<()> {
         self.bind()?;
         self.check_inputs()
     }
@@ -72,7 +69,7 @@ impl Run {
     }
 
     /// Later tensors may share an input's bytes, so it has to be written again.
-    pub(in crate::gpu) fn forget_inputs(&mut self) {
+    pub(crate) fn forget_inputs(&mut self) {
         for (allocation, written) in self.plan.allocations.iter().zip(&mut self.written) {
             *written &= allocation.role == Role::Constant;
         }

@@ -123,7 +123,7 @@ impl Device {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{gpu::DeviceOptions, ops::SelfTest};
+    use crate::DeviceOptions;
 
     #[test]
     fn a_device_of_an_app_is_as_fast_as_the_app_says() {
@@ -154,9 +154,6 @@ mod tests {
         assert!(!exact.limits().half_storage);
         let matrices = fast.limits().matrices;
         assert_eq!((matrices.f16, matrices.i8), (own.limits().matrices.f16, own.limits().matrices.i8));
-        let test = SelfTest::run(&fast).expect("every kernel runs");
-        assert_eq!(test.deviations.is_empty(), !own.limits().half_storage);
-        assert!(test.deviations.values().all(|deviation| deviation.is_some_and(|times| times < 1.0)), "{test:?}");
         drop((fast, exact));
         shared.check_messages().expect("no message of the layer");
     }

@@ -35,5 +35,6 @@ pub use limits::{Limits, Matrices, MatrixShape};
 pub use memory::{Resident, ResidentLayout};
 pub use plan::{ArenaRow, Plan, Tensor};
 pub use profile::{Profile, ProfileRow};
-pub use recorder::Recorder;
+pub use recorder::{GROUP_FOLD, Recorder};
 pub use run::{ImagePlace, Point, Progress, Run, StageTimes, Target};
+use zipsplat_error::{Error, Result};

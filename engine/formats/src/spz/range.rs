@@ -1,7 +1,7 @@
 //! What the range of a scene does to the precision of its SPZ.
 
 use super::codec::{MAX_FRACTIONAL_BITS, POSITION_BITS, fractional_bits};
-use crate::types::Scene;
+use crate::Scene;
 
 /// A note where a few far Gaussians make all positions of an SPZ coarser than the format allows, with the figures: one
 /// step is chosen for a whole file. None where the step is the finest, or the scene does not fit at all.

@@ -11,11 +11,11 @@ use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
 /// Longest side that is read; above it a file is broken or hostile.
-pub(crate) const MAX_SIDE: u32 = 32_768;
+pub const MAX_SIDE: u32 = 32_768;
 /// Bytes at the start of a file that tell what it is.
 const MARK: u64 = 12;
 /// Most bytes that decoding one photo may take: 350 megapixels of RGB8.
-pub(crate) const MAX_DECODED_BYTES: u64 = 1 << 30;
+pub const MAX_DECODED_BYTES: u64 = 1 << 30;
 
 /// A picture of 8-bit RGB.
 #[derive(Clone, PartialEq, Eq)]

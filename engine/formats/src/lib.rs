@@ -21,12 +21,12 @@ mod squares;
 mod trajectory;
 mod world;
 
-pub(crate) use camera::unit_quaternion;
-pub use camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix};
+pub use camera::{
+    Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, unit_quaternion,
+};
 pub use file::{Unfinished, open_file, write_atomic};
 pub use gltf::{read_gltf, write_gltf};
-pub use image::{Image, contact_sheet};
-pub(crate) use image::{MAX_DECODED_BYTES, MAX_SIDE};
+pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet};
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
@@ -40,3 +40,4 @@ pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use squares::{square_count, squares};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};
 pub use world::{World, read_world};
+use zipsplat_error::{Error, Result};

@@ -4,7 +4,7 @@ use std::io::{Chain, Cursor, Read};
 use std::path::Path;
 
 use crate::Error;
-use crate::types::source::Source;
+use crate::source::Source;
 
 /// The header must end within this many bytes.
 pub(super) const MAX_HEADER: usize = 1 << 16;

@@ -289,7 +289,7 @@ impl Resident {
     }
 
     /// The device that the memory is on.
-    pub(crate) fn is_on(&self, device: &Device) -> bool {
+    pub fn is_on(&self, device: &Device) -> bool {
         Arc::ptr_eq(&self.memory.shared, &device.0)
     }
 

@@ -6,9 +6,9 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::types::scene_file::{Encoder, SceneFormat, WriteOptions, write_as};
-use crate::types::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world::MADE_BY};
+use crate::scene_file::{Encoder, SceneFormat, WriteOptions, write_as};
 use crate::{Error, Result};
+use crate::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world::MADE_BY};
 
 const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;

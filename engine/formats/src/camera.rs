@@ -197,7 +197,7 @@ pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {
 }
 
 /// A quaternion of any length but zero, of length 1: in f64, where no square of an f32 overflows or vanishes.
-pub(crate) fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
+pub fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
     let quat = quat.map(f64::from);
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
     quat.map(|q| (q / length) as f32)

@@ -7,7 +7,7 @@ use ruzstd::decoding::StreamingDecoder;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::{Fault, HAS_EXTENSIONS, Layout, MAGIC};
-use crate::types::Scene;
+use crate::Scene;
 
 const VERSION: u32 = 4;
 /// A byte of the file stands for no more than this many, as in deflate.

@@ -6,7 +6,7 @@ use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 
 use super::{EXTENSION, Fault, Parsed};
-use crate::types::world::MADE_BY;
+use crate::world::MADE_BY;
 
 /// Extensions that may be required: the second only allows small integers where floats would be.
 const KNOWN: [&str; 2] = [EXTENSION, "KHR_mesh_quantization"];

@@ -2,8 +2,8 @@
 
 use std::f32::consts::FRAC_1_SQRT_2;
 
-use crate::types::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 use crate::{Error, Result};
+use crate::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 
 /// Bits of a position's magnitude: 24 with the sign.
 pub(super) const POSITION_BITS: u32 = 23;

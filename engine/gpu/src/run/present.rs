@@ -1,10 +1,7 @@
 //! Results into an app's own images and buffers, without the host.
 
 use super::{Run, arena_id};
-use crate::{
-    Error, Result,
-    gpu::{Tensor, commands::driver, lost::is_under_way},
-};
+use crate::{Error, Result, Tensor, commands::driver, lost::is_under_way};
 use ash::vk::{self, Handle};
 
 /// A place in an app's memory on the device, and what orders the engine's writing with the app's use of it.
