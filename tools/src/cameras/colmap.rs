@@ -78,11 +78,15 @@ impl Colmap {
         let tried = match (&finding.python, &finding.colmap) {
             (Some(python), _) => Self::pycolmap(python),
             (None, Some(program)) => Self::native(program),
-            (None, None) => Self::native(Path::new("colmap"))
-                .or_else(|why| Self::pycolmap(Path::new("python3")).map_err(|_| why)),
+            (None, None) => {
+                Self::native(Path::new("colmap")).or_else(|why| Self::pycolmap(Path::new("python3")).map_err(|_| why))
+            }
         };
         tried.map_err(|why| {
-            let expected = format!("COLMAP, which finds the cameras of photos: `{}`, or `pip install pycolmap` and --python PYTHON", install());
+            let expected = format!(
+                "COLMAP, which finds the cameras of photos: `{}`, or `pip install pycolmap` and --python PYTHON",
+                install()
+            );
             Error::argument("structure from motion", why, expected)
         })
     }
@@ -190,7 +194,8 @@ impl Told {
     /// Takes a line; how far its step is, where it says so. `photos` is how many there are.
     pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
         // glog puts a prefix before what is said.
-        let text = line.split_once("] ").filter(|(head, _)| head.contains(".cc:")).map_or(line, |(_, text)| text).trim();
+        let text =
+            line.split_once("] ").filter(|(head, _)| head.contains(".cc:")).map_or(line, |(_, text)| text).trim();
         if std::mem::take(&mut self.pairs_follow) {
             self.pairs = number(text);
         }

@@ -302,7 +302,8 @@ impl Work {
             folders.push(entry.map_err(failed)?.path());
         }
         folders.sort();
-        let models = folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
+        let models =
+            folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
         models.map(read_poses).filter(|model| !matches!(model, Ok(poses) if poses.frames.is_empty())).collect()
     }
 
@@ -322,9 +323,17 @@ impl Work {
             if of_camera != of_photo {
                 let found = format!("{}x{}", of_camera.0, of_camera.1);
                 let expected = format!("{}x{}, as the photo is stored", of_photo.0, of_photo.1);
-                return Err(Error::argument(format!("camera that COLMAP found for {}", photo.display()), found, expected));
+                return Err(Error::argument(
+                    format!("camera that COLMAP found for {}", photo.display()),
+                    found,
+                    expected,
+                ));
             }
-            poses.frames.push(Frame { name: photo.to_string_lossy().into_owned(), photo: Some(photo.clone()), ..frame });
+            poses.frames.push(Frame {
+                name: photo.to_string_lossy().into_owned(),
+                photo: Some(photo.clone()),
+                ..frame
+            });
         }
         Ok((poses, lost))
     }

@@ -4,5 +4,5 @@ mod colmap;
 mod find;
 mod paths;
 
-pub use find::{Finding, Found, Known, Pairs, Place};
+pub use find::{Finding, Found, Known, Place};
 pub use paths::{CameraArgs, origin};

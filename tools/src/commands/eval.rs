@@ -235,7 +235,12 @@ impl Eval {
         // The photos are those of the folder, wherever the file of their cameras lies.
         for photo in photos::posed(session, photos, &known.poses)? {
             let place = known.poses.frames_of(&[&photo])?[0].name.clone();
-            known.poses.frames.iter_mut().filter(|frame| frame.name == place).for_each(|frame| frame.photo = Some(photo.clone()));
+            known
+                .poses
+                .frames
+                .iter_mut()
+                .filter(|frame| frame.name == place)
+                .for_each(|frame| frame.photo = Some(photo.clone()));
         }
         Ok(Some(known))
     }

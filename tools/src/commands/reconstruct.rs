@@ -166,7 +166,9 @@ impl Reconstruct {
         let of_photos = |path: &PathBuf| Known::of(session, path, &photos, &self.finding);
         let known = self.poses.as_ref().map(of_photos).transpose()?;
         let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
-        if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, found.as_ref().and_then(Option::as_ref)) {
+        if let (Some(place), Some(poses), Some(found)) =
+            (&self.cameras_out, &poses, found.as_ref().and_then(Option::as_ref))
+        {
             Place(place).save(poses, found)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
