@@ -2,6 +2,7 @@
 
 use crate::{
     options::Size,
+    outputs::Overwrite,
     session::{Session, Stage},
     table::counted,
     video::{FRAMES, FrameFolder, is_video, sharpest_frames},
@@ -46,7 +47,7 @@ pub struct PhotoArgs {
 
 impl PhotoArgs {
     /// The photos as [`list`] has them, and the folder of the frames of videos: of each video `frames`, or a usual number. The
-    /// folder lies beside the file that will name them, where there is one.
+    /// folder lies beside the file that will name them, where there is one, and may exist where that says so.
     ///
     /// # Errors
     /// As [`list`], [`FrameFolder`] and [`sharpest_frames`].
@@ -54,9 +55,10 @@ impl PhotoArgs {
         &self,
         session: &mut Session<'_>,
         frames: Option<u32>,
-        named_in: Option<&Path>,
+        named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
-        let make = || named_in.map_or_else(FrameFolder::temporary, FrameFolder::beside);
+        let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
+        let make = || named_in.map_or_else(FrameFolder::temporary, beside);
         let folder = self.photos.iter().any(|path| is_video(path)).then(make).transpose()?;
         let mut photos = Vec::new();
         for path in &self.photos {

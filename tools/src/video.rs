@@ -45,16 +45,18 @@ impl FrameFolder {
         Ok(Self { path, kept: false })
     }
 
-    /// `frames` beside a file that will name them.
+    /// `frames` beside a file that will name them. One that exists is taken where `overwrite`, and stays.
     ///
     /// # Errors
-    /// [`Error::Argument`] where it exists, [`Error::Io`] where it cannot be made.
-    pub fn beside(file: &Path) -> Result<Self> {
+    /// [`Error::Argument`] where it exists and is not to be taken, [`Error::Io`] where it cannot be made.
+    pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         match std::fs::create_dir(&path) {
             Ok(()) => Ok(Self { path, kept: false }),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && overwrite => Ok(Self { path, kept: true }),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                Err(Error::argument("folder for frames of the video", path.display(), "one that does not exist yet"))
+                let expected = "one that does not exist yet; or --overwrite";
+                Err(Error::argument("folder for frames of the video", path.display(), expected))
             }
             Err(source) => Err(Error::io(path, source)),
         }

@@ -154,7 +154,10 @@ impl Colmap {
             (Step::Matches, Pairs::Near) => {
                 ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0)])
             }
-            (Step::Cameras, _) => ("mapper", vec![(&["Mapper.min_model_size"], 2)]),
+            // Points that only two photos show are many where photos are few, and a start for refinement.
+            (Step::Cameras, _) => {
+                ("mapper", vec![(&["Mapper.min_model_size"], 2), (&["Mapper.tri_ignore_two_view_tracks"], 0)])
+            }
         };
         let asked = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]));
         let help = asked.map_err(|source| Error::io(&self.program, source))?;

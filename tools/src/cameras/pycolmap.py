@@ -28,6 +28,7 @@ def run(step, folder, side, features):
     elif step == "cameras":
         options = pycolmap.IncrementalPipelineOptions()
         options.min_model_size = 2
+        options.triangulation.ignore_two_view_tracks = False
         if not pycolmap.incremental_mapping(database, images, models, options=options):
             sys.exit("failed to create sparse model")
 

@@ -44,7 +44,7 @@ impl Cameras {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let place = Place(&self.output);
         place.check(self.overwrite)?;
-        let (mut photos, mut frames) = self.input.list(session, self.views, Some(&self.output))?;
+        let (mut photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
         if let Some(views) = self.views {
             photos = photos::spread(photos, views as usize);
         }

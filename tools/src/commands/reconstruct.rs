@@ -158,7 +158,10 @@ impl Reconstruct {
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
-        let (mut photos, mut frame_folder) = self.input.list(session, self.views, self.cameras_out.as_deref())?;
+        let (mut photos, mut frame_folder) = {
+            let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
+            self.input.list(session, self.views, named_in)?
+        };
         let find = self.poses.as_deref().is_some_and(Known::to_find);
         if let (true, Some(views)) = (find, self.views) {
             photos = photos::spread(photos, views as usize);
