@@ -19,12 +19,14 @@ mod photos;
 mod pictures;
 mod plot;
 pub mod procedural;
+mod process;
 mod refinement;
 mod released;
 mod session;
 mod signals;
 mod table;
 mod unit;
+mod video;
 mod views;
 
 use clap::Parser;
