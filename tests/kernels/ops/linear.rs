@@ -210,10 +210,10 @@ fn adds_to_its_own_output() {
         let x = holdable(kernel.factor(), &random(6, rows * 40), 40);
         let mut case = Case::new();
         let (input, residual) = (layer.rows(&mut case, kernel, &x), case.input(&stream));
-        let stream = Rows::new(residual, rows, 52);
-        let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(stream), ..Epilogue::default() };
+        let target = Rows::new(residual, rows, 52);
+        let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(target), ..Epilogue::default() };
         let device_layer = layer.input(&mut case, kernel, Activation::None);
-        device_layer.record(&mut case.rec, input, stream, epilogue);
+        device_layer.record(&mut case.rec, input, target, epilogue);
         case.rec.output(residual);
         let product = layer.truth(kernel.factor(), &x, Activation::None, Some(&gamma));
         let truth = add(&product, &widen(&stream));
