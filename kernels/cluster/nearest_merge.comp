@@ -34,7 +34,7 @@ layout(push_constant) uniform Push {
 
 const uint NONE = 0xffffffffu;
 
-// Of a share, the nearest or the second: its target, or none where its score is above `limit`.
+// The target of a share's nearest or second, or none where its score is above `limit`.
 uint candidate(uint point, uint i, float limit) {
     uvec4 found = candidates[i / 2 * point_count + point];
     uvec2 one = i % 2 == 0 ? found.xy : found.zw;

@@ -17,7 +17,7 @@ layout(set = 0, binding = 1) readonly buffer Targets { float targets[]; };
 layout(set = 0, binding = 2) writeonly buffer Moments { vec4 moments[]; };
 layout(push_constant) uniform Push { uint rows; uint width; uint channels; };
 
-// Of a single pixel, without variance.
+// The moments of a single pixel, without variance.
 vec4 moments_of(uint pixel, uint colour) {
     float a = frames[pixel * channels + colour];
     return vec4(a, a - targets[pixel * 3 + colour], 0, 0);

@@ -42,7 +42,7 @@ const uint QUADS = DIM / 4;
 
 shared vec4 weights[ROWS][gl_WorkGroupSize.x];
 
-// Of each query, so far: its highest score, what its weights add up to, and the values times these weights.
+// The state of each query so far: its highest score, the sum of its weights, and that of the values times their weights.
 float highest[ROWS];
 float total[ROWS];
 vec4 sum[ROWS][VECTORS];

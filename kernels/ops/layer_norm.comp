@@ -13,9 +13,10 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
-#include "shared/row_statistics.glsl"
 
 layout(local_size_x_id = 0) in;
+
+#include "shared/row_statistics.glsl"
 
 layout(constant_id = 1) const bool ADD = false;
 

@@ -101,7 +101,7 @@ fn embed(model: &Model, images: &Images) -> Vec<f64> {
     first_tokens(&patches, &widen(weights.get("cls_token")), &positions)
 }
 
-/// What is known of every view's camera, `[views, width]`: its encoding, or only whether it is the reference view.
+/// The camera of every view as far as it is known, `[views, width]`: its encoding, or only whether it is the reference view.
 fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<f64> {
     let Some(priors) = priors else {
         let learned = widen(model.scope("backbone.backbone").get("camera_token"));

@@ -91,7 +91,7 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     vec3 d_u, d_v;
     to_rows(pair, conic, u * unit, v * unit, unit, d_u, d_v);
 
-    // Of the turned axes' rows, times a length each.
+    // Gradients of the turned axes' rows, times a length each.
     vec3 d_x = focal.x / p.z * scale * d_u, d_y = focal.y / p.z * scale * d_v, d_z = -slope.x * d_x - slope.y * d_y;
     vec2 d_slope = -vec2(dot(rows[2], d_x), dot(rows[2], d_y));
     vec2 sizes = vec2(dot(u, d_u), dot(v, d_v));

@@ -37,7 +37,7 @@ layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row
 
 #include "shared/runs.glsl"
 
-// Of one Gaussian, or blended.
+// The values of one Gaussian, or of those that were blended.
 struct Values {
     vec3 rgb;
     float depth;

@@ -50,7 +50,7 @@ struct Pixel {
     float d_alpha;
 };
 
-// Of one splat, through one tile.
+// The gradient of one splat through one tile.
 struct Gradient {
     vec3 first;  // moments: 1, e, y
     vec3 second; // e e, e y, y y

@@ -1,7 +1,7 @@
 // Numbers with 48 bits of precision: the sum of two f32, the larger one first (Dekker, A floating-point technique for
 // extending the available precision, 1971). `precise` keeps compilers from simplifying what is 0 without rounding.
 
-// Of two summands of which the first is the larger.
+// The sum of two numbers of which the first is the larger.
 vec2 carried(float high, float low) {
     precise float sum = high + low;
     precise float rest = low - (sum - high);

@@ -2,7 +2,7 @@
 // of all is the mean of the variances and the variance of the means. Values are taken relative to one near them, so that
 // squares are as small as the variances that are left of them.
 
-// What is filtered of means relative to `centre`, with variances.
+// The values that are filtered: of means relative to `centre`, with variances.
 vec4 squared(vec4 moments, vec2 centre) {
     float a = moments.x - centre.x, d = moments.y - centre.y, b = a - d;
     return vec4(a, d, moments.z + a * a + b * b, moments.w + d * d);

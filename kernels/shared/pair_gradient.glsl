@@ -1,4 +1,4 @@
-// What the backward kernels know of a pair of a Gaussian and a camera, summed over its tiles.
+// The backward kernels' record of a pair of a Gaussian and a camera, summed over its tiles.
 struct PairGradient {
     vec3 first;  // moments of render/rasterise_backward: 1, e, y
     vec3 second; // e e, e y, y y

@@ -1,8 +1,8 @@
-// What a subgroup norms a row by (layer norm), however far its values lie from 0 and from each other.
+// The statistics by which a subgroup norms a row (layer norm), however far its values lie from 0 and from each other.
 //
 // The variance takes a second pass, as a difference of sums would cancel; that pass also finds what rounding left in the mean
 // (corrected two-pass algorithm: Chan, Golub and LeVeque 1983), which is more than the spread where the mean is far above it.
-// The includer gives `float value_of(uint channel)`, the values of the row.
+// The includer gives `float value_of(uint channel)`, the values of the row, and has declared its layout before.
 
 float value_of(uint channel);
 

@@ -70,7 +70,7 @@ void minimum_end(uint own_row, uint subgroup_column) {
     }
 }
 
-// What was found in a row; after minimum_end and a barrier.
+// The two least of a row; after minimum_end and a barrier.
 uvec4 minimum_of(uint row) {
     uvec4 found = staged[row * PARTS];
     [[unroll]] for (uint part = 1; part < PARTS; part++) {

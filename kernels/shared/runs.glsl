@@ -23,7 +23,7 @@ uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset()
 
 // A splat as its tile has it.
 struct Falloff {
-    // Of the tile's first pixel from the splat's place, and y again from the row where the ridge's x is that place's.
+    // The offset of the tile's first pixel from the splat's place, and y again from the row where the ridge's x is that place's.
     vec3 corner;
     vec3 conic; // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2)
     float opacity;

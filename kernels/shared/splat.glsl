@@ -1,4 +1,4 @@
-// What the render kernels agree on: gsplat 1.5.3's thresholds, and the record of the tiles that a Gaussian touches,
+// The rules that the render kernels share: gsplat 1.5.3's thresholds, and the record of the tiles that a Gaussian touches,
 // which render/project writes once and the others only read.
 #include "shared/numbers.glsl"
 

@@ -10,7 +10,7 @@ use crate::ops::split_heads::{Part, split_heads};
 /// The epsilon of every LayerNorm but the backbone's `norm1`, `norm2` and final `norm`.
 pub const EPS: f64 = 1e-5;
 
-/// What blocks differ in, apart from their parameters.
+/// The options in which blocks differ, apart from their parameters.
 #[derive(Clone, Copy)]
 pub struct Options<'a> {
     /// Attention heads.

@@ -3,7 +3,7 @@
 use super::block::{EPS, Options, block, mlp};
 use crate::model::Scope;
 
-/// What is known of a view.
+/// A view's known camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Prior {
     /// Width, height, fx, fy, cx, cy in pixels.

@@ -7,7 +7,7 @@ use crate::ops::gather_rows::gather_rows;
 
 const ITERATIONS: usize = 5;
 
-/// What k-means of N tokens finds.
+/// The clusters that k-means of N tokens finds.
 pub struct Clusters {
     /// `[K, width]`; a cluster that lost all members has the zero vector.
     pub centroids: Vec<f64>,

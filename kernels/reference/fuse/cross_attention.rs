@@ -7,7 +7,7 @@ use crate::ops::attention::attention;
 use crate::ops::linear::layer_scale;
 use crate::ops::split_heads::{Part, split_heads};
 
-/// What a cross-attention block adds to `queries [n, width]` that attend to `keys [m, width]`:
+/// The residual that a cross-attention block adds to `queries [n, width]` that attend to `keys [m, width]`:
 /// `d1 = gamma1 * attention(norm_q(queries), norm_kv(keys))`, `d2 = gamma2 * mlp(norm2(queries + d1))`; gives `d1 + d2`.
 pub fn cross_attention(weights: &Scope, queries: &[f64], keys: &[f64], heads: usize) -> Vec<f64> {
     let parts = weights.scope("attn");

@@ -8,7 +8,7 @@ use super::{
 };
 use glam::{DMat3, DVec3};
 
-/// What each output counts in a loss that is their weighted sum, in the pictures' order.
+/// The weight of each output in a loss that is their weighted sum, in the pictures' order.
 #[derive(Clone, Debug, Default)]
 pub struct Weights {
     /// `[pictures, H, W, 3]`.
@@ -22,9 +22,9 @@ pub struct Weights {
 /// A way to move Gaussians and cameras.
 #[derive(Clone, Debug)]
 pub struct Direction {
-    /// Of each Gaussian.
+    /// The gradients by each Gaussian.
     pub gaussians: Gaussians,
-    /// Of each camera: w and v, where its camera-to-world pose moves as pose o (exp(w^), v); fx, fy, cx, cy.
+    /// The gradients by each camera: w and v, where its camera-to-world pose moves as pose o (exp(w^), v); fx, fy, cx, cy.
     pub cameras: Vec<[f64; 10]>,
 }
 

@@ -54,7 +54,7 @@ impl Camera {
         }
     }
 
-    /// Its position in the world.
+    /// The camera's position in the world.
     pub fn centre(&self) -> DVec3 {
         self.rotation.inverse() * -self.translation
     }
@@ -71,7 +71,7 @@ pub struct Splat {
     pub conic: [f64; 3],
     /// Peak alpha: opacity, times `compensation` if antialiased.
     pub opacity: f64,
-    /// What the blur takes from the peak: `sqrt(det before / det after)`.
+    /// The share of the peak that the blur leaves: `sqrt(det before / det after)`.
     pub compensation: f64,
     /// Half extent of the box outside which alpha is below `MIN_ALPHA`, whole pixels.
     pub radii: [u32; 2],

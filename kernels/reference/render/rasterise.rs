@@ -9,7 +9,7 @@ pub const MAX_ALPHA: f64 = 0.999;
 /// A pixel is finished before its transmittance would fall to this.
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
-/// What a camera sees, row-major.
+/// The pictures that a camera sees, row-major.
 #[derive(Clone, Debug, Default)]
 pub struct Rendering {
     /// `[H, W, 3]`, in front of the background.
