@@ -4,7 +4,7 @@ use zipsplat::weights::{Architecture, Ffn};
 
 /// The network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`, `small` or `giant_slice`.
 ///
-/// Its weights are those of the seed `tiny` for `tiny_rect`, of the golden's own name otherwise.
+/// The weights are those of the seed `tiny` for `tiny_rect`, of the golden's own name otherwise.
 pub fn golden(name: &str) -> Architecture {
     match name {
         "tiny" | "tiny_eps" | "tiny_rect" => Architecture::new(name, 128, 6, 2, &[3, 4, 5]),

@@ -87,7 +87,7 @@ impl Golden {
         self.header.tensors().into_keys().collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// What stands before `suffix` in the keys that end with it, sorted: `stems("/x")` lists the cases of `kmeans`.
+    /// The parts before `suffix` of the keys that end with it, sorted: `stems("/x")` lists the cases of `kmeans`.
     pub fn stems(&self, suffix: &str) -> Vec<String> {
         self.keys().iter().filter_map(|key| key.strip_suffix(suffix)).map(str::to_owned).collect()
     }

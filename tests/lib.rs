@@ -1,4 +1,4 @@
-//! What tests share: references in f64, goldens, and comparison.
+//! The parts that tests share: references in f64, goldens, and comparison.
 //!
 //! - [`architectures`] are the networks that the goldens were made with.
 //! - [`faults`] are devices that are lost and drivers that refuse.

@@ -8,7 +8,7 @@ use std::{
 /// Tells a child process what to work on; without it the tests that are children have nothing to do.
 const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
 
-/// What this process is the child for.
+/// The purpose of this process, where it is a child.
 pub fn target() -> Option<PathBuf> {
     std::env::var_os(TARGET).map(PathBuf::from)
 }

@@ -1,4 +1,4 @@
-//! What a kernel binds, read from its SPIR-V (unified specification 1.6, sections 3.x and 2.3).
+//! The interface of a kernel, read from its SPIR-V (unified specification 1.6, sections 3.x and 2.3).
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -38,7 +38,7 @@ unsafe extern "C" {
     fn spvDiagnosticDestroy(diagnostic: *mut Diagnostic);
 }
 
-/// What is wrong with a module, if anything is.
+/// Says what is wrong with a module, if anything is.
 pub fn validate(words: &[u32]) -> Result<(), String> {
     let binary = Binary { code: words.as_ptr(), words: words.len() };
     // SAFETY: the declarations are those of the header; every object is created, used and destroyed here.

@@ -46,7 +46,7 @@ pub struct Model {
     network: Network,
     parameters: Parameters,
     arena: Arena,
-    /// What was recorded for the last shape.
+    /// The forward pass of the last shape.
     recorded: Mutex<Option<Recorded>>,
 }
 

@@ -221,7 +221,7 @@ fn progress_is_told_and_can_stop() {
     reconstruct(&model, &images, &reconstruct_options());
 }
 
-/// What a callback is told on the thread of the call, and when it stops that.
+/// The messages to a callback on the thread of the call, and when it stops that.
 struct Told {
     stages: Vec<(f64, String)>,
     most: usize,

@@ -20,7 +20,7 @@ fn as_c99_and_cpp17_shared_and_static() {
     }
 }
 
-/// Its own line, in a folder with an app.
+/// The documented line, in a folder with an app.
 #[test]
 fn as_the_readme_says() {
     let readme = std::fs::read_to_string(root().join("engine/examples/README.md")).expect("how to embed");

@@ -1,4 +1,4 @@
-//! What is destroyed is gone, in whatever order.
+//! Objects that are destroyed are gone, in whatever order.
 
 use crate::{
     calls::*,
@@ -45,7 +45,7 @@ fn growth(cycles: usize) -> f64 {
     (resident_bytes() as f64 - before as f64) / 1e6
 }
 
-/// What this runs is alone in its process.
+/// The process runs this test alone.
 #[test]
 fn memory_stays_flat() {
     let test = PathBuf::from(std::env::args_os().next().expect("the test's own path"));

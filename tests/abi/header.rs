@@ -71,7 +71,7 @@ fn text(ffi: &Path, name: &str) -> String {
     std::fs::read_to_string(ffi.join(format!("{name}.rs"))).expect("a source")
 }
 
-/// What stands before all declarations. cbindgen writes ten lines of preprocessor for each enumeration instead.
+/// The text before all declarations. cbindgen writes ten lines of preprocessor for each enumeration instead.
 const BEFORE: &str = r#"// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t

@@ -43,7 +43,7 @@ fn losing_devices() {
     }
 }
 
-/// What an app has made on a device so far. Fields are dropped from the first to the last: what is made from something, after it.
+/// The objects that an app has made on a device so far. Fields drop from first to last: what is made from something, after it.
 #[derive(Default)]
 struct App {
     context: Option<Object<zs_context>>,

@@ -14,7 +14,7 @@ fn kernels_that_fail_their_test_are_named() {
     assert_succeeds(child("notes::failing_kernels", cache.path(), "export ZIPSPLAT_CACHE=\"$ZIPSPLAT_TEST_TARGET\""));
 }
 
-/// What a model of a precision says of itself.
+/// The precision and the notes of a model that was asked for one.
 fn precision_and_notes(context: &Object<zs_context>, precision: zs_precision) -> Result<(i32, String), zs_status> {
     let model = try_model_with(context, &zs_model_options { precision: precision as i32, ..model_options() })?;
     // SAFETY: zeroes are a value of this structure.

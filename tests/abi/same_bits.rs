@@ -1,4 +1,4 @@
-//! What goes through C is what Rust gives, bit for bit.
+//! The results through C are those of Rust, bit for bit.
 
 use crate::calls::*;
 use glam::{DMat3, DVec3};

@@ -129,7 +129,7 @@ fn taking_photos_of_a_place_can_be_cancelled() {
     assert_eq!(folder.names(), before);
 }
 
-/// What a command did that was cancelled so long after its start.
+/// The outcome of a command that was cancelled so long after its start.
 fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     let (cancelled, (ended, end)) = (AtomicBool::new(false), channel::<()>());
     std::thread::scope(|scope| {

@@ -28,7 +28,7 @@ use zipsplat::{
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::architectures;
 
-/// What a command did.
+/// The outcome of a command.
 #[derive(Debug)]
 struct Outcome {
     code: u8,

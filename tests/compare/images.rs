@@ -11,7 +11,7 @@ use zipsplat::{gpu::Element, ops::Arithmetic};
 pub struct ImageTolerance {
     /// In the picture's unit.
     pub absolute: f64,
-    /// Of the truth's value.
+    /// The part relative to the truth's value.
     pub relative: f64,
     /// The least peak signal to noise ratio in dB, against the truth's range; 0 asks for nothing.
     pub psnr: f64,

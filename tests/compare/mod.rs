@@ -26,7 +26,7 @@ pub struct Deviation {
     pub rms: f64,
     /// Where the largest deviation is, and the two values there.
     pub worst: (usize, f64, f64),
-    /// What the deviations are relative to: the rms of the truth, or 1 where the truth is all zeros.
+    /// The size that deviations are relative to: the rms of the truth, or 1 where the truth is all zeros.
     pub scale: f64,
 }
 

@@ -62,11 +62,11 @@ fn build_layer(folder: &TempDir) {
     std::fs::write(folder.path().join("faults.json"), manifest.to_string()).unwrap();
 }
 
-/// What the next devices of this process do.
+/// The faults of the next devices of this process.
 pub struct Faults(PathBuf);
 
 impl Faults {
-    /// Those of the layer that this process runs under.
+    /// The faults of the layer that this process runs under.
     ///
     /// # Panics
     /// In other processes than those of [`assert_survives`].

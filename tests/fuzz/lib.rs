@@ -1,4 +1,4 @@
-//! What the targets do with the fuzzer's bytes. An error is fine; a panic, a hang, memory by a count that was told, or
+//! The work of the targets on the fuzzer's bytes. An error is fine; a panic, a hang, memory by a count that was told, or
 //! something unsound that is read is not.
 
 use std::io::{Cursor, Write};

@@ -16,7 +16,7 @@ use zipsplat_tests::{
 
 const SIZE: [usize; 2] = [70, 53];
 
-/// What blending `value` of every Gaussian gives, and the pixels that rounding decides.
+/// The blend of `value` of every Gaussian, and the pixels that rounding decides.
 fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) -> (Vec<f64>, Vec<u8>) {
     let mut splats = project::project(&reference_gaussians(scene), &reference_camera(camera), false);
     for (i, splat) in splats.iter_mut().enumerate() {

@@ -15,7 +15,7 @@ use zipsplat_tests::{
     scenes::camera,
 };
 
-/// Of a golden's inputs and its own choice of tokens at the first ratio.
+/// The scene of a golden's inputs and its own choice of tokens at the first ratio.
 fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
     let selection = Selection::Given(golden.u32(&format!("{prefix}/nearest_idx")));

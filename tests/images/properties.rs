@@ -1,4 +1,4 @@
-//! What holds for every scene and camera, over seeded random ones.
+//! Properties that hold for every scene and camera, over seeded random ones.
 
 use crate::render::{ALL, bits, render};
 use glam::{DMat3, DVec3};

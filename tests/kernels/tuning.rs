@@ -80,7 +80,7 @@ fn the_fastest_tile_is_taken() {
     assert_eq!(kept(&tuning(&names[0])), tuning(&names[0]));
 }
 
-/// What another process reads.
+/// The tuning as another process reads it.
 fn kept(tuning: &Tuning) -> Tuning {
     serde_json::from_slice(&serde_json::to_vec(tuning).unwrap()).unwrap()
 }

@@ -1,6 +1,6 @@
 //! Hard cases: whatever is asked for, no NaN, no hang, no panic, and nothing quietly wrong.
 //!
-//! What takes long is ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs it.
+//! Tests that take long are ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs them.
 
 mod cache;
 mod catalogue;
@@ -35,7 +35,7 @@ struct Mode {
 }
 
 impl Mode {
-    /// What a field of its Gaussians may deviate by from truth.
+    /// The tolerance for a field of its Gaussians.
     fn tolerance(&self, field: &str) -> Tolerance {
         match self.arithmetic.element {
             Element::F32 => Tolerance::of_field(field),

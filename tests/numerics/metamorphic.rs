@@ -1,4 +1,4 @@
-//! What a change of the input has to do to the output, with no truth at hand.
+//! Changes of the input, and what each has to do to the output, with no truth at hand.
 
 use crate::{Mode, modes, noise};
 use zipsplat::{

@@ -1,4 +1,4 @@
-//! What many seeds give together.
+//! The sum of many seeds.
 
 use std::collections::HashMap;
 

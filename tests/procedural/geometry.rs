@@ -63,7 +63,7 @@ fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     inside.then_some((x as u32, y as u32, p.z))
 }
 
-/// Of a view's surfaces: how many another sees, by the depth in the pixel they land in, and the colour differences there.
+/// The overlap of a view's surfaces: how many another sees, by the depth in the pixel they land in, and the colour differences there.
 struct Reprojection {
     surfaces: usize,
     seen: usize,

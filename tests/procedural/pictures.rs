@@ -29,7 +29,7 @@ fn beginning_elsewhere_keeps_the_place() {
     assert!(count >= 5, "{count} of 10 scenes begin at another view");
 }
 
-/// Of blocks of 4x4 pixels.
+/// The means of blocks of 4x4 pixels.
 fn reduced(image: &Image) -> Vec<f64> {
     let (width, height) = (image.width as usize / 4, image.height as usize / 4);
     let block = |x: usize, y: usize, c: usize| {

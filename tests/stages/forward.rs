@@ -11,7 +11,7 @@ use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::{fast_arithmetics, images, model};
 
-/// What each tap may deviate by.
+/// The tolerance of each tap.
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     match arithmetic.element {
         Element::F32 => Tolerance::of_tap(key),
@@ -135,7 +135,7 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
     assert_nearest(&key("nearest_idx"), &nearest, &golden.i64(&key("nearest_top2")), &golden.f32(&key("nearest_gap")));
 }
 
-/// Of k-means of half of the tokens the final assignment, and the tokens that are chosen.
+/// The final assignment of k-means of half of the tokens, and the tokens that are chosen.
 fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
     let model = model(config, arithmetic);
     let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };

@@ -155,7 +155,7 @@ struct Steps {
     status: Tensor,
 }
 
-/// What a plan takes.
+/// The inputs of a plan.
 struct Inputs {
     tokens: Tensor,
     unit: Tensor,

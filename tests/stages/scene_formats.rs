@@ -65,7 +65,7 @@ fn assert_rotations(found: &[[f32; 4]], truth: &[[f32; 4]], bound: f64) {
     }
 }
 
-/// Of `sh`, coefficient `k` of every Gaussian.
+/// The coefficient `k` of every Gaussian in `sh`.
 fn coefficient(scene: &Scene, k: usize) -> Vec<f32> {
     scene.sh_coeffs.iter().skip(k).step_by(scene.sh_coeffs_per_gaussian()).flatten().copied().collect()
 }

@@ -43,7 +43,7 @@ fn used(source: &Source) -> Vec<Vec<String>> {
     paths(&tokens(code), &["crate", "super"]).into_iter().map(absolute).collect()
 }
 
-/// What is wrong with a file of `layer` naming `path`, if anything.
+/// Says what is wrong with a file of `layer` naming `path`, if anything.
 fn problem(own: &[&str], path: &[String], stages: &[String]) -> Option<String> {
     let (layer, named) = (own[0], path.first()?.as_str());
     if named == "kernels" {

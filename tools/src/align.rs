@@ -35,7 +35,7 @@ const TOLERANCE: f64 = 1e-4;
 /// At a size at most 7 times so many movements are tried.
 const PATIENCE: usize = 12;
 
-/// What [`align`] found.
+/// The pose that [`align`] found.
 pub struct Aligned {
     /// The camera.
     pub camera: Camera,
@@ -117,12 +117,12 @@ pub fn align(
 struct Search<'a> {
     renderer: RefCell<&'a mut Renderer>,
     check: &'a dyn Fn() -> Result<()>,
-    /// Of the drawing that failed.
+    /// The outcome of the drawing that failed.
     failure: RefCell<Result<()>>,
     truth: DVector<f64>,
     start: Camera,
     movement: Vector6<f64>,
-    /// What a movement costs: so much times its length is a residual.
+    /// The cost of a movement: so much times its length is a residual.
     prior: f64,
 }
 
@@ -185,7 +185,7 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Search<'_> {
         self.movement
     }
 
-    /// Those of the pixels, then those of the six numbers of the movement.
+    /// The residuals of the pixels, then those of the six numbers of the movement.
     fn residuals(&self) -> Option<DVector<f64>> {
         let picture = self.pictures(&[self.movement])?.remove(0);
         let pixels = picture.into_iter().zip(self.truth.iter()).map(|(drawn, truth)| f64::from(drawn) - truth);

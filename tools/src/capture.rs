@@ -34,9 +34,9 @@ pub struct Choice {
 /// How photos are seen by the network and compared.
 #[derive(Clone, Copy)]
 pub struct Seeing {
-    /// What the network sees of each.
+    /// The part of each photo that the network sees.
     pub fit: Fit,
-    /// Of pictures that it sees.
+    /// The size of the pictures that it sees.
     pub size: Size,
     /// Size at which photos are compared.
     pub compared: Size,
@@ -46,13 +46,13 @@ pub struct Seeing {
 
 /// A capture's photos as they are compared, and their cameras. The world is the first input's camera.
 pub struct Capture {
-    /// What the network sees of the inputs, and its cameras.
+    /// The pictures that the network sees of the inputs, and their cameras.
     pub views: Views,
     /// To reconstruct from.
     pub inputs: Vec<Posed>,
     /// To compare with.
     pub targets: Vec<Posed>,
-    /// What the cameras were divided by: the network's 1 in the capture's own unit.
+    /// The length that the cameras were divided by: the network's 1 in the capture's own unit.
     pub unit: Unit,
 }
 
@@ -108,7 +108,7 @@ impl Choice {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    /// What the reader of the cameras has to say.
+    /// Notes of the reader of the cameras.
     pub fn notes(&self) -> &[String] {
         &self.poses.notes
     }
@@ -163,7 +163,7 @@ impl Seeing {
 }
 
 impl Capture {
-    /// What there is to say about the photos and the unit.
+    /// Notes on the photos and the unit.
     pub fn notes(&self) -> impl Iterator<Item = String> {
         self.views.note.clone().into_iter().chain(self.unit.doubt())
     }

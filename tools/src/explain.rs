@@ -8,7 +8,7 @@ use zipsplat::{
     types::LeftOut,
 };
 
-/// What ran and what did not.
+/// The work that was done and the work that was not.
 #[derive(Serialize)]
 pub struct Explanation {
     passes: Vec<Pass>,
@@ -21,7 +21,7 @@ struct Pass {
     pass: String,
     commands: u32,
     seconds: f64,
-    /// Of the tensors that the commands read and wrote, each counted once a command.
+    /// The bytes of the tensors that the commands read and wrote, each counted once a command.
     bytes: u64,
 }
 

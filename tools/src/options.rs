@@ -36,7 +36,7 @@ impl Weights {
         }
     }
 
-    /// These options again.
+    /// The options as arguments of a command line.
     pub fn as_arguments(&self) -> Vec<&str> {
         let named = [("--weights", &self.weights), ("--variant", &self.variant)];
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
@@ -59,7 +59,7 @@ impl Weights {
     }
 }
 
-/// What checkpoints are, for messages.
+/// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
 /// Opens a checkpoint; what is none by its first bytes is refused with what it is, where that is known, and what was
@@ -115,7 +115,7 @@ pub struct SceneInput {
     invalid: Option<Invalid>,
 }
 
-/// What becomes of Gaussians that cannot be drawn.
+/// The treatment of Gaussians that cannot be drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Invalid {
     /// The file is an error
@@ -180,7 +180,7 @@ impl Quality {
         Size::or_best(self.size, checkpoint)
     }
 
-    /// What to say where the size asked for is not the one that a network was trained with.
+    /// The warning where the size asked for is not the one that a network was trained with.
     pub fn doubt_size(&self, checkpoint: &Checkpoint) -> Option<String> {
         let trained = Size::or_best(None, checkpoint);
         let asked = self.size.filter(|asked| *asked != trained)?;
@@ -204,7 +204,7 @@ pub enum PrecisionName {
 }
 
 impl PrecisionName {
-    /// What it names.
+    /// The precision of that name.
     pub fn precision(self) -> Precision {
         match self {
             PrecisionName::Exact => Precision::Exact,

@@ -15,7 +15,7 @@ use zipsplat::{
 
 /// Levels of a depth picture for one world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
-/// What this program calls itself in files that it writes.
+/// The name of this program in files that it writes.
 pub const MADE_BY: &str = "zipsplat";
 /// The first line of logs of other programs.
 pub const LOG_START: &str = "zipsplat: what COLMAP said";

@@ -162,7 +162,7 @@ fn is_photo(path: &Path) -> bool {
     extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
 }
 
-/// Those of some folders that have photos directly in them, for messages.
+/// The folders among these that have photos directly in them, for messages.
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     let has_photos = |folder: &PathBuf| visible(folder).is_ok_and(|files| files.iter().any(|file| is_photo(file)));
     folders.retain(has_photos);
@@ -264,7 +264,7 @@ pub fn read<T: Send>(
     photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// What to say where much of photos of these sizes is cropped away to that of the network's input.
+/// The warning where much of photos of these sizes is cropped away to that of the network's input.
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {
     let area = |width: u32, height: u32| f64::from(width) * f64::from(height);
     let kept = |[w, h]: &[u32; 2]| {

@@ -26,7 +26,7 @@ const SHEET_SIDE: u32 = 4096;
 const BATCH: u64 = 8;
 /// Pixels of them together, where they are large.
 const BATCH_PIXELS: u64 = 1 << 24;
-/// What deviates less from the background in every pixel is taken for it: half a level of 256.
+/// The deviation from the background below which a pixel is taken for it: half a level of 256.
 const VISIBLE: f32 = 0.5 / 255.0;
 
 /// Where pictures go.
@@ -38,9 +38,9 @@ pub struct Sinks<'a> {
     pub animation: Option<Animation>,
 }
 
-/// What is left of pictures when they are where they go.
+/// The rest of pictures when they are where they go.
 pub struct Drawn {
-    /// Those of a folder, as small as its contact sheet needs them.
+    /// The pictures of a folder, as small as its contact sheet needs them.
     pub small: Vec<Image>,
     /// Whether all are the background and nothing else.
     pub empty: bool,

@@ -6,7 +6,7 @@ use std::ops::Range;
 /// Pixels of a plot; browsers scale it.
 const SIZE: (u32, u32) = (560, 380);
 
-/// What is drawn in one colour.
+/// The points that are drawn in one colour.
 pub struct Series {
     pub name: String,
     pub points: Vec<(f64, f64)>,

@@ -17,7 +17,7 @@ use zipsplat::{
     types::{Camera, Image, PointCloud, Pose, Scene},
 };
 
-/// What a refinement starts from.
+/// The scene that a refinement starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Start {
     /// A Gaussian at each point of the capture's point cloud
@@ -45,7 +45,7 @@ impl Start {
         [self != Self::Points, self != Self::Scene]
     }
 
-    /// What it starts from, in words.
+    /// The start's name, in words.
     pub fn name(self) -> &'static str {
         match self {
             Self::Points => "the capture's points",
@@ -124,7 +124,7 @@ impl FromStr for Steps {
     }
 }
 
-/// What is refined.
+/// The thing that is refined.
 pub enum Refinable<'a> {
     Scene(&'a Device, &'a Scene),
     Tokens(&'a FrozenHead, &'a SceneTokens),
@@ -174,7 +174,7 @@ fn told(at: &Refining) -> String {
     format!("refine{loss}{psnr}, {:.0} s left", at.left.as_secs_f64())
 }
 
-/// What came of a refinement, in words.
+/// The outcome of a refinement, in words.
 pub fn summary(refined: &Refined, start: &str) -> String {
     let (steps, step) = (refined.losses.len(), refined.best_step);
     let loss = match refined.losses[..] {
@@ -246,7 +246,7 @@ fn ended(refined: &Refined) -> String {
     }
 }
 
-/// What there is to say where it ended early.
+/// The warning where it ended early.
 pub fn doubt(refined: &Refined) -> Option<String> {
     match &refined.stopped {
         Some(Stopped::Diverged(why)) => {

@@ -22,11 +22,11 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// What takes no longer than this shows no progress.
+/// Work that takes no longer than this shows no progress.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// The time after which a wait for an answer looks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
-/// What `--device` calls no device.
+/// The name of no device for `--device`.
 const NO_DEVICE: &str = "none";
 /// Steps of a progress bar.
 const STEPS: u64 = 1000;
@@ -314,7 +314,7 @@ impl Stage<'_> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// What `body` makes of each item; the progress is that of their count.
+    /// The results of `body` for each item; the progress is that of their count.
     ///
     /// # Errors
     /// The body's, and [`Error::Cancelled`].

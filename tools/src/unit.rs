@@ -71,7 +71,7 @@ impl Unit {
         Ok(Self { length, source })
     }
 
-    /// What a user should know of it before trusting the scene; nothing where it was given or measured.
+    /// The warning that a user should know before trusting the scene; nothing where it was given or measured.
     pub fn doubt(&self) -> Option<String> {
         match self.source {
             Source::Given | Source::Points(_) => None,
@@ -144,7 +144,7 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     (depth > 0.0 && own > 0.0).then_some(own)
 }
 
-/// Of a symmetric matrix without negative ones, by the trigonometric solution of its characteristic polynomial.
+/// The smallest eigenvalue of a symmetric matrix without negative ones, by its characteristic polynomial's trigonometric solution.
 fn smallest_eigenvalue(m: DMat3) -> f64 {
     let mean = (m.x_axis.x + m.y_axis.y + m.z_axis.z) / 3.0;
     let rest = m - DMat3::from_diagonal(DVec3::splat(mean));

@@ -1,4 +1,4 @@
-//! What the network sees of photos: the middle of each, or all of it as squares side by side.
+//! The parts of photos that the network sees: the middle of each, or all of it as squares side by side.
 
 use crate::{options::Size, photos, session::Stage, table::counted};
 use clap::{Args, ValueEnum};
@@ -22,7 +22,7 @@ pub struct FitOption {
     pub fit: Fit,
 }
 
-/// What the network sees of a photo.
+/// The part of a photo that the network sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
     /// Its middle, in the shape of --size
@@ -38,7 +38,7 @@ pub struct Views {
     pub images: Vec<Image>,
     /// Their cameras, in the world of the first photo's; none where photos have none.
     pub cameras: Vec<Camera>,
-    /// What there is to say about them.
+    /// The note about them.
     pub note: Option<String>,
 }
 
@@ -126,7 +126,7 @@ impl Fit {
 }
 
 impl Views {
-    /// Of views whose cameras are in the world of photos of these sizes, in which the first one's camera has the pose `world`.
+    /// The views whose cameras are in the world of photos of these sizes, in which the first one's camera has the pose `world`.
     pub fn new(fit: Fit, seen: impl Iterator<Item = Seen>, world: &Pose, photos: &[[u32; 2]], size: Size) -> Self {
         let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();

@@ -13,9 +13,9 @@ pub enum Error {
     Argument {
         /// The name of the argument, option or field.
         what: String,
-        /// What was given.
+        /// The value that was given.
         found: String,
-        /// What would have been accepted.
+        /// The values that would have been accepted.
         expected: String,
     },
     /// A file could not be opened, read or written: check the path, the permissions and the space left.
@@ -33,7 +33,7 @@ pub enum Error {
         path: PathBuf,
         /// Where in the file, when that is known.
         offset: Option<u64>,
-        /// What was found and what was expected there.
+        /// The reason: what was found and what was expected there.
         reason: String,
     },
     /// A checkpoint's tensors are not those of its architecture: use the right checkpoint or variant.
@@ -57,7 +57,7 @@ pub enum Error {
     /// The device or the host has too little memory; nothing was submitted.
     #[error("{what} needs {needed} bytes, {available} bytes are there")]
     Memory {
-        /// What was to be allocated.
+        /// The thing that was to be allocated.
         what: String,
         /// Bytes it needs.
         needed: u64,

@@ -24,7 +24,7 @@ impl HalfTurn {
         [w, x, y, z]
     }
 
-    /// What coefficient `k` of real spherical harmonics is multiplied with. With `k = l (l + 1) + m`, negating y negates
+    /// The factor of coefficient `k` of real spherical harmonics. With `k = l (l + 1) + m`, negating y negates
     /// harmonics of negative m, negating z those of odd l + m, and half a turn about z those of odd m.
     pub fn sh(self, k: usize) -> f32 {
         let l = k.isqrt();

@@ -8,7 +8,7 @@ use crate::{Error, Result};
 /// How far `R Rᵀ` may be from the identity, per entry: files carry rotations with as few as four decimals.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// What maps a direction to a pixel: `u = fx x/z + cx`, `v = fy y/z + cy`.
+/// The map from directions to pixels: `u = fx x/z + cx`, `v = fy y/z + cy`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Pixels a row.
@@ -48,13 +48,13 @@ impl Intrinsics {
         DMat3::from_cols_array_2d(&[[self.fx, 0.0, 0.0], [0.0, self.fy, 0.0], [self.cx, self.cy, 1.0]])
     }
 
-    /// Of the picture's rectangle of `width` x `height` pixels whose first pixel is (`left`, `top`); a negative start
+    /// The intrinsics of the picture's rectangle of `width` x `height` pixels whose first pixel is (`left`, `top`); a negative start
     /// pads.
     pub fn crop(&self, left: i32, top: i32, width: u32, height: u32) -> Self {
         Self { width, height, cx: self.cx - f64::from(left), cy: self.cy - f64::from(top), ..*self }
     }
 
-    /// Of the picture scaled to `width` x `height` pixels.
+    /// The intrinsics of the picture scaled to `width` x `height` pixels.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);

@@ -1,4 +1,4 @@
-//! What the module of a scene format says of it.
+//! A scene format as its module describes it.
 
 use std::io::Write;
 use std::path::Path;

@@ -1,9 +1,9 @@
-//! What a command could do and does not.
+//! The things that a command could do and does not.
 
 /// A pass or an effect that a request and its inputs do not call for.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct LeftOut {
-    /// Its name.
+    /// The name of the thing.
     pub what: String,
     /// Why it is not needed.
     pub why: String,

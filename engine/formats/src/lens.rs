@@ -18,13 +18,13 @@ const STEPS: u32 = 8;
 /// A lens with distortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
-    /// Of the photo as it was taken, pixels.
+    /// The intrinsics of the photo as it was taken, pixels.
     pub intrinsics: Intrinsics,
     /// Where directions land instead of where a pinhole would put them.
     pub distortion: Distortion,
 }
 
-/// What maps a direction `(x, y, 1)` to the point that takes its place before the intrinsics are applied.
+/// A lens: the map from a direction `(x, y, 1)` to the point that takes its place before the intrinsics are applied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distortion {
     /// OpenCV's, with `r² = x² + y²`: radially by a quotient of polynomials in r², then tangentially.

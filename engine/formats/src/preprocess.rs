@@ -18,7 +18,7 @@ pub struct View {
     pub map: PixelMap,
 }
 
-/// What cropping and scaling do to pixel coordinates: `new = scale * old + offset` for x and y, in pixels.
+/// The map that cropping and scaling are to pixel coordinates: `new = scale * old + offset` for x and y, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelMap {
     /// Width and height of the photo.

@@ -139,7 +139,7 @@ impl Scene {
         self.keep(&self.most_visible(group, count));
     }
 
-    /// What [`Scene::keep_most_visible`] keeps, in ascending order.
+    /// The indices that [`Scene::keep_most_visible`] keeps, in ascending order.
     pub fn most_visible(&self, group: usize, count: usize) -> Vec<usize> {
         let area = |[x, y, z]: [f32; 3]| (x * y).max(y * z).max(x * z);
         let visible: Vec<f32> = self.opacities.iter().zip(&self.scales).map(|(o, scales)| o * area(*scales)).collect();
@@ -234,7 +234,7 @@ pub(super) struct GaussianMut<'a> {
     pub sh: &'a mut [[f32; 3]],
 }
 
-/// What a Gaussian's values of one field have to be.
+/// The rule for a Gaussian's values of one field.
 struct Values {
     field: &'static str,
     expected: &'static str,

@@ -22,7 +22,7 @@ macro_rules! listed {
 /// The enumeration of formats from their table: name, extension, and what their module says.
 macro_rules! formats {
     ($($(#[$doc:meta])* $name:ident $extension:literal $format:path;)*) => {
-        /// What a scene file is.
+        /// The format of a scene file.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum SceneFormat {
             $($(#[$doc])* $name,)*
@@ -150,7 +150,7 @@ pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Resu
     (format.format().read)(Source::memory(name, bytes))
 }
 
-/// What errors call bytes in memory.
+/// The name of bytes in memory in errors.
 const IN_MEMORY: &str = "scene in memory";
 
 fn no_scene(name: &Path) -> Error {

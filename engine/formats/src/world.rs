@@ -29,7 +29,7 @@ impl World {
         }
     }
 
-    /// What a line of [`World::line`] says.
+    /// The world that a line of [`World::line`] says.
     pub(super) fn parse(line: &str) -> Option<Self> {
         let said = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?;
         if let Some(photo) = said.strip_prefix(PHOTO) {

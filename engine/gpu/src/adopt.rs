@@ -39,7 +39,7 @@ pub fn requirements() -> Vec<Requirement> {
     [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED.map(feature)).collect()
 }
 
-/// What matrix units and 16-bit floats need, for precisions other than exact. Nothing else is used.
+/// The features that matrix units and 16-bit floats need, for precisions other than exact. Nothing else is used.
 pub fn fast_requirements() -> Vec<Requirement> {
     let extension = Requirement::DeviceExtension(ash::khr::cooperative_matrix::NAME);
     [extension].into_iter().chain(HALVES.into_iter().chain(MATRICES).chain(BYTES).map(feature)).collect()

@@ -1,4 +1,4 @@
-//! What waits for what.
+//! Barriers: which command waits for which.
 
 use ash::vk;
 

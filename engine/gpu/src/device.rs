@@ -24,7 +24,7 @@ use std::{
 /// Which device to use and how.
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// Its number in [`super::list_devices`] or a part of its name; `None` takes the best.
+    /// The device's number in [`super::list_devices`] or a part of its name; `None` takes the best.
     pub selector: Option<String>,
     /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run. Scratch tensors are
     /// NaN before they are written.
@@ -49,7 +49,7 @@ impl Default for DeviceOptions {
 #[derive(Clone)]
 pub struct Device(pub(super) Arc<Shared>);
 
-/// What every run on a device shares.
+/// The state that every run on a device shares.
 pub(super) struct Shared {
     pub raw: ash::Device,
     pub queue: Queue,
@@ -74,7 +74,7 @@ pub(super) struct Shared {
     pub instance: Instance,
 }
 
-/// What [`Shared`] is made of.
+/// The parts that [`Shared`] is made of.
 pub(super) struct SharedParts {
     pub instance: Instance,
     pub physical: vk::PhysicalDevice,
@@ -122,7 +122,7 @@ impl Device {
         Shared::open(instance, (physical, index), options, passed_over).map(|s| Self(Arc::new(s)))
     }
 
-    /// Its number among the machine's devices, as [`DeviceOptions::selector`] takes it; 0 where it was adopted.
+    /// The device's number among the machine's, as [`DeviceOptions::selector`] takes it; 0 where it was adopted.
     pub fn index(&self) -> usize {
         self.0.index
     }
@@ -145,7 +145,7 @@ impl Device {
         self.0.check_lost()
     }
 
-    /// What the device is and can do.
+    /// The limits and abilities of the device.
     pub fn limits(&self) -> &Limits {
         &self.0.limits
     }

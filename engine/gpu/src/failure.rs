@@ -1,4 +1,4 @@
-//! What a failed call of Vulkan means.
+//! The error that a failed call of Vulkan means.
 
 use crate::{Error, Result};
 use ash::vk;

@@ -3,7 +3,7 @@
 use ash::vk;
 use std::ffi::CStr;
 
-/// What a device offers, or what is enabled on it.
+/// The features that a device offers, or those that are enabled on it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Features {
     pub v11: vk::PhysicalDeviceVulkan11Features<'static>,

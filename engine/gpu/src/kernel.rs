@@ -1,4 +1,4 @@
-//! What a compiled kernel is, as build.rs writes it into the typed table.
+//! Compiled kernels, as build.rs writes them into the typed table.
 
 use super::{element::Element, tensor::Tensor};
 use std::hash::{Hash, Hasher};
@@ -18,18 +18,18 @@ pub struct Module {
     pub constant_ids: &'static [u32],
     /// Workgroup size.
     pub local_size: LocalSize,
-    /// What the device must have beside the basics.
+    /// The features that the device must have beside the basics.
     pub needs: Needs,
 }
 
 impl Hash for Module {
-    /// Of its code.
+    /// Hashes the kernel's code.
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.spirv.hash(state);
     }
 }
 
-/// What a kernel asks of a device beside the basics.
+/// The features that a kernel asks of a device beside the basics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
     /// 16-bit floats in buffers.

@@ -1,9 +1,9 @@
-//! What a device is and can do, as far as plans depend on it.
+//! The limits and abilities of a device, as far as plans depend on them.
 
 use super::element::Element;
 use crate::{Error, Result};
 
-/// What a device is and can do, as far as plans depend on it.
+/// The limits and abilities of a device, as far as plans depend on them.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Limits {
     /// The device's name.
@@ -66,7 +66,7 @@ pub struct Matrices {
 }
 
 impl Matrices {
-    /// Those with factors of this type.
+    /// The shape of matrices with factors of this type.
     pub fn of(&self, factor: Element) -> Option<MatrixShape> {
         match factor {
             Element::F32 => None,

@@ -11,7 +11,7 @@ use std::{
     sync::Mutex,
 };
 
-/// What was made on a device so far.
+/// The pipelines that were made on a device so far.
 pub(super) struct Pipelines {
     raw: ash::Device,
     debug: Option<ext::debug_utils::Device>,

@@ -12,7 +12,7 @@ use ash::{khr, vk};
 /// One Vulkan device of this machine.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct DeviceInfo {
-    /// Its number, as `--device` takes it.
+    /// The device's number, as `--device` takes it.
     pub index: usize,
     /// Why it cannot be used; empty where it can.
     pub missing: Vec<String>,
@@ -71,7 +71,7 @@ pub(super) struct Found {
     pub llvmpipe_major: Option<u32>,
 }
 
-/// Its number among PCI vendors.
+/// Intel's number among PCI vendors.
 const INTEL: u32 = 0x8086;
 
 /// Reads what a device is and can do.
@@ -220,7 +220,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What a device would need to have and has not.
+/// The features that a device would need to have and has not.
 pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     let mut missing = Vec::new();
     if found.api < vk::API_VERSION_1_3 {

@@ -6,7 +6,7 @@ use super::{
 };
 use std::time::Duration;
 
-/// What one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
+/// The time that one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
 pub(super) const SUBMISSION: Duration = Duration::from_millis(100);
 
 /// Arithmetic that takes as long as moving a byte, roughly, on CPUs and GPUs alike.
@@ -25,7 +25,7 @@ pub(super) fn first_guess(limits: &Limits) -> u64 {
     }
 }
 
-/// What a device is taken for, `known` before, after a submission of this cost. `late` says that it may have ended before the
+/// The speed a device is taken for, `known` before, after a submission of this cost. `late` says that it may have ended before the
 /// host saw it: it then took no longer than `took`. `patient` devices, CPUs, compile kernels inside of their first
 /// submissions and reset nothing.
 pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {

@@ -46,7 +46,7 @@ impl Tensor {
         self.bytes
     }
 
-    /// Its number among a plan's allocations.
+    /// The tensor's number among a plan's allocations.
     ///
     /// # Panics
     /// Where it is resident: such tensors are written and read through their own memory.

@@ -18,7 +18,7 @@ mod status;
 mod version;
 mod vulkan;
 
-/// What the header says of threads.
+/// The header's text on threads.
 const _: () = {
     const fn any_thread<T: Send + Sync>() {}
     any_thread::<zs_bytes>();

@@ -1,4 +1,4 @@
-//! What comes through pointers: handles, structures that grow, strings, arrays.
+//! Arguments that come through pointers: handles, structures that grow, strings, arrays.
 
 use super::status::{Failure, guard, zs_status};
 use std::{
@@ -19,7 +19,7 @@ pub(super) unsafe trait Versioned: Copy {
     const NAME: &str;
     /// Size in the first version of this ABI.
     const FIRST_SIZE: usize;
-    /// What fields have that a caller's older structure lacks, and the whole where none is given.
+    /// The values of fields that a caller's older structure lacks, and the whole where none is given.
     fn defaults() -> Self;
 }
 
@@ -236,7 +236,7 @@ pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Re
     bytes.to_str().map(Some).map_err(|error| Failure::argument(name, error, "UTF-8"))
 }
 
-/// What a progress callback's answer means.
+/// The meaning of a progress callback's answer.
 pub(super) fn flow(stop: i32) -> ControlFlow<()> {
     if stop == 0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
 }

@@ -223,7 +223,7 @@ impl zs_render_options {
         zs_pixel_format::of(self.format)
     }
 
-    /// What all pictures together ask for.
+    /// The request of all pictures together.
     fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,

@@ -1,4 +1,4 @@
-//! What the header was made for, and what the library is.
+//! The version that the header was made for, and that of the library.
 
 use std::ffi::{CStr, c_char};
 

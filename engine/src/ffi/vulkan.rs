@@ -274,7 +274,7 @@ pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, conte
     unsafe { produce(context, adopt) }
 }
 
-/// What a caller's callback is given, on whatever thread.
+/// A callback that a caller gives, called on whatever thread.
 #[derive(Clone, Copy)]
 struct UserData(*mut c_void);
 

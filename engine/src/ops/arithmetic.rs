@@ -3,7 +3,7 @@
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
 
-/// What is traded for time. Sums, softmax, norms, the residual stream and geometry are f32 in all of them.
+/// The precision of matrix products. Sums, softmax, norms, the residual stream and geometry are f32 in all of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
@@ -20,7 +20,7 @@ impl Precision {
     /// All, the slowest first.
     pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
 
-    /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
+    /// The precision where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
     /// which convert f16 slowly.
     pub fn best(limits: &Limits) -> Self {
         if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
@@ -69,7 +69,7 @@ pub struct Units {
 }
 
 impl Units {
-    /// Those of a device with factors of a type, with tiles by rule.
+    /// The matrix units of a device for factors of a type, with tiles by rule.
     pub fn of(factor: Element, limits: &Limits) -> Option<Self> {
         limits.matrices.of(factor).map(|shape| Self { factor, shape, tiles: Tiles::default() })
     }

@@ -51,7 +51,7 @@ pub struct Attention {
     pub queries: usize,
     /// Keys of a sequence.
     pub keys: usize,
-    /// What computes it.
+    /// The kernel that computes it.
     pub kernel: AttentionKernel,
 }
 

@@ -25,7 +25,7 @@ pub struct Linear {
     pub inner: usize,
     /// Outputs, before SwiGLU halves them.
     pub columns: usize,
-    /// What computes it.
+    /// The kernel that computes it.
     pub kernel: LinearKernel,
 }
 
@@ -39,7 +39,7 @@ pub enum LinearKernel {
     Matrix(Units),
 }
 
-/// What follows the bias.
+/// The pointwise function behind the bias.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
     /// Nothing.

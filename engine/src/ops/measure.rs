@@ -23,9 +23,9 @@ pub struct FmaChains {
     pub threads: usize,
     /// Rounds of [`FmaChains::STEPS`] steps.
     pub iterations: u32,
-    /// What a step multiplies by.
+    /// The number that a step multiplies by.
     pub factor: f32,
-    /// What it adds.
+    /// The number that a step adds.
     pub term: f32,
 }
 

@@ -12,7 +12,7 @@ const ORIGIN_ROWS: usize = 256;
 /// Parts of the targets that different workgroups go through, so that there are enough workgroups.
 const SHARES: usize = 8;
 
-/// What finds nearest rows.
+/// The kernel that finds nearest rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NearestKernel {
     /// cluster/nearest: differences in f32.
@@ -42,7 +42,7 @@ pub struct NearestRows {
     rows: Tensor,
     /// The factors of products: f32, or halves.
     values: Tensor,
-    /// Of halves, see cluster/halves; else of no matter.
+    /// The scales of halves, see cluster/halves; else of no matter.
     scales: Tensor,
     norms: Tensor,
     count: usize,
@@ -74,7 +74,7 @@ impl Nearest {
         Self { space: Space::Matrix { units, origin }, width }
     }
 
-    /// What rows are compared about, `[width]` f32, where the kernel needs that.
+    /// The origin about which rows are compared, `[width]` f32, where the kernel needs one.
     pub fn origin(&self) -> Option<Tensor> {
         match self.space {
             Space::Lanes => None,

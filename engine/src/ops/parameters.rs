@@ -37,7 +37,7 @@ pub struct HostParameter(usize);
 
 /// The values of all parameters.
 pub struct Parameters {
-    /// Those on the device.
+    /// The parameters on the device.
     pub resident: Arc<Resident>,
     /// The values of each that was declared for the host; nothing of the others.
     host: Vec<Vec<f32>>,

@@ -24,7 +24,7 @@ pub struct Tensors {
     scene: SceneTensors,
 }
 
-/// What the host says of the photos.
+/// The tensors by which the host hands over the photos.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
     /// `[views, 3, height, width]` f32, RGB in 0..1.
@@ -33,7 +33,7 @@ pub(super) struct Inputs {
     pub backbone: Vec<Tensor>,
 }
 
-/// What the host says of the scene that is made of features.
+/// The tensors by which the host says which scene is made of features.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
     /// `[1]` f32: the world's unit, where there are Gaussians.
@@ -42,7 +42,7 @@ pub(super) struct Choice {
     pub indices: Option<Tensor>,
 }
 
-/// What the first half of the network leaves for the second.
+/// The tensors that the first half of the network leaves for the second.
 #[derive(Clone, Debug)]
 pub(super) struct FeatureTensors {
     /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
@@ -65,7 +65,7 @@ impl FeatureTensors {
 pub struct NetworkPlan {
     /// The commands; they need the weights, and a memory of `layout`.
     pub plan: Plan,
-    /// What goes in and comes out.
+    /// The tensors that go in and come out.
     pub tensors: Tensors,
     /// The memory of the Gaussians.
     pub layout: ResidentLayout,
@@ -158,7 +158,7 @@ impl Network {
         Choice { unit: None, indices }
     }
 
-    /// What says which tokens are kept, and what the head reads of those: scene tokens and their colours.
+    /// The input that says which tokens are kept, and what the head reads of those: scene tokens and their colours.
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;

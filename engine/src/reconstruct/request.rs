@@ -1,4 +1,4 @@
-//! What is asked for, and the shape of the work that follows from it.
+//! The request of a reconstruction, and the shape of the work that follows from it.
 
 use crate::{
     Error, Result,
@@ -37,7 +37,7 @@ pub enum Selection {
     Stride,
     /// Random ones, the same for the same seed.
     Random(u64),
-    /// These.
+    /// The tokens with these indices.
     Given(Vec<u32>),
 }
 
@@ -46,7 +46,7 @@ impl Selection {
     pub const KMEANS: Self = Self::Kmeans(ROUNDS);
 }
 
-/// What to reconstruct.
+/// A request: what to reconstruct and how.
 #[derive(Clone, Debug)]
 pub struct Request {
     /// Share of tokens kept.
@@ -87,7 +87,7 @@ pub enum Kept {
     All,
     /// The nearest of each centroid after so many rounds of k-means.
     Kmeans(usize),
-    /// Those whose indices are an input.
+    /// The tokens whose indices are an input.
     Indices,
 }
 

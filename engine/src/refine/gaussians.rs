@@ -28,7 +28,7 @@ const PLANS: usize = 4;
 /// Pixels of a run, at most.
 const PIXELS_TOGETHER: usize = 1 << 20;
 
-/// What of the Gaussians a kernel of Adam moves.
+/// A field of the Gaussians that a kernel of Adam moves.
 struct Field {
     values: Tensor,
     gradient: Tensor,

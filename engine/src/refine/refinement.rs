@@ -45,7 +45,7 @@ pub(super) struct Refinement<'a> {
     /// The mean loss of all photos, when it was looked at last.
     latest: f32,
     kept: Kept,
-    /// What is kept next, unless the loss says that it has become worse.
+    /// The scene that is kept next, unless the loss says that it has become worse.
     next: Option<Kept>,
 }
 

@@ -13,7 +13,7 @@ const SHORTEST: u32 = 96;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
-    /// Of the first step.
+    /// The rate of the first step.
     pub rate: f32,
     /// Whether photos are small at first.
     pub coarse: bool,

@@ -86,7 +86,7 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     Ok((gaussians, scene))
 }
 
-/// What gradients begin with: those of the penalties.
+/// The values that gradients begin with: those of the penalties.
 fn begin(gradients: [Tensor; 5], len: usize, request: &Refine) -> [(Tensor, f32); 5] {
     let mut begin = gradients.map(|gradient| (gradient, 0.0));
     begin[3].1 = request.opacity_penalty / len as f32;

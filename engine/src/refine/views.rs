@@ -30,7 +30,7 @@ impl View {
         Ok(Self { size: [width, height], rgb, camera: camera_rows(&camera) })
     }
 
-    /// Its values in 0..1.
+    /// The photo's values in 0..1.
     pub fn values(&self) -> impl Iterator<Item = f32> {
         self.rgb.iter().map(|value| f32::from(*value) / 255.0)
     }
@@ -46,7 +46,7 @@ pub(super) fn size(photo: &Image, most: Option<[u32; 2]>, shrink: u32) -> [u32; 
     sides.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// Of `count` photos those to learn from and those that are held out, evenly spread.
+/// The indices of the photos to learn from and of those that are held out, of `count`, evenly spread.
 pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
     let held: Vec<usize> = (0..held_out).map(|i| (2 * i + 1) * count / (2 * held_out)).collect();
     ((0..count).filter(|i| !held.contains(i)).collect(), held)

@@ -26,7 +26,7 @@ const MAX_SH_DEGREE: usize = 3;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
-    /// What messages call it; one of [`VARIANTS`] or [`RECIPES`] where it is that network.
+    /// The network's name in messages; one of [`VARIANTS`] or [`RECIPES`] where it is that network.
     pub name: String,
     /// D, channels of a token.
     pub width: usize,
@@ -36,7 +36,7 @@ pub struct Architecture {
     pub heads: usize,
     /// Feed-forward network of the backbone's blocks.
     pub ffn: Ffn,
-    /// Its hidden channels (for SwiGLU those of `gate` alone).
+    /// The hidden channels of that (for SwiGLU those of `gate` alone).
     pub ffn_hidden: usize,
     /// Side of a patch in pixels.
     pub patch: usize,

@@ -12,7 +12,7 @@ use crate::{
 pub struct Chosen {
     /// The precision.
     pub precision: Precision,
-    /// Its arithmetic.
+    /// The arithmetic of that precision.
     pub arithmetic: Arithmetic,
     /// Kernels that failed their self-test.
     pub notes: Vec<String>,

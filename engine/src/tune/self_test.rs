@@ -16,7 +16,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Stands for all kernels of a test that was begun [`ATTEMPTS`] times and never ended.
 const UNFINISHED: &str = "the self-test";
 
-/// What the kernels of one device were found to do.
+/// The deviations that the kernels of one device were found to have.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfTest {
     /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
@@ -64,7 +64,7 @@ impl SelfTest {
         outcome.map(|()| test)
     }
 
-    /// What is wrong with the kernels that failed, in words for the user.
+    /// Notes on the kernels that failed, in words for the user.
     pub(super) fn notes(&self, device: &Device) -> Vec<String> {
         let name = &device.limits().name;
         let note = |(kernel, deviation): (&String, &Option<f64>)| match deviation {
@@ -172,7 +172,7 @@ pub(super) fn deviation(limit: f64, stored: f64, exact: &[f32], fast: &[f32]) ->
     Some(worst / rms / limit).filter(|deviation| deviation.is_finite())
 }
 
-/// What is known of a device: the result, and until it is whole how often the test was begun.
+/// The knowledge about a device: the result, and until it is whole how often the test was begun.
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct Record {
     begun: u32,
@@ -183,7 +183,7 @@ struct Record {
 }
 
 impl Record {
-    /// What is kept in a file. One that is damaged is not there, and a test that is under way was not begun.
+    /// The record in a file. One that is damaged is not there, and a test that is under way was not begun.
     fn read(file: &Path) -> Option<Self> {
         let mut known: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
         let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);

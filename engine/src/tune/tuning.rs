@@ -13,10 +13,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What was measured on a device.
+/// The times that were measured on a device.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tuning {
-    /// Of each kernel and size.
+    /// The times of each kernel and size.
     pub measured: Vec<Measured>,
     /// Tiles that are not used, because what they compute is wrong or the driver refuses them: kernel, type of factors, name.
     pub unusable: Vec<String>,
@@ -53,7 +53,7 @@ impl Measured {
 }
 
 impl Tuning {
-    /// What was measured on this device before, with this driver and these kernels.
+    /// The times that were measured on this device before, with this driver and these kernels.
     pub fn known(device: &Device) -> Option<Self> {
         serde_json::from_slice(&fs::read(cache_file(device, "tuning")?).ok()?).ok()
     }

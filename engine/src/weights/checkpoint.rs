@@ -24,7 +24,7 @@ pub struct Checkpoint {
     source: Source,
     /// The file, or what [`Checkpoint::parse`] accepts for a seed.
     provenance: String,
-    /// What was rounded or assumed, in words for the user.
+    /// Notes on what was rounded or assumed, in words for the user.
     notes: Vec<String>,
 }
 
@@ -236,7 +236,7 @@ impl Checkpoint {
         &self.provenance
     }
 
-    /// What was rounded or assumed to read the file, in words for the user.
+    /// Notes on what was rounded or assumed to read the file, in words for the user.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }

@@ -1,4 +1,4 @@
-//! What a file turned out to hold.
+//! The contents of a file.
 
 use std::collections::HashMap;
 

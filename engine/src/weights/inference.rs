@@ -61,7 +61,7 @@ pub(super) fn architecture(
     Ok((found, (!assumed.is_empty()).then(note)))
 }
 
-/// What tells the known networks apart.
+/// The sizes that tell the known networks apart.
 struct Size {
     width: usize,
     depth: usize,

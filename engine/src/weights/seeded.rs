@@ -37,7 +37,7 @@ pub(super) fn fill(key: &str, name: &str, shape: &[usize], out: &mut [f32]) {
         .for_each(|(i, out)| *out = values[usize::from(draw(seed, i as u64))]);
 }
 
-/// What byte `byte` means for a parameter.
+/// The meaning of byte `byte` for a parameter.
 fn value(byte: u8, name: &str, shape: &[usize]) -> f32 {
     let integer = u32::from(byte);
     // odd / 256, within (-1, 1) and never 0

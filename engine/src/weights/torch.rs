@@ -54,7 +54,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// What the training configuration says about the network and shapes do not, and the side of its pictures; absent entries
+/// The network's settings by the training configuration, which shapes do not show, and the side of its pictures; absent entries
 /// are not an error. The reference's trainer keeps the backbone's and the head's in parts of their own.
 fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
     let Some(conf) = pickle.get(pickle.root, "conf") else { return Ok(Default::default()) };

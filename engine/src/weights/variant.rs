@@ -1,4 +1,4 @@
-//! What a caller says about a network whose file does not say it.
+//! A caller's word about a network whose file does not say it.
 
 use std::ops::RangeInclusive;
 
@@ -19,7 +19,7 @@ pub(super) struct Variant<'a> {
 
 /// The fields, for messages.
 const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, gaussians_per_token or sh_degree";
-/// What a number may be; [`Architecture::validate`] says more.
+/// The range of a number; [`Architecture::validate`] says more.
 const NUMBERS: RangeInclusive<usize> = 0..=1 << 16;
 
 impl<'a> Variant<'a> {

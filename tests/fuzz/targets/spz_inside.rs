@@ -1,4 +1,4 @@
 #![no_main]
-//! What is inside an SPZ's gzip stream.
+//! The inside of an SPZ's gzip stream.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::scene("spz", &zipsplat_fuzz::deflated(bytes)));

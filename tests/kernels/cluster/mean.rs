@@ -98,7 +98,7 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     assert_as_near(&what("nearest"), &nearest, &centroids, &x, width);
 }
 
-/// What k-means chooses of rows, and how many each cluster has in the end.
+/// The rows that k-means chooses, and how many each cluster has in the end.
 fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) -> (Vec<u32>, Vec<usize>) {
     let count = x.len() / width;
     let mut case = Case::new();

@@ -16,7 +16,7 @@ use zipsplat_tests::reference::{
     widen,
 };
 
-/// What is found, and the origin that the kernel took for itself or was told.
+/// The nearest rows, and the origin that the kernel took for itself or was told.
 fn find(
     limits: &Limits,
     kernel: NearestKernel,

@@ -67,7 +67,7 @@ impl Problem {
         case.result_of(element, out)
     }
 
-    /// Of inputs as `element` stores them.
+    /// The truth of inputs as `element` stores them.
     fn truth(&self, element: Element) -> Vec<f64> {
         let Attention { heads, queries, keys, .. } = self.shape;
         let [q, k, v] = [&self.q, &self.k, &self.v].map(|x| widen(&stored(element, x.clone())));

@@ -68,7 +68,7 @@ impl Layer {
         Rows { tensor: case.input_of(element, &padded), count: x.len() / self.inner, width, element }
     }
 
-    /// Of factors as `factor` stores them.
+    /// The truth of factors as `factor` stores them.
     fn truth(&self, factor: Element, x: &[f32], activation: Activation, gamma: Option<&[f32]>) -> Vec<f64> {
         let held =
             |values: &[f32]| if factor == Element::I8 { values.to_vec() } else { stored(factor, values.to_vec()) };

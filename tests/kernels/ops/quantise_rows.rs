@@ -8,7 +8,7 @@ use zipsplat::{
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{ops::quantise_rows::quantise_rows as reference, widen};
 
-/// What the kernel makes of `values`: integers and scales.
+/// The integers and scales that the kernel makes of `values`.
 fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
     let mut case = Case::new();
     let source = Rows { tensor: case.input_of(Element::F16, values), count: rows, width, element: Element::F16 };

@@ -57,7 +57,7 @@ impl Found {
 struct How<'a> {
     limits: &'a Limits,
     capacity: usize,
-    /// What gradients are added to.
+    /// The value that gradients are added to.
     before: f32,
     scene: bool,
     cameras: bool,

@@ -13,7 +13,7 @@ use zipsplat_tests::{
     scenes::{golden_cameras, golden_scene},
 };
 
-/// What the kernel writes, one a pair of a Gaussian and a camera, Gaussian-major.
+/// The kernel's results, one a pair of a Gaussian and a camera, Gaussian-major.
 struct Projection {
     xy_opacities: Vec<[f32; 3]>,
     conics: Vec<[f32; 3]>,

@@ -142,7 +142,7 @@ impl Case {
         self.clear();
     }
 
-    /// What the command wrote, hidden files too; only pictures of a path come one by one.
+    /// The files that the command wrote, hidden ones too; only pictures of a path come one by one.
     fn written(&self) -> Vec<PathBuf> {
         let entries = |folder: &Path| -> Vec<PathBuf> {
             folder.read_dir().into_iter().flatten().map(|entry| entry.unwrap().path()).collect()

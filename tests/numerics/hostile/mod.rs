@@ -30,7 +30,7 @@ use zipsplat_tests::{architectures::pico, golden};
 struct Parser {
     name: &'static str,
     seeds: Vec<Vec<u8>>,
-    /// What is done to a damaged file before it is read: a checksum, the archive around it.
+    /// The way back from damage to a file that is read: a checksum, the archive around it.
     wrap: fn(&[u8]) -> Vec<u8>,
     read: fn(&Path, &[u8]) -> Result<(), Error>,
 }

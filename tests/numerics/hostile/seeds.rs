@@ -133,7 +133,7 @@ pub fn safetensors() -> Vec<u8> {
     in_folder("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
 }
 
-/// What `torch.save` pickles of [`pico`]: `{"model": {name: tensor}}`, every tensor a part of the one storage "0".
+/// The pickle that `torch.save` makes of [`pico`]: `{"model": {name: tensor}}`, every tensor a part of the one storage "0".
 pub fn pickle() -> Vec<u8> {
     let text = |text: &str| [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
     let int = |value: usize| [b"J".as_slice(), &(value as i32).to_le_bytes()].concat();

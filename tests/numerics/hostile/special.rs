@@ -1,4 +1,4 @@
-//! What is no regular file: a pipe that nobody writes would be waited for, and a device read without end.
+//! Paths that are no regular file: a pipe that nobody writes would be waited for, and a device read without end.
 
 use std::{
     path::{Path, PathBuf},
@@ -42,7 +42,7 @@ const READERS: [(&str, &str, Reader); 14] = [
     ("size of a photo", "photo.png", |path| Image::size(path).map(drop)),
 ];
 
-/// What a reader says of a path, on a thread of its own, which is left behind if it hangs.
+/// The answer of a reader to a path, on a thread of its own, which is left behind if it hangs.
 #[track_caller]
 fn refusal(name: &str, read: Reader, path: PathBuf) -> Error {
     let (send, receive) = mpsc::channel();

@@ -5,7 +5,7 @@ use glam::DMat3;
 use zipsplat::types::{Scene, matrix_from_quaternion, read_ply, read_scene};
 use zipsplat_tests::golden;
 
-/// What the file holds, and what it was made from.
+/// The scene that the file holds, and the one it was made from.
 fn pair(name: &str) -> (Scene, Scene) {
     let read = |name: &str| golden::find(name).unwrap();
     (read_scene(read(name)).unwrap(), read_ply(read("gaussians_deg2.ply")).unwrap())

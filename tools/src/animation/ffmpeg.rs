@@ -24,7 +24,7 @@ const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 1
 pub struct Ffmpeg {
     program: PathBuf,
     child: Running,
-    /// What it says, read on the side: a full pipe would stop it.
+    /// The program's messages, read on the side: a full pipe would stop it.
     said: Option<JoinHandle<String>>,
     // After the child: the file is removed when nobody writes to it any more.
     file: Unfinished,

@@ -24,7 +24,7 @@ enum Format {
     Mp4,
 }
 
-/// What is to be written, checked before any work.
+/// An animation that is to be written, checked before any work.
 pub struct Animation {
     path: PathBuf,
     format: Format,

@@ -112,7 +112,7 @@ pub struct Reconstruct {
 /// Steps of positions that show: over how far away the scene is.
 const COARSE: f64 = 1e-3;
 
-/// What the scene was made with.
+/// The weights and settings that the scene was made with.
 struct From<'a> {
     device: &'a Device,
     checkpoint: &'a Checkpoint,

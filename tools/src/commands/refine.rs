@@ -79,7 +79,7 @@ pub struct Refine {
     explain: bool,
 }
 
-/// What a refinement starts from, and the world that it is in.
+/// The scene that a refinement starts from, and the world that it is in.
 struct Started {
     scene: Scene,
     cameras: Vec<Camera>,

@@ -13,7 +13,7 @@ const REASON: &str = "running error analysis of a step in the stored value: prod
     Vulkan's limits, exp 3 + 2|x| units; what is not finite moves nothing, exactly";
 
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
-/// Of the schedule; that of the tensor is 1.
+/// The rate of the schedule; that of the tensor is 1.
 const RATE: f32 = 0.03125;
 
 /// Values before step `step`.
@@ -41,7 +41,7 @@ enum Fault {
     /// The gradient of the stored value where that of its logarithm or logit is to be.
     NoChainRule,
     NeighbourGradient,
-    /// What is not finite goes on.
+    /// A gradient that is not finite goes on.
     Poisoned,
 }
 

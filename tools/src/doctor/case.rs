@@ -8,11 +8,11 @@ use zipsplat::{Result, gpu::Device};
 /// within the bound may take back one of them.
 pub const CAUGHT: f64 = 2.0;
 
-/// What a case is made of.
+/// The parts of a case.
 pub(super) trait Problem: 'static {
-    /// What the device gives.
+    /// The result of the device.
     type Output;
-    /// What is right, and the bound of each element.
+    /// The right result, and the bound of each element.
     type Truth;
     /// Ways in which a kernel may be wrong.
     type Fault: Copy + Debug + 'static;
@@ -26,7 +26,7 @@ pub(super) trait Problem: 'static {
     /// The worst element of an output.
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
-    /// What kernels with a fault give, computed on the host; none where the mode's own rounding is as large. Of several
+    /// The results of kernels with a fault, computed on the host; none where the mode's own rounding is as large. Of several
     /// each has to be caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
 }
@@ -42,7 +42,7 @@ impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
 }
 
 impl<F: Copy> Catches<F> {
-    /// These and more.
+    /// Adds more to these.
     pub fn and(mut self, more: &[F]) -> Self {
         self.0.extend_from_slice(more);
         self
@@ -52,7 +52,7 @@ impl<F: Copy> Catches<F> {
 /// A fault, fed through a case's own check.
 #[derive(Clone, Debug)]
 pub struct Injected {
-    /// Its name: `last term`.
+    /// The fault's name: `last term`.
     pub fault: String,
     /// The share of the bound that it misses the truth by: the least, where it stands for several.
     pub share: f64,
@@ -67,7 +67,7 @@ impl Injected {
 
 /// One hard input.
 pub struct Case {
-    /// What is hard about it.
+    /// The difficulty of the case.
     pub name: String,
     /// How large it is, for the report.
     pub size: usize,

@@ -166,7 +166,7 @@ fn opacity_error(x: f64) -> f64 {
     opacity * ((1.0 - opacity) * exponential(x) + U + DIVISION) + TINY
 }
 
-/// What is clamped, or saturates, does so to the same bits on every device.
+/// Values that are clamped, or saturate, are so to the same bits on every device.
 struct Clamps;
 
 /// The high and the low end of each value that is clamped: mean (whose bits a device chooses, once), scale, opacity.

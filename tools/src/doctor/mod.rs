@@ -75,11 +75,11 @@ impl Mode {
     /// Every mode: those of linear layers.
     pub const ALL: &[Mode] =
         &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
-    /// Of attention.
+    /// The modes of attention.
     const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
-    /// Of finding nearest rows.
+    /// The modes of finding nearest rows.
     const NEAREST: &[Mode] = &[Mode::EXACT, Mode::F16_MATRIX];
-    /// Of what is f32 in every mode: norms, softmax, geometry.
+    /// The mode of what is f32 in every mode: norms, softmax, geometry.
     const ONLY_EXACT: &[Mode] = &[Mode::EXACT];
 
     /// As in the report.
@@ -128,13 +128,13 @@ impl Serialize for Mode {
 pub struct Area {
     /// The kernel's name, as in a profile, or that of several.
     pub kernel: &'static str,
-    /// What the size of a case counts.
+    /// The unit in which the size of a case is counted.
     pub size: &'static str,
     /// Why the bound holds.
     pub reason: &'static str,
     /// The modes that there are of it.
     pub modes: &'static [Mode],
-    /// What is computed.
+    /// The cases that are computed.
     pub cases: Vec<Case>,
 }
 
@@ -143,7 +143,7 @@ pub struct Area {
 pub struct Finding {
     /// Kernel.
     pub kernel: &'static str,
-    /// What is hard about it.
+    /// The difficulty of the case.
     pub case: String,
     /// Arithmetic.
     pub mode: Mode,
@@ -154,14 +154,14 @@ pub struct Finding {
     /// The worst element; errors that are not finite are null in JSON.
     #[serde(flatten)]
     pub worst: Worst,
-    /// What kept it from being computed, where something did.
+    /// The reason why it could not be computed, where there is one.
     pub failed: Option<String>,
     /// The faults that the case is there to catch.
     pub catches: Vec<String>,
 }
 
 impl Area {
-    /// Its cases in every mode that a device has.
+    /// The cases in every mode that a device has.
     pub fn on(&self, limits: &Limits) -> impl Iterator<Item = (&Case, Mode)> {
         let modes = self.modes.iter().copied().filter(|mode| mode.is_on(limits));
         modes.flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))

@@ -38,7 +38,7 @@ struct Problem {
     dim: usize,
     norm: bool,
     global: bool,
-    /// What a random number in (-1, 1) becomes.
+    /// The value that a random number in (-1, 1) becomes.
     value: fn(f32) -> f32,
 }
 

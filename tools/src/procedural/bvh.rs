@@ -38,7 +38,7 @@ impl Aabb {
 
 struct Node {
     bounds: Aabb,
-    /// Of a leaf: its first item. Of an inner node: its second child; the first follows it.
+    /// The first item of a leaf; the second child of an inner node, whose first follows it.
     first: u32,
     /// 0 for an inner node.
     count: u32,

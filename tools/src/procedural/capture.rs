@@ -34,7 +34,7 @@ const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 /// Asked now and then whether to go on; its error ends the work.
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// What is asked of every scene.
+/// The settings of every scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// Pictures a scene.
@@ -51,13 +51,13 @@ pub struct Options {
 
 /// A place and where photos of it are taken from, in metres, before any is taken.
 pub struct Setup {
-    /// What it was made from.
+    /// The seed that it was made from.
     pub seed: u64,
     /// The kind of place.
     pub family: Family,
     /// The kind of path.
     pub path: PathKind,
-    /// What is there.
+    /// The things that there are.
     pub world: World,
     lens: Lens,
     views: Vec<View>,
@@ -69,7 +69,7 @@ pub struct Setup {
 /// The photos of a scene. The world is the first view's camera; the median distance of all pixels' points to it is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
-    /// What it was made from.
+    /// The seed that it was made from.
     pub seed: u64,
     /// The kind of place.
     pub family: Family,
@@ -202,7 +202,7 @@ impl Setup {
         })
     }
 
-    /// Of all views' points from the first camera, metres.
+    /// The median distance of all views' points from the first camera, metres.
     fn median_distance(&self, frames: &[Frame]) -> f64 {
         let Lens { width, .. } = self.lens;
         let first = self.views[0].eye;
@@ -245,7 +245,7 @@ impl Setup {
         Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
     }
 
-    /// What a point of the picture shows, and its z; `pixel` is the width that is averaged, in pixels.
+    /// The colour of a point of the picture, and its z; `pixel` is the width that is averaged, in pixels.
     fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();

@@ -12,7 +12,7 @@ use crate::outputs::{MADE_BY, is_own, remove_stale, save_picture};
 /// Pixels between those that become points of the cloud, along x and y.
 const POINT_STEP: usize = 8;
 
-/// What the scene was made from.
+/// The file that says what the scene was made from.
 const SCENE: &str = "scene.json";
 
 fn photo(number: usize) -> String {

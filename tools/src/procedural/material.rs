@@ -1,4 +1,4 @@
-//! What surfaces are made of, drawn at random for what they are.
+//! Materials of surfaces, drawn at random for what they are.
 
 use glam::{Vec3, Vec3A};
 
@@ -17,7 +17,7 @@ pub(super) struct Material {
     pub glow: f32,
 }
 
-/// What a surface is, which decides what it may look like.
+/// The kind of a surface, which decides what it may look like.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Role {
     /// Earth, grass, gravel, paving.

@@ -83,7 +83,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     sum
 }
 
-/// Of the cells around jittered lattice points: distance to the nearest border, roughly, and the cell's hash.
+/// Voronoi cells around jittered lattice points: distance to the nearest border, roughly, and the cell's hash.
 pub(super) fn voronoi(p: Vec2) -> (f32, u32) {
     let floor = p.floor();
     let (x, y) = (floor.x as i32, floor.y as i32);

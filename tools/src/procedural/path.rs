@@ -45,11 +45,11 @@ impl PathKind {
 
 /// From where a scene can be seen, in metres and radians.
 pub(super) struct Stage {
-    /// What is looked at.
+    /// The point that is looked at.
     pub target: Vec3A,
-    /// Of the cameras from the target, at a field of view of 55 degrees.
+    /// The distance of the cameras from the target, at a field of view of 55 degrees.
     pub distance: [f32; 2],
-    /// Of the cameras above the target.
+    /// The elevation of the cameras above the target.
     pub elevation: [f32; 2],
     /// Azimuth of the cameras in the middle of what is allowed.
     pub front: f32,
@@ -57,7 +57,7 @@ pub(super) struct Stage {
     pub freedom: f32,
     /// Cameras stay within.
     pub bounds: [Vec3A; 2],
-    /// What suits the scene.
+    /// The paths that suit the scene.
     pub paths: &'static [PathKind],
 }
 

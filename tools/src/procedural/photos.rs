@@ -22,7 +22,7 @@ pub struct Crop {
     pub file: String,
     /// Where it comes from.
     pub repo: String,
-    /// Its licence, in words.
+    /// The photo's licence, in words.
     pub licence: String,
     /// `permissive` for those that are used.
     pub licence_class: String,
@@ -73,7 +73,7 @@ impl Photos {
         Ok(Self { crops, pyramids })
     }
 
-    /// What was read, in the manifest's order.
+    /// The crops that were read, in the manifest's order.
     pub fn crops(&self) -> &[Crop] {
         &self.crops
     }

@@ -54,7 +54,7 @@ pub struct Header {
 /// A scene as it is read back.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
-    /// What it was made from.
+    /// The seed that it was made from.
     pub seed: u64,
     /// The kind of place.
     pub family: Family,

@@ -18,7 +18,7 @@ pub(super) struct Place {
     pub footprint: f32,
 }
 
-/// What varies over the surface.
+/// The property that varies over the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Pattern {
     Checker,

@@ -16,7 +16,7 @@ pub(super) struct Development {
     pub blur: f32,
     /// Standard deviation of the noise in sRGB, 0..1.
     pub noise: f32,
-    /// Of the noise.
+    /// The seed of the noise.
     pub seed: u64,
 }
 

@@ -1,4 +1,4 @@
-//! What is there to see: primitives, light and sky, and the colour along a ray.
+//! The world that is there to see: primitives, light and sky, and the colour along a ray.
 
 use glam::{Vec3A, Vec3Swizzles};
 
@@ -29,7 +29,7 @@ pub(super) struct Light {
     pub ambient: [Vec3A; 2],
 }
 
-/// What is behind everything.
+/// The sky behind everything.
 #[derive(Clone, Debug)]
 pub(super) struct Sky {
     pub zenith: Vec3A,
@@ -57,7 +57,7 @@ pub struct World {
     room: Option<Room>,
 }
 
-/// What a ray sees.
+/// The hit that a ray sees.
 pub(super) struct Seen {
     /// Linear light.
     pub light: Vec3A,

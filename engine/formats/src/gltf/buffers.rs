@@ -157,7 +157,7 @@ impl Scalar {
         }
     }
 
-    /// What a normalised integer of 1 is; the lowest of a signed type is clamped to -1.
+    /// The number that a normalised integer of 1 is; the lowest of a signed type is clamped to -1.
     fn one(self) -> f32 {
         match self {
             Self::I8 => f32::from(i8::MAX),

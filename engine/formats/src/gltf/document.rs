@@ -150,7 +150,7 @@ impl Document {
         }
     }
 
-    /// What this engine has said of the file in it.
+    /// The line about the file that this engine has written in it.
     pub(super) fn line(&self) -> Option<&str> {
         self.asset.extras.get(MADE_BY)?.as_str()
     }
@@ -180,7 +180,7 @@ impl Document {
         Ok(())
     }
 
-    /// Of the default scene, else the first one; without any, every node that is no child.
+    /// The roots of the default scene, else of the first one; without any, every node that is no child.
     fn roots(&self) -> Parsed<Vec<usize>> {
         if self.scenes.is_empty() {
             let children: HashSet<usize> = self.nodes.iter().flat_map(|node| node.children.iter().copied()).collect();

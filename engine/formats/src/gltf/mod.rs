@@ -34,7 +34,7 @@ const EXTENSION: &str = "KHR_gaussian_splatting";
 /// How much the lengths of a node's axes may differ, and the axes lean, relatively.
 const SHEAR_TOLERANCE: f64 = 1e-4;
 
-/// What is wrong and where in the file, where that is known.
+/// A fault: what is wrong and where in the file, where that is known.
 struct Fault {
     offset: Option<usize>,
     reason: String,

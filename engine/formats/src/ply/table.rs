@@ -11,7 +11,7 @@ pub(super) const MAX_HEADER: usize = 1 << 16;
 /// Rows that are read at a time: a file is never in memory as a whole.
 const BATCH: usize = 1 << 16;
 
-/// What is wrong.
+/// A fault of a table.
 pub(super) enum Fault {
     /// The bytes could not be read.
     Unread(std::io::Error),
@@ -35,7 +35,7 @@ pub(super) type Parsed<T> = Result<T, Fault>;
 pub(super) struct Ply<'a> {
     ascii: bool,
     elements: Vec<Element>,
-    /// What follows the header, from where the last element ended.
+    /// The values behind the header, from where the last element ended.
     values: Chain<Cursor<Vec<u8>>, Source<'a>>,
     /// How many of the elements were read or left out.
     passed: usize,
@@ -173,7 +173,7 @@ impl<'a> Ply<'a> {
 
 /// How an element's values are laid out: rows, each with a place for every property.
 pub(super) struct Table {
-    /// Of the element among the file's.
+    /// The position of the element among the file's.
     position: usize,
     name: String,
     /// Rows.

@@ -91,7 +91,7 @@ fn find_photo(model: &Path, name: &str) -> Option<PathBuf> {
     places.into_iter().find(|path| path.is_file())
 }
 
-/// What is wrong, and the byte in a binary file.
+/// A fault, and its byte in a binary file.
 struct Fault {
     offset: Option<u64>,
     reason: String,

@@ -26,7 +26,7 @@ pub struct Poses {
     /// The capture's point cloud, where one lies beside the cameras, for [`read_cloud`]: `ply_file_path` or `points.ply`, or
     /// COLMAP's `points3D`.
     pub points: Option<PathBuf>,
-    /// What was ignored or left out, in words for the user.
+    /// Notes on what was ignored or left out, in words for the user.
     pub notes: Vec<String>,
     /// The places where photos were looked for to learn their size, of the frames that were left out without one.
     pub sizeless: Vec<PathBuf>,
@@ -71,7 +71,7 @@ impl Frame {
     }
 }
 
-/// What to say of frames whose lenses distort.
+/// The note on frames whose lenses distort.
 fn undistorted(frames: &[Frame]) -> Option<String> {
     let count = frames.iter().filter(|frame| frame.lens.is_some()).count();
     let what = "their cameras are pinholes, and photos are brought to them where they are read";
@@ -146,7 +146,7 @@ impl Poses {
         }
     }
 
-    /// What photos have cameras, for messages.
+    /// The photos that have cameras, for messages.
     fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
         let more = if self.frames.len() > names.len() { ", ..." } else { "" };

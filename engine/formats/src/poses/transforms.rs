@@ -10,7 +10,7 @@ use super::matrix::{from_opengl, rigid_matrix};
 use super::{Frame, Poses, undistorted};
 use crate::{Error, Result};
 
-/// What photos are called when `file_path` has no extension.
+/// The extensions tried for a photo when `file_path` has none.
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
 
 /// Parsing failed for this reason; the file's name is added by [`read`].

@@ -12,7 +12,7 @@ pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
 /// Natural logarithm of the smallest scale, and levels for each factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
 const LOG_SCALE_LEVELS: f32 = 16.0;
-/// Of the coefficient of degree 0; leaves room for colours outside 0..1.
+/// The scale of the coefficient of degree 0; it leaves room for colours outside 0..1.
 const COLOR_SCALE: f32 = 0.15;
 /// Levels of degree 1, and of the higher degrees, that share a bucket when writing: fewer different bytes pack better.
 const SH_BUCKETS: [i32; 2] = [8, 16];

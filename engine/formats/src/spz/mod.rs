@@ -112,7 +112,7 @@ impl Layout {
     }
 }
 
-/// What is wrong and where, in the inflated stream or in a file of version 4.
+/// A fault: what is wrong and where, in the inflated stream or in a file of version 4.
 struct Fault {
     offset: Option<usize>,
     reason: String,

@@ -1,4 +1,4 @@
-//! What the range of a scene does to the precision of its SPZ.
+//! The precision that the range of a scene leaves to its SPZ.
 
 use super::codec::{MAX_FRACTIONAL_BITS, POSITION_BITS, fractional_bits};
 use crate::Scene;

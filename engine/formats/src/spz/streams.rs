@@ -95,7 +95,7 @@ fn check_axes(zone: &[u8]) -> Parsed<()> {
 
 /// A packed section of the file.
 struct Stream {
-    /// Its place in the table, from 1.
+    /// The stream's place in the table, from 1.
     number: usize,
     offset: usize,
     packed: usize,

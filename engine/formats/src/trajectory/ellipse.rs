@@ -12,13 +12,13 @@ const CENTER_WEIGHT: f64 = 1e-3;
 /// A closed path in the plane across the cameras' mean up, at their mean height.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipse {
-    /// Its middle.
+    /// The middle of the ellipse.
     pub center: DVec3,
     /// From the middle along the longer and the shorter half axis.
     pub axes: [DVec3; 2],
     /// Unit vector across its plane.
     pub up: DVec3,
-    /// What the cameras look at: the point nearest the given cameras' view axes.
+    /// The point that the cameras look at: the one nearest the given cameras' view axes.
     pub target: DVec3,
     /// Whether they look away from it instead, as the given cameras do on the whole.
     pub outward: bool,

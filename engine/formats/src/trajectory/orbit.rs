@@ -17,7 +17,7 @@ const UP: DVec3 = DVec3::NEG_Y;
 /// does; azimuth turns to the right and elevation up, in degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// What the cameras look at.
+    /// The point that the cameras look at.
     pub center: DVec3,
     /// Distance of the cameras from it.
     pub radius: f64,
@@ -64,7 +64,7 @@ impl Orbit {
     }
 }
 
-/// Of a non-empty set, interpolated linearly between the two nearest ranks.
+/// The quantile of a non-empty set, interpolated linearly between the two nearest ranks.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     let rank = share * (values.len() - 1) as f64;
     let (_, &mut low, above) = values.select_nth_unstable_by(rank as usize, f64::total_cmp);

@@ -45,7 +45,7 @@ impl Run {
         self.make_twins()
     }
 
-    /// What comes before every submission of the plan.
+    /// Records what comes before every submission of the plan.
     pub(crate) fn begin(&mut self) -> Result<()> {
         self.bind()?;
         self.check_inputs()

@@ -1,6 +1,6 @@
 //! The head with what its gradient needs: tokens to Gaussians, and gradients of Gaussians to those of tokens.
 //!
-//! Its weights are frozen and f32, whatever the network computes in.
+//! The weights are frozen and f32, whatever the network computes in.
 
 use super::activate;
 use crate::{
@@ -18,7 +18,7 @@ pub struct Head {
     sh_degree: usize,
 }
 
-/// What the gradient of the head needs of its forward pass.
+/// The tensors of the head's forward pass that its gradient needs.
 #[derive(Clone, Copy, Debug)]
 pub struct HeadKept {
     /// `[count, head_hidden]` f32, before GELU.

@@ -74,7 +74,7 @@ pub fn record_with_gradients(
     RenderOutputs { frames, pixels: frames, status: lists.status }
 }
 
-/// What was drawn and how.
+/// The picture that was drawn, and how.
 struct Backward<'a> {
     scene: &'a SceneTensors,
     cameras: Tensor,

@@ -1,10 +1,10 @@
-//! What a caller asks for and gets.
+//! The requests and results of a caller.
 
 use super::PixelLayout;
 use crate::types::{LeftOut, Scene};
 use std::num::NonZeroU32;
 
-/// What to draw and how. What is not asked for is neither computed nor stored.
+/// A request: what to draw and how. Nothing else is computed or stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderRequest {
     /// Colour, in front of `background`.

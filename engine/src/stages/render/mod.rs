@@ -33,7 +33,7 @@ pub use range::MAX_SIDE;
 pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, WeakScene};
 
-/// What [`record`] leaves on the device.
+/// The tensors that [`record`] leaves on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped); alpha; depth; normal x, y, z; token

@@ -12,7 +12,7 @@ use crate::{
 /// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
 const GPU_TOGETHER: usize = 8;
 
-/// What a plan is for.
+/// The purpose of a plan.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) struct Key {
     pub shape: FrameShape,

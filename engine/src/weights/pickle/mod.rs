@@ -12,7 +12,7 @@ use machine::Machine;
 /// Index of an object.
 pub(super) type Id = usize;
 
-/// What a pickle's objects can be.
+/// An object of a pickle.
 #[derive(Debug)]
 pub(super) enum Object<'a> {
     /// None, a boolean, a float, bytes, an integer beyond 64 bits, or what a call of [`Callable::PlainData`] gives:

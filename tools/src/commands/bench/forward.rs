@@ -53,7 +53,7 @@ pub struct Forward {
     pytorch: Option<PathBuf>,
 }
 
-/// What another implementation needed.
+/// The time and memory that another implementation needed.
 struct Compared {
     text: String,
     rows: Vec<Row>,
@@ -75,7 +75,7 @@ struct Row {
     ms: Spread,
     gflop: f64,
     gflop_per_s: f64,
-    /// Of the measured rate of what multiplies matrices; absent where there is no arithmetic to speak of.
+    /// The share of the measured rate of what multiplies matrices; absent where there is no arithmetic to speak of.
     peak_share: Option<f64>,
     peak_bytes: u64,
     arena_bytes: u64,

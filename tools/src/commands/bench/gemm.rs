@@ -42,7 +42,7 @@ struct Row {
     columns: usize,
     device_ms: Spread,
     device_gflop_per_s: f64,
-    /// Of the measured rate of what multiplies: lanes, or matrix units.
+    /// The share of the measured rate of what multiplies: lanes, or matrix units.
     peak_share: Option<f64>,
     host_ms: Spread,
     host_gflop_per_s: f64,

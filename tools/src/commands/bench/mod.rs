@@ -90,7 +90,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// Of at least one time. The median of an even number is the mean of the middle two.
+    /// The spread of at least one time. The median of an even number is the mean of the middle two.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
         let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
         ms.sort_by(f64::total_cmp);
@@ -116,7 +116,7 @@ impl fmt::Display for Spread {
     }
 }
 
-/// What some rows of every profile have in common.
+/// Rows of every profile that have something in common.
 struct Group {
     name: String,
     /// Commands of one run.

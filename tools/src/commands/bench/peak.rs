@@ -33,9 +33,9 @@ const MOST_ITERATIONS: u32 = 1 << 18;
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
 /// The same of subgroups with matrices.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
-/// What passes for equal, relative to the largest value. Factors and sums are chosen to be exact.
+/// The difference that passes for equal, relative to the largest value. Factors and sums are chosen to be exact.
 const EQUAL: f64 = 1e-3;
-/// What benchmarks measure these rates with, beside their own.
+/// The repeats with which benchmarks measure these rates beside their own.
 pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
 
 /// The device's measured limits: multiplications and additions on lanes and on matrix units, and bandwidth
@@ -54,12 +54,12 @@ pub struct Peak {
 /// A measured limit.
 #[derive(Clone, Debug, Serialize)]
 pub struct Rate {
-    /// What is repeated.
+    /// The work that is repeated.
     pub what: String,
     /// A second, at the median: GFLOP (of whole numbers, too), or GB read and written.
     pub per_s: f64,
     pub unit: &'static str,
-    /// Of one dispatch or copy.
+    /// The time of one dispatch or copy.
     ms: Spread,
     /// Largest difference from the truth over the largest value.
     difference: f64,

@@ -9,7 +9,7 @@ use zipsplat::{
     weights::Architecture,
 };
 
-/// What Python runs, under the names it imports.
+/// The files that Python runs, under the names it imports.
 const FILES: [(&str, &str); 3] = [
     ("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")),
     ("model.py", include_str!("../../../train/model.py")),
@@ -27,7 +27,7 @@ const REFINE_FILES: [(&str, &str); 4] = [
 const REFINE_NEEDED: &str = "a Python with torch, numpy and, without a CUDA GPU, numba";
 const NEEDED: &str = "a Python with torch, numpy and safetensors";
 
-/// What PyTorch needed.
+/// The time and memory that PyTorch needed.
 #[derive(Deserialize)]
 pub struct Pytorch {
     pub device: String,
@@ -40,7 +40,7 @@ pub struct Row {
     pub precision: String,
     pub views: usize,
     pub ratio: f64,
-    /// Of every run; absent where it failed.
+    /// The times of every run; absent where it failed.
     pub ms: Option<Vec<f64>>,
     /// On GPUs.
     pub peak_bytes: Option<u64>,

@@ -76,9 +76,9 @@ struct Row {
     commands: u32,
     ms: Spread,
     frames_per_s: f64,
-    /// Of the tensors that a pass touches, each once a command.
+    /// The bytes of the tensors that a pass touches, each once a command.
     bytes: Option<u64>,
-    /// Of the bandwidth of a copy.
+    /// The share of the bandwidth of a copy.
     bandwidth_share: Option<f64>,
 }
 
@@ -176,7 +176,7 @@ impl Render {
     }
 }
 
-/// What a row of a profile belongs to.
+/// The pass that a row of a profile belongs to.
 fn pass(row: &ProfileRow) -> String {
     match row.scope.split('/').nth(1) {
         Some("by_depth") => "sort by depth".into(),

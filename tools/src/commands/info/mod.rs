@@ -82,7 +82,7 @@ impl Info {
     }
 }
 
-/// What cannot be opened is none, which [`Checkpoint::open`] then complains about.
+/// A path that cannot be opened is none, which [`Checkpoint::open`] then complains about.
 fn is_scene(path: &Path) -> Result<bool> {
     if path.is_dir() {
         return Err(Error::argument("file", format!("the folder {}", path.display()), "a checkpoint or scene"));

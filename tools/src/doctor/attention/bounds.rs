@@ -9,7 +9,7 @@ use super::{
 };
 use zipsplat::gpu::Element;
 
-/// What rounding may do to the weights of a row.
+/// The errors that rounding may bring into the weights of a row.
 struct Weights {
     highest: f64,
     /// Place of the highest score.
@@ -46,7 +46,7 @@ impl Weights {
     }
 }
 
-/// What is summed up for one channel.
+/// The sums for one channel.
 #[derive(Clone, Copy, Default)]
 struct Channel {
     /// The weighted deviations of values that may be weighed wrongly.
@@ -57,7 +57,7 @@ struct Channel {
     size: f64,
     /// As `moved`, where one key outweighs all others.
     beside: f64,
-    /// What is lost where subnormal values are flushed.
+    /// The part that is lost where subnormal values are flushed.
     lost: f64,
     /// Values that are not 0.
     terms: usize,

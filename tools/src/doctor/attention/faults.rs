@@ -1,4 +1,4 @@
-//! What faulty attention gives.
+//! The results of faulty attention.
 
 use super::{super::bound::half, HEADS, Problem};
 
@@ -46,7 +46,7 @@ impl Fault {
 }
 
 impl Problem {
-    /// What one query gets, `[dim]`, from its scores.
+    /// The result of one query, `[dim]`, from its scores.
     pub fn wrong(&self, scores: &[f64], head: usize, v: &[f64], fault: Fault) -> Vec<f64> {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
         let highest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);

@@ -29,7 +29,7 @@ struct Problem {
     k: usize,
 }
 
-/// What k-means finds, run by run.
+/// The clusters that k-means finds, run by run.
 struct Found {
     /// The token nearest to each centroid, and the final assignment.
     runs: Vec<[Vec<u32>; 2]>,

@@ -9,7 +9,7 @@ pub use nearest::area as nearest;
 use super::Mode;
 use zipsplat::{gpu::Device, ops::NearestKernel};
 
-/// What finds nearest rows in a mode.
+/// The kernel that finds nearest rows in a mode.
 fn kernel(mode: Mode, device: &Device) -> NearestKernel {
     mode.units(device).map_or(NearestKernel::Lanes, NearestKernel::Matrix)
 }

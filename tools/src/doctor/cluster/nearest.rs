@@ -32,7 +32,7 @@ pub struct Problem {
     pub targets: Vec<f32>,
 }
 
-/// What was chosen for each point, and about what matrix units compared.
+/// The target that was chosen for each point, and the origin about which matrix units compared.
 pub struct Chosen {
     pub targets: Vec<u32>,
     pub origin: Option<Vec<f32>>,
@@ -50,11 +50,11 @@ pub struct Truth {
 pub enum Fault {
     /// The first target for all.
     First,
-    /// Of two nearest the second.
+    /// The second of the two nearest is taken.
     SecondNearest,
-    /// Of equal ones the last.
+    /// The last of equal ones is taken.
     LastOfEqual,
-    /// Of the two nearest the one that comes later.
+    /// The later of the two nearest is taken.
     LaterOfTwo,
     /// The index after it.
     NextIndex,
@@ -115,7 +115,7 @@ impl Truth {
         worst
     }
 
-    /// What a fault makes of the nearest targets.
+    /// The targets that a fault makes of the nearest.
     pub fn wrong(&self, fault: Fault, width: usize) -> Vec<u32> {
         let count = self.targets.len() / width;
         let nearest = || self.nearest.iter().map(|[first, _]| first.0);

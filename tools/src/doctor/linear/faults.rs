@@ -1,4 +1,4 @@
-//! What faulty linear layers give.
+//! The results of faulty linear layers.
 
 use super::{super::Mode, super::bound::half, Held, Problem, Truth};
 use rayon::prelude::*;
@@ -31,7 +31,7 @@ pub enum Fault {
     LastColumn,
     /// Rows from a fold of workgroups on are those before it.
     Folded,
-    /// What lies behind the last row is overwritten.
+    /// The values behind the last row are overwritten.
     PastEnd,
     NoBias,
     /// The activation is left out.
@@ -51,7 +51,7 @@ pub enum Fault {
 }
 
 impl Problem {
-    /// What layers with a fault give, `[rows, out_columns]`.
+    /// The results of layers with a fault, `[rows, out_columns]`.
     pub fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
         let (columns, wide) = (self.columns, self.out_columns());
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {

@@ -71,7 +71,7 @@ impl Problem {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// What the factors are multiplied as: matrix units write whole vectors.
+    /// The type that the factors are multiplied as: matrix units write whole vectors.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
             Element::I8 if !self.columns.is_multiple_of(8) => Element::F16,

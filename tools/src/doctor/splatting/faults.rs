@@ -1,4 +1,4 @@
-//! What faulty renderers draw.
+//! The pictures of faulty renderers.
 
 use super::{
     super::bound::half,
@@ -41,15 +41,15 @@ pub enum Fault {
     Unrotated,
     /// Determinants as differences of products in f32.
     CancellingDeterminant,
-    /// What lies behind the camera is drawn as if it lay before it.
+    /// Gaussians behind the camera are drawn as if they lay before it.
     BehindDrawn,
-    /// What lies before the near plane is drawn.
+    /// Gaussians before the near plane are drawn.
     NearDrawn,
     /// Alphas below 1/255 count.
     FaintDrawn,
     /// Alphas above 0.999 count.
     OpaqueUnclamped,
-    /// What a pixel has no light left for is drawn.
+    /// Gaussians are drawn that a pixel has no light left for.
     NeverStops,
     /// The principal point is the middle.
     CentredPrincipal,
@@ -72,7 +72,7 @@ struct Rules {
 
 const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
 
-/// What a renderer with a fault draws. `before` is the picture of which tiles from 0 on are.
+/// The picture of a renderer with a fault. `before` is the picture of which tiles from 0 on are.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
     let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
     let i = &mut camera.intrinsics;

@@ -20,7 +20,7 @@ const MIN_TRANSMITTANCE: f64 = 1e-4;
 /// Bounds of a pixel: red, green, blue, alpha, depth.
 pub type PixelBounds = [f64; 5];
 
-/// What the kernels keep of a Gaussian.
+/// The kernels' record of a Gaussian.
 struct Splat {
     place: [Bounded; 2],
     /// The row at which the x of `place` lies on the ridge, where that is not the centre's.

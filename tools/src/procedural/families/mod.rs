@@ -63,7 +63,7 @@ impl Family {
     }
 }
 
-/// What a family adds to its primitives.
+/// The setting that a family adds to its primitives.
 struct Setting {
     light: Light,
     sky: Sky,

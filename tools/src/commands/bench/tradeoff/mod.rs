@@ -124,7 +124,7 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// Those asked for, or all that the device has; `exact` first, which the others are compared with.
+    /// The arithmetics asked for, or all that the device has; `exact` first, which the others are compared with.
     fn arithmetics(&self, session: &mut Session<'_>, device: &Device) -> Result<Vec<(Precision, Arithmetic)>> {
         let asked = self.precision.as_ref().map(|names| names.iter().map(|name| name.precision()).collect());
         let has = |precision: &Precision| Arithmetic::of(*precision, device.limits()).is_some();

@@ -21,14 +21,14 @@ pub struct Point {
     /// One picture, median.
     pub render_ms: f64,
     pub peak_bytes: u64,
-    /// Of the PLY file.
+    /// The size of the PLY file.
     pub file_bytes: u64,
     /// Against held-out photos, means.
     pub psnr: f64,
     pub ssim: f64,
-    /// Of the pictures against those of `exact` with the same other settings; absent for `exact`.
+    /// The PSNR of the pictures against those of `exact` with the same other settings; absent for `exact`.
     pub psnr_to_exact: Option<f64>,
-    /// Of the pictures against those of the Gaussians that f64 gives for the same tokens; this and all errors are absent where
+    /// The PSNR of the pictures against those of the Gaussians that f64 gives for the same tokens; this and all errors are absent where
     /// f64 would take too long.
     pub psnr_to_f64: Option<f64>,
     /// Deviations from f64 of what each stage gives, of the Gaussians before any are left out: the rms of the difference over
@@ -42,7 +42,7 @@ pub struct Point {
     pub error_sh_coeffs: Option<f64>,
     /// Input views that a token stands for, mean; absent without k-means.
     pub views_per_cluster: Option<f64>,
-    /// What shows the same.
+    /// The command that shows the same.
     pub command: String,
 }
 

@@ -30,7 +30,7 @@ use zipsplat::{
     weights::{Architecture, Checkpoint},
 };
 
-/// What a sweep gave.
+/// The results of a sweep.
 #[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
@@ -53,7 +53,7 @@ struct Case<'a> {
     settings: String,
 }
 
-/// What a sweep is made with, and what it gave so far.
+/// The means of a sweep, and its results so far.
 struct Bench<'a> {
     args: &'a Tradeoff,
     /// Numbers of Gaussians of a token.
@@ -65,7 +65,7 @@ struct Bench<'a> {
     points: usize,
 }
 
-/// What a reconstruction gave.
+/// The results of a reconstruction.
 struct Forward {
     scene: Scene,
     /// Median.
@@ -263,7 +263,7 @@ fn ratio(shape: Shape) -> f64 {
     shape.tokens as f64 / shape.grid.tokens() as f64
 }
 
-/// What was drawn in place of the photos, and how long each picture took.
+/// The pictures in place of the photos, and how long each took.
 struct Drawn {
     pictures: Vec<Vec<f32>>,
     times: Vec<Duration>,

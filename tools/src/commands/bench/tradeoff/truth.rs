@@ -53,7 +53,7 @@ pub struct Truth<'a> {
     known: HashMap<(usize, String), Known>,
 }
 
-/// What became of the tokens that the first precision chose.
+/// The results for the tokens that the first precision chose.
 struct Known {
     chosen: Vec<u32>,
     /// Every tap behind clustering.
@@ -61,7 +61,7 @@ struct Known {
 }
 
 impl<'a> Truth<'a> {
-    /// Of the network that a checkpoint holds.
+    /// The reference's network that a checkpoint holds.
     pub fn new(checkpoint: &'a Checkpoint) -> Self {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
@@ -170,7 +170,7 @@ fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
     Ok(Reference { architecture, weights: checkpoint.parameters().iter().map(read).collect::<Result<_>>()? })
 }
 
-/// What is known of a view, as the reference takes it.
+/// The camera of a view, as the reference takes it.
 fn prior(Camera { intrinsics, pose }: &Camera) -> Prior {
     let Intrinsics { width, height, fx, fy, cx, cy } = *intrinsics;
     let mut rows = [0.0; 12];
