@@ -13,6 +13,8 @@
 #extension GL_EXT_shader_16bit_storage : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
+#include "shared/lengths.glsl"
+#include "shared/numbers.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -36,7 +38,7 @@ const uint MOST_EXPONENT = 254;
 vec4 rounded(vec4 x) {
     uvec4 bits = floatBitsToUint(x);
     uvec4 near = (bits + 0x1000u) & 0xffffe000u;
-    return uintBitsToFloat(mix(near, bits, greaterThan(bits & 0x7fffffffu, uvec4(0x7f800000u))));
+    return uintBitsToFloat(mix(near, bits, greaterThan(bits & 0x7fffffffu, uvec4(INFINITY_BITS))));
 }
 
 void main() {
@@ -45,8 +47,7 @@ void main() {
     uint quads = width / 4;
     float largest = 0.0;
     for (uint c = gl_LocalInvocationID.x; c < quads; c += gl_WorkGroupSize.x) {
-        vec4 x = abs(source[row * quads + c] - origin[c]);
-        largest = max(largest, max(max(x.x, x.y), max(x.z, x.w)));
+        largest = max(largest, largest_of(source[row * quads + c] - origin[c]));
     }
     uint exponent = clamp(floatBitsToUint(subgroupMax(largest)) >> 23, LEAST_EXPONENT, MOST_EXPONENT);
     float unit = uintBitsToFloat((exponent - 14) << 23);

@@ -15,6 +15,7 @@
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
+#include "shared/numbers.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -47,7 +48,7 @@ void main() {
     uint first_target[ROWS];
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         point_at[r] = min(first_point + r, point_count - 1) * quads;
-        best[r] = uintBitsToFloat(0x7f800000u);
+        best[r] = uintBitsToFloat(INFINITY_BITS);
         best_target[r] = 0;
         first[r] = best[r];
         first_target[r] = 0;

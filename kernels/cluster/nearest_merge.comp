@@ -13,6 +13,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
+#include "shared/numbers.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -58,7 +59,7 @@ float score_limit(float least, float norm) {
 
 // The first of the candidates that tie with the nearest.
 uint among(uint point, float limit) {
-    float least = uintBitsToFloat(0x7f800000u);
+    float least = uintBitsToFloat(INFINITY_BITS);
     for (uint i = 0; i < 2 * shares; i++) {
         uint target = candidate(point, i, limit);
         if (target != NONE) least = min(least, squared_distance(point, target));

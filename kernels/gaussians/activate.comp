@@ -8,9 +8,10 @@
 // Opacities [gaussians] f32, 0..1
 // ShCoeffs  [gaussians, bases, 3] f32
 //
-// One invocation a Gaussian. Activations as the reference's head (paper, section 3.3).
+// One invocation a Gaussian.
 #version 460
 #extension GL_GOOGLE_include_directive : require
+#include "shared/head.glsl"
 #include "shared/index.glsl"
 
 layout(local_size_x = 64) in;
@@ -49,17 +50,12 @@ void main() {
     if (i >= count) return;
     uint at = i * (11 + 3 * bases);
     for (uint c = 0; c < 3; c++) {
-        float y = clamp(raw[at + c], -5.0, 5.0);
+        float y = clamp(raw[at + c], -FARTHEST, FARTHEST);
         means[3 * i + c] = unit * (sign(y) * expm1(abs(y)));
-        scales[3 * i + c] = unit * clamp(softplus(raw[at + 3 + c] - 4.0), 1e-6, 15.0);
+        scales[3 * i + c] = unit * clamp(softplus(raw[at + 3 + c] - SCALE_SHIFT), SCALES.x, SCALES.y);
     }
     vec4 q = vec4(raw[at + 6], raw[at + 7], raw[at + 8], raw[at + 9]);
-    // Divided by its largest component first, so that squares neither overflow nor vanish.
-    float largest = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
-    if (largest > 0.0) {
-        float norm = length(q / largest) * largest;
-        q = norm >= 1e-12 ? (q / largest) / length(q / largest) : q / 1e-12;
-    }
+    if (q != vec4(0)) q = length_of(q) >= SHORTEST ? direction_of(q) : q / SHORTEST;
     for (uint c = 0; c < 4; c++) quats[4 * i + c] = q[c];
     opacities[i] = 1.0 / (1.0 + exp(-raw[at + 10]));
     for (uint c = 0; c < 3 * bases; c++) sh_coeffs[3 * bases * i + c] = raw[at + 11 + c];

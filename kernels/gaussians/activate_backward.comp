@@ -6,6 +6,7 @@
 // One invocation owns one Gaussian. Outside its clamp a value has no gradient.
 #version 460
 layout(local_size_x = 64) in;
+#include "shared/head.glsl"
 #include "shared/index.glsl"
 
 layout(set = 0, binding = 0) readonly buffer Raw { float raw[]; };
@@ -18,20 +19,15 @@ layout(set = 0, binding = 6) readonly buffer DShCoeffs { float d_sh_coeffs[]; };
 layout(set = 0, binding = 7) writeonly buffer DRaw { float d_raw[]; };
 layout(push_constant) uniform Push { uint count; uint bases; uint group; uint stride; };
 
-const vec2 SCALES = vec2(1e-6, 15); // where scales are clamped
-const float SHORTEST = 1e-12; // quaternions below are divided by this
-
 float sigmoid(float x) { return 1 / (1 + exp(-x)); }
 
 // d softplus / dx; 0 where softplus(x) is beyond its clamp: below the smallest scale it is exp(x) to 1e-12.
 float scale_slope(float x) { return x >= log(SCALES.x) && x <= SCALES.y ? sigmoid(x) : 0; }
 
 vec4 quat_gradient(vec4 q, vec4 gradient) {
-    // Divided by its largest component first, as in the forward pass.
-    float largest = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
-    if (largest == 0 || length(q / largest) * largest < SHORTEST) return gradient / SHORTEST;
-    vec4 direction = q / largest / length(q / largest);
-    return (gradient - dot(gradient, direction) * direction) / length(q / largest) / largest;
+    if (q == vec4(0) || length_of(q) < SHORTEST) return gradient / SHORTEST;
+    vec4 direction = direction_of(q);
+    return (gradient - dot(gradient, direction) * direction) / length(q / largest_of(q)) / largest_of(q);
 }
 
 void main() {
@@ -40,8 +36,8 @@ void main() {
     uint width = 11 + 3 * bases, from = i * width, to = i / group * stride + i % group * width;
     for (uint c = 0; c < 3; c++) {
         float y = raw[from + c];
-        d_raw[to + c] = abs(y) <= 5 ? unit * d_means[3 * i + c] * exp(abs(y)) : 0;
-        d_raw[to + 3 + c] = unit * d_scales[3 * i + c] * scale_slope(raw[from + 3 + c] - 4);
+        d_raw[to + c] = abs(y) <= FARTHEST ? unit * d_means[3 * i + c] * exp(abs(y)) : 0;
+        d_raw[to + 3 + c] = unit * d_scales[3 * i + c] * scale_slope(raw[from + 3 + c] - SCALE_SHIFT);
     }
     vec4 quat = quat_gradient(vec4(raw[from + 6], raw[from + 7], raw[from + 8], raw[from + 9]), d_quats[i]);
     for (uint c = 0; c < 4; c++) d_raw[to + 6 + c] = quat[c];

@@ -20,7 +20,7 @@ layout(scalar, set = 0, binding = 1) writeonly buffer Partials { vec3 partials[]
 layout(set = 0, binding = 2) writeonly buffer Sums { float sums[]; };
 layout(push_constant) uniform Push { uvec2 size; float weight; };
 
-const float MIDDLE = 0.5, C1 = 1e-4, C2 = 9e-4;
+const float C1 = 1e-4, C2 = 9e-4;
 
 float dssim(vec4 moments, out vec3 partial) {
     float a = moments.x, d = moments.y, b = a - d;

@@ -21,8 +21,6 @@ layout(set = 0, binding = 3) buffer Sums { float sums[]; };
 layout(set = 0, binding = 4) writeonly buffer DFrames { float d_frames[]; };
 layout(push_constant) uniform Push { uvec2 size; uint channels; float weight; float scale; };
 
-const float MIDDLE = 0.5;
-
 void main() {
     uint across = 3 * size.x, column = gl_WorkGroupID.x * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
     uint first = gl_WorkGroupID.z * size.y;

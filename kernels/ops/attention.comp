@@ -16,6 +16,7 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 #include "shared/limits.glsl"
+#include "shared/numbers.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -24,7 +25,6 @@ layout(constant_id = 2) const uint VECTORS = 2; // ceil(DIM / (4 * subgroup size
 layout(constant_id = 3) const uint PARTS = 1; // the power of two at or below 4 * subgroup size / DIM, at least 1
 
 const uint ROWS = ATTENTION_ROWS;
-const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
 
 layout(set = 0, binding = 0) readonly buffer Q { ELEMENT4 q[]; };
 layout(set = 0, binding = 1) readonly buffer K { ELEMENT4 k[]; };
@@ -38,106 +38,122 @@ layout(push_constant) uniform Push {
     uint heads;
 };
 
+const uint QUADS = DIM / 4;
+
 shared vec4 weights[ROWS][gl_WorkGroupSize.x];
 
+// Of each query, so far: its highest score, what its weights add up to, and the values times these weights.
+float highest[ROWS];
+float total[ROWS];
+vec4 sum[ROWS][VECTORS];
+
+// Scores of the lane's 4 keys, which lie at `k_at`, for each query.
+void score(uint q_at[ROWS], uint k_at, uint key_quads, out vec4 scores[ROWS]) {
+    [[unroll]] for (uint r = 0; r < ROWS; r++) scores[r] = vec4(0.0);
+    for (uint c = 0; c < QUADS; c++) {
+        uint at = k_at + 4 * c * key_quads;
+        vec4 k0 = from_ELEMENT4(k[at]);
+        vec4 k1 = from_ELEMENT4(k[at + key_quads]);
+        vec4 k2 = from_ELEMENT4(k[at + 2 * key_quads]);
+        vec4 k3 = from_ELEMENT4(k[at + 3 * key_quads]);
+        [[unroll]] for (uint r = 0; r < ROWS; r++) {
+            vec4 x = from_ELEMENT4(q[q_at[r] + c]);
+            scores[r] += x.x * k0;
+            scores[r] += x.y * k1;
+            scores[r] += x.z * k2;
+            scores[r] += x.w * k3;
+        }
+    }
+}
+
+// Turns the scores of keys from `first_key` on into weights, for all lanes to read, and scales what was summed before to them.
+void softmax(uint first_key, vec4 scores[ROWS]) {
+    // Keys past the end weigh nothing, whatever their padding holds.
+    bvec4 real = lessThan(first_key + uvec4(0, 1, 2, 3), uvec4(keys));
+    [[unroll]] for (uint r = 0; r < ROWS; r++) {
+        vec4 s = mix(vec4(LOWEST), scores[r], real);
+        float tile_highest = subgroupMax(max(max(s.x, s.y), max(s.z, s.w)));
+        float now = max(highest[r], tile_highest);
+        float keep = exp(highest[r] - now);
+        vec4 w = mix(vec4(0.0), exp(s - now), real);
+        highest[r] = now;
+        total[r] = total[r] * keep + w.x + w.y + w.z + w.w;
+        [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] *= keep;
+        weights[r][gl_LocalInvocationID.x] = w;
+    }
+}
+
+// Adds the values of a tile of keys, from `first_key` on, times their weights.
+void gather(uint v_base, uint first_key, uint tile_quads) {
+    uint lanes = gl_WorkGroupSize.x;
+    // Lanes past the last part repeat one, to keep the loop uniform.
+    uint part = gl_LocalInvocationID.x / QUADS % PARTS;
+    uint first_channel = gl_LocalInvocationID.x % QUADS;
+    for (uint first = 0; first < tile_quads; first += PARTS) {
+        // Past the end weights are 0.
+        uint j = first + part;
+        uint key = first_key + 4 * j;
+        [[unroll]] for (uint c = 0; c < VECTORS; c++) {
+            uint channel = min(first_channel + c * lanes, QUADS - 1);
+            vec4 v0 = from_ELEMENT4(v[v_base + min(key, keys - 1) * QUADS + channel]);
+            vec4 v1 = from_ELEMENT4(v[v_base + min(key + 1, keys - 1) * QUADS + channel]);
+            vec4 v2 = from_ELEMENT4(v[v_base + min(key + 2, keys - 1) * QUADS + channel]);
+            vec4 v3 = from_ELEMENT4(v[v_base + min(key + 3, keys - 1) * QUADS + channel]);
+            [[unroll]] for (uint r = 0; r < ROWS; r++) {
+                vec4 w = weights[r][j];
+                sum[r][c] += w.x * v0;
+                sum[r][c] += w.y * v1;
+                sum[r][c] += w.z * v2;
+                sum[r][c] += w.w * v3;
+            }
+        }
+    }
+}
+
+// Adds up the parts of query r and writes it as row `row` of the result.
+void store(uint r, uint row, float all) {
+    uint lane = gl_LocalInvocationID.x, lanes = gl_WorkGroupSize.x;
+    [[unroll]] for (uint c = 0; c < VECTORS; c++) {
+        vec4 whole = sum[r][c];
+        for (uint apart = PARTS / 2; apart > 0; apart /= 2) {
+            whole += subgroupShuffle(whole, (lane + apart * QUADS) % lanes);
+        }
+        uint channel = lane + c * lanes;
+        if (channel < QUADS) result[(row * heads + gl_WorkGroupID.y) * QUADS + channel] = to_ELEMENT4(whole / all);
+    }
+}
+
 void main() {
-    uint lane = gl_LocalInvocationID.x;
     uint lanes = gl_WorkGroupSize.x;
     uint first_query = gl_WorkGroupID.x * ROWS;
-    uint head = gl_WorkGroupID.y;
     uint sequence = gl_WorkGroupID.z;
-    uint quads = DIM / 4;
-    // Lanes past the last part repeat one, to keep the loop uniform.
-    uint part = lane / quads % PARTS;
-    uint first_channel = lane % quads;
+    uint head_sequence = gl_WorkGroupID.y * sequences + sequence;
     uint key_quads = (keys + 3) / 4;
-    uint k_base = (head * sequences + sequence) * DIM * key_quads;
-    uint v_base = (head * sequences + sequence) * keys * quads;
+    uint k_base = head_sequence * DIM * key_quads;
+    uint v_base = head_sequence * keys * QUADS;
 
     uint q_at[ROWS];
-    float highest[ROWS];
-    float total[ROWS];
-    vec4 sum[ROWS][VECTORS];
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
-        uint query = min(first_query + r, queries - 1);
-        q_at[r] = ((head * sequences + sequence) * queries + query) * quads;
+        q_at[r] = (head_sequence * queries + min(first_query + r, queries - 1)) * QUADS;
         highest[r] = LOWEST;
         total[r] = 0.0;
         [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] = vec4(0.0);
     }
 
     for (uint tile = 0; tile < key_quads; tile += lanes) {
-        uint key_quad = tile + lane;
-        uint k_at = k_base + min(key_quad, key_quads - 1);
-        vec4 score[ROWS];
-        [[unroll]] for (uint r = 0; r < ROWS; r++) score[r] = vec4(0.0);
-        for (uint c = 0; c < quads; c++) {
-            uint at = k_at + 4 * c * key_quads;
-            vec4 k0 = from_ELEMENT4(k[at]);
-            vec4 k1 = from_ELEMENT4(k[at + key_quads]);
-            vec4 k2 = from_ELEMENT4(k[at + 2 * key_quads]);
-            vec4 k3 = from_ELEMENT4(k[at + 3 * key_quads]);
-            [[unroll]] for (uint r = 0; r < ROWS; r++) {
-                vec4 x = from_ELEMENT4(q[q_at[r] + c]);
-                score[r] += x.x * k0;
-                score[r] += x.y * k1;
-                score[r] += x.z * k2;
-                score[r] += x.w * k3;
-            }
-        }
-        // Keys past the end weigh nothing, whatever their padding holds.
-        bvec4 real = lessThan(4 * key_quad + uvec4(0, 1, 2, 3), uvec4(keys));
-        [[unroll]] for (uint r = 0; r < ROWS; r++) {
-            vec4 s = mix(vec4(LOWEST), score[r], real);
-            float tile_highest = subgroupMax(max(max(s.x, s.y), max(s.z, s.w)));
-            float now = max(highest[r], tile_highest);
-            float keep = exp(highest[r] - now);
-            vec4 w = mix(vec4(0.0), exp(s - now), real);
-            highest[r] = now;
-            total[r] = total[r] * keep + w.x + w.y + w.z + w.w;
-            [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] *= keep;
-            weights[r][lane] = w;
-        }
+        uint key_quad = tile + gl_LocalInvocationID.x;
+        vec4 scores[ROWS];
+        score(q_at, k_base + min(key_quad, key_quads - 1), key_quads, scores);
+        softmax(4 * key_quad, scores);
         subgroupMemoryBarrierShared();
         subgroupBarrier();
-        uint tile_quads = min(lanes, key_quads - tile);
-        for (uint first = 0; first < tile_quads; first += PARTS) {
-            // Past the end weights are 0.
-            uint j = first + part;
-            uint key = 4 * (tile + j);
-            [[unroll]] for (uint c = 0; c < VECTORS; c++) {
-                uint channel = min(first_channel + c * lanes, quads - 1);
-                vec4 v0 = from_ELEMENT4(v[v_base + min(key, keys - 1) * quads + channel]);
-                vec4 v1 = from_ELEMENT4(v[v_base + min(key + 1, keys - 1) * quads + channel]);
-                vec4 v2 = from_ELEMENT4(v[v_base + min(key + 2, keys - 1) * quads + channel]);
-                vec4 v3 = from_ELEMENT4(v[v_base + min(key + 3, keys - 1) * quads + channel]);
-                [[unroll]] for (uint r = 0; r < ROWS; r++) {
-                    vec4 w = weights[r][j];
-                    sum[r][c] += w.x * v0;
-                    sum[r][c] += w.y * v1;
-                    sum[r][c] += w.z * v2;
-                    sum[r][c] += w.w * v3;
-                }
-            }
-        }
+        gather(v_base, 4 * tile, min(lanes, key_quads - tile));
         subgroupBarrier();
     }
 
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         float all = subgroupAdd(total[r]);
         uint query = first_query + r;
-        if (query < queries) {
-            [[unroll]] for (uint c = 0; c < VECTORS; c++) {
-                vec4 whole = sum[r][c];
-                for (uint apart = PARTS / 2; apart > 0; apart /= 2) {
-                    whole += subgroupShuffle(whole, (lane + apart * quads) % lanes);
-                }
-                uint channel = lane + c * lanes;
-                if (channel < quads) {
-                    uint row = sequence * queries + query;
-                    result[(row * heads + head) * quads + channel] = to_ELEMENT4(whole / all);
-                }
-            }
-        }
+        if (query < queries) store(r, sequence * queries + query, all);
     }
 }

@@ -15,7 +15,7 @@ layout(set = 0, binding = 1) readonly buffer Gradient { float gradient[]; };
 layout(set = 0, binding = 2) buffer Out { float result[]; };
 layout(push_constant) uniform Push { uint count; };
 
-const float SQRT_HALF = 0.70710678, DENSITY = 0.39894228; // of the normal distribution at 0
+const float DENSITY = 0.39894228; // of the normal distribution at 0
 
 void main() {
     uint i = global_index();

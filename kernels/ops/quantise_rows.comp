@@ -12,6 +12,7 @@
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_vote : require
 #include "shared/index.glsl"
+#include "shared/lengths.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -31,8 +32,8 @@ void main() {
     float largest = 0.0;
     bool lost = false;
     for (uint c = gl_LocalInvocationID.x; c < quads; c += gl_WorkGroupSize.x) {
-        vec4 x = abs(vec4(source[row * quads + c]));
-        largest = max(largest, max(max(x.x, x.y), max(x.z, x.w)));
+        vec4 x = vec4(source[row * quads + c]);
+        largest = max(largest, largest_of(x));
         lost = lost || any(isnan(x));
     }
     largest = subgroupMax(largest);

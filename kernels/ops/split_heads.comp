@@ -15,7 +15,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
-#include "shared/norm_unit.glsl"
+#include "shared/row_statistics.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -44,6 +44,10 @@ layout(push_constant) uniform Push {
     float eps;
 };
 
+uint from; // where the head starts in Projection
+
+float value_of(uint c) { return from_ELEMENT(projection[from + c]); }
+
 // The first channel of pair p; the second is `dim / 4` further.
 uint pair_channel(uint p) {
     uint quarter = dim / 4;
@@ -66,38 +70,16 @@ void main() {
     if (group >= rows * heads) return;
     uint row = group / heads;
     uint head = group % heads;
-    uint from = row * stride + column + head * dim;
     uint apart = dim / 4;
-
-    // As ops/layer_norm: the mean, the unit, what rounding left in the mean, and one over the standard deviation.
-    float mean = 0.0;
-    float unit = 1.0;
-    float rest = 0.0;
-    float normal = 1.0;
-    if (NORM) {
-        float sum = 0.0;
-        float largest = 0.0;
-        for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
-            float x = from_ELEMENT(projection[from + c]);
-            sum += x;
-            largest = max(largest, abs(x));
-        }
-        mean = subgroupAdd(sum) / float(dim);
-        unit = norm_unit(subgroupMax(largest));
-        vec2 sums = vec2(0.0);
-        for (uint c = gl_LocalInvocationID.x; c < dim; c += gl_WorkGroupSize.x) {
-            float d = (from_ELEMENT(projection[from + c]) - mean) * unit;
-            sums += vec2(d, d * d);
-        }
-        sums = subgroupAdd(sums) / float(dim);
-        rest = sums.x;
-        normal = 1.0 / sqrt(max(sums.y - rest * rest, 0.0) + norm_epsilon(eps, unit));
-    }
+    from = row * stride + column + head * dim;
+    Statistics statistics;
+    if (NORM) statistics = row_statistics(dim, eps);
     for (uint p = gl_LocalInvocationID.x; p < dim / 2; p += gl_WorkGroupSize.x) {
         uint c = pair_channel(p);
-        vec2 x = vec2(from_ELEMENT(projection[from + c]), from_ELEMENT(projection[from + c + apart]));
+        vec2 x = vec2(value_of(c), value_of(c + apart));
         if (NORM) {
-            x = ((x - mean) * unit - rest) * normal * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
+            x = vec2(normed(statistics, x.x), normed(statistics, x.y));
+            x = x * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
         }
         if (ROTATE) {
             vec2 turn = rotary[((first_row + row) % tokens) * (dim / 2) + p];

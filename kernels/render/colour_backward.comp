@@ -11,6 +11,7 @@
 layout(local_size_x = 64) in;
 #include "shared/camera.glsl"
 #include "shared/index.glsl"
+#include "shared/lengths.glsl"
 #include "shared/pair_gradient.glsl"
 #include "shared/spherical_harmonics.glsl"
 #include "shared/spherical_harmonics_backward.glsl"
@@ -60,7 +61,7 @@ vec3 to_coefficients(uint n, uint camera, vec3 d_rgb, inout vec3 d_coeffs[COEFFS
     vec3 centre = vec3(cameras[at].w, cameras[at + 1].w, cameras[at + 2].w);
     vec3 rest = vec3(cameras[at + 4].w, cameras[at + 5].w, cameras[at + 6].w);
     vec3 offset = from_centre(means[n], centre, rest);
-    float largest = max(max(abs(offset.x), abs(offset.y)), abs(offset.z));
+    float largest = largest_of(offset);
     offset /= largest;
     vec3 direction = normalize(offset);
     float basis[16], weights[16];

@@ -8,6 +8,7 @@
 layout(local_size_x = 64) in;
 #include "shared/camera.glsl"
 #include "shared/index.glsl"
+#include "shared/lengths.glsl"
 #include "shared/rotation.glsl"
 
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
@@ -21,7 +22,7 @@ void main() {
     uint pair = global_index();
     if (pair >= pairs) return;
     uint n = pair / camera_count, camera = pair % camera_count;
-    mat3 axes = rotation(unit(quats[n]));
+    mat3 axes = rotation(unit_vector(quats[n]));
     vec3 scale = scales[n];
     vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
     uint at = CAMERA_ROWS * camera;

@@ -17,6 +17,7 @@ layout(local_size_x = 64) in;
 #include "shared/camera.glsl"
 #include "shared/double_float.glsl"
 #include "shared/index.glsl"
+#include "shared/lengths.glsl"
 #include "shared/rotation.glsl"
 #include "shared/spherical_harmonics.glsl"
 #include "shared/splat.glsl"
@@ -83,10 +84,10 @@ void add_bands(uint n, vec3 direction, inout vec3 sum) {
     for (uint k = 1; k < COEFFS; k++) sum += basis[k] * sh_coeffs[n * COEFFS + k];
 }
 
-// Seen along `offset`, which is divided by its largest component first, so that its square does not overflow.
+// Seen along `offset`.
 vec3 colour(uint n, vec3 offset) {
     vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
-    if (SH_DEGREE > 0) add_bands(n, normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z))), sum);
+    if (SH_DEGREE > 0) add_bands(n, unit_vector(offset), sum);
     return max(sum, 0);
 }
 
@@ -105,9 +106,9 @@ TileSet project(uint n, uint camera, uint pair) {
     if (!(p.z >= NEAR && p.z <= FAR)) return none;
 
     // Rows of J W R S, J taken where the view frustum is left by at most 30 % of half its width.
-    vec2 margin = 0.15 * vec2(width, height) / focal;
+    vec2 margin = MARGIN * vec2(width, height) / focal;
     vec2 slope = clamp(p.xy / p.z, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
-    mat3 axes = mat3(view) * rotation(unit(quats[n]));
+    mat3 axes = mat3(view) * rotation(unit_vector(quats[n]));
     mat3 rows = transpose(axes);
     vec3 scale = min(scales[n], LONGEST * p.z / dot(focal, 1 + abs(slope)));
     vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scale;

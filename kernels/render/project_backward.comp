@@ -17,6 +17,7 @@
 layout(local_size_x_id = 0) in;
 #include "shared/camera.glsl"
 #include "shared/index.glsl"
+#include "shared/lengths.glsl"
 #include "shared/pair_gradient.glsl"
 #include "shared/rotation.glsl"
 #include "shared/splat.glsl"
@@ -79,9 +80,9 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     vec3 rest = vec3(rows_of_camera[4].w, rows_of_camera[5].w, rows_of_camera[6].w);
     vec2 focal = rows_of_camera[3].xy, principal = rows_of_camera[3].zw;
     vec3 p = mat3(view) * from_centre(means[n], view[3], rest);
-    vec2 margin = 0.15 * vec2(width, height) / focal, free = p.xy / p.z;
+    vec2 margin = MARGIN * vec2(width, height) / focal, free = p.xy / p.z;
     vec2 slope = clamp(free, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
-    mat3 rows = transpose(mat3(view) * rotation(unit(quats[n])));
+    mat3 rows = transpose(mat3(view) * rotation(unit_vector(quats[n])));
     float limit = LONGEST * p.z / dot(focal, 1 + abs(slope));
     vec3 scale = min(scales[n], limit);
     vec3 along_u = focal.x / p.z * (rows[0] - slope.x * rows[2]), along_v = focal.y / p.z * (rows[1] - slope.y * rows[2]);
@@ -141,8 +142,7 @@ void main() {
     d_scales[n] += sum.scale;
     d_opacities[n] += sum.opacity;
     // A small turn w moves a quaternion q by (0, w) q / 2, so that the gradient is twice the turn's, times q, over |q|^2.
-    vec4 q = quats[n];
-    float largest = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w))), size = length(q / largest) * largest;
-    vec4 turned = q / size;
+    float size = length_of(quats[n]);
+    vec4 turned = quats[n] / size;
     d_quats[n] += 2 / size * vec4(-dot(sum.turn, turned.yzw), turned.x * sum.turn + cross(sum.turn, turned.yzw));
 }

@@ -93,8 +93,8 @@ void store(Pixel pixel, uint at) {
     if (HAS_BACKGROUND) pixel.sum.rgb += left * background;
     if (COLOUR) at = store(at, pixel.sum.rgb);
     if (ALPHA) frames[at++] = 1 - left;
-    if (DEPTH) frames[at++] = EXPECTED_DEPTH ? pixel.sum.depth / max(1 - left, 1e-10) : pixel.sum.depth;
-    if (NORMAL) at = store(at, pixel.sum.normal / max(length(pixel.sum.normal), 1e-10));
+    if (DEPTH) frames[at++] = EXPECTED_DEPTH ? pixel.sum.depth / max(1 - left, LEAST_DIVISOR) : pixel.sum.depth;
+    if (NORMAL) at = store(at, pixel.sum.normal / max(length(pixel.sum.normal), LEAST_DIVISOR));
     if (TOKEN_PAIRS > 0) store(at, pixel.sum.token);
 }
 

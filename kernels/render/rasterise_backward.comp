@@ -82,7 +82,7 @@ Pixel pixel(uvec2 position) {
     if (DEPTH && !EXPECTED_DEPTH) pixel.behind += frames[at] * pixel.d_depth;
     // Over all splats what the quotient's two gradients see is nothing.
     if (EXPECTED_DEPTH) {
-        pixel.d_depth = alpha > 1e-10 ? pixel.d_depth / alpha : 0;
+        pixel.d_depth = alpha > LEAST_DIVISOR ? pixel.d_depth / alpha : 0;
         pixel.d_alpha -= pixel.d_depth * frames[at];
     }
     return pixel;

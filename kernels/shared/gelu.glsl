@@ -1,4 +1,5 @@
 // Activations of the feed-forward layers, to about 1e-7 of the exact ones.
+#include "shared/numbers.glsl"
 
 // erf: an odd polynomial below 1, 1 - exp(-x^2) P(1 / (1 + x/2)) above; both Chebyshev fits of degree 6 and 8 made for
 // this file, worst error 1.2e-7 in f32.
@@ -14,6 +15,6 @@ float erf(float x) {
     return sign(x) * (z < 1.0 ? small : large);
 }
 
-float gelu(float x) { return 0.5 * x * (1.0 + erf(x * 0.70710678)); }
+float gelu(float x) { return 0.5 * x * (1.0 + erf(x * SQRT_HALF)); }
 
 float silu(float x) { return x / (1.0 + exp(-x)); }

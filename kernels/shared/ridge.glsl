@@ -1,18 +1,18 @@
 // Where a Gaussian whose centre is far off a picture runs through it.
 //
 // A turn by the rounding of f32 moves a needle by 0.006 pixels 100,000 pixels from its centre, and the centre itself is off by
-// as much. So projection is done once more here, with twice the bits. Needs camera, double_float and splat.
+// as much. So projection is done once more here, with twice the bits. Needs camera, double_float, lengths and splat.
 
-// The slope x / z (y / z) at which a Gaussian is projected: held within 15 % of the picture beyond its edges.
+// The slope x / z (y / z) at which a Gaussian is projected: held within MARGIN of the picture beyond its edges.
 vec2 held_slope(vec2 slope, vec2 focal, vec2 principal, float size) {
-    vec2 beyond = multiply(vec2(0.15, -5.9604645e-9), vec2(size, 0)); // the second is what f32 loses of 0.15
+    vec2 beyond = multiply(vec2(MARGIN, -5.9604645e-9), vec2(size, 0)); // the second is what f32 loses of it
     vec2 low = divide(-add(principal, beyond), focal);
     vec2 high = divide(add(add(vec2(size, 0), -principal), beyond), focal);
     return slope.x < low.x ? low : slope.x > high.x ? high : slope;
 }
 
 // Scales a number to 1..2 by a power of two, exactly.
-float to_one(float largest) { return uintBitsToFloat(0x7f000000u - (floatBitsToUint(largest) & 0x7f800000u)); }
+float to_one(float largest) { return uintBitsToFloat(0x7f000000u - (floatBitsToUint(largest) & INFINITY_BITS)); }
 
 // Rotation of a quaternion times the square of its length, of which the largest component is 1..2.
 void turn(vec4 q, out vec2 turned[3][3]) {
@@ -32,7 +32,7 @@ void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec
         for (uint c = 0; c < 3; c++) rows[r][c] = vec2(camera[r][c], camera[4 + r][c]);
         p[r] = inner(rows[r], offset);
     }
-    vec4 q = quat * to_one(max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w))));
+    vec4 q = quat * to_one(largest_of(quat));
     float largest = max(max(scale.x, scale.y), scale.z);
     vec2 axes[3][3], centre[2], spread[2][3];
     turn(q, axes);

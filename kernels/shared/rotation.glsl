@@ -1,9 +1,4 @@
-// Rotation of a quaternion (w, x, y, z): columns are the turned axes.
-
-// Of any length but 0: divided by its largest component first, so that squares neither overflow nor vanish.
-vec4 unit(vec4 q) { return normalize(q / max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)))); }
-
-// Of length 1.
+// Rotation of a quaternion (w, x, y, z) of length 1: columns are the turned axes.
 mat3 rotation(vec4 wxyz) {
     float w = wxyz.x, x = wxyz.y, y = wxyz.z, z = wxyz.w;
     return mat3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),

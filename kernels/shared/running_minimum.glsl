@@ -6,6 +6,8 @@
 // of the lane's own-th row, and `column_count`. NaN is never among the least. What is found is (bits of the least, its column,
 // bits of the second, its column); a score that is infinite stands for none.
 
+#include "shared/numbers.glsl"
+
 // Either several lanes share a row, or a lane has several.
 const uint ROW_LANES = LANES > MATRIX_M ? LANES / MATRIX_M : 1;
 const uint LANE_ROWS = (MATRIX_M + LANES - 1) / LANES;
@@ -19,7 +21,7 @@ vec4 scores_of(vec4 values, uint own, uint column);
 
 uvec4 two_least[OWN_ROWS];
 
-const uvec4 NONE = uvec4(0x7f800000u, 0, 0x7f800000u, 0);
+const uvec4 NONE = uvec4(INFINITY_BITS, 0, INFINITY_BITS, 0);
 
 // Takes a score, `column` behind those that were found or before them.
 uvec4 with_score(uvec4 found, float score, uint column) {

@@ -3,13 +3,13 @@
 // A row lies in shared memory `staged`, SCORE_STRIDE pieces: TILE scores as f32, which become weights as FACTOR in its
 // first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take.
 #extension GL_KHR_shader_subgroup_shuffle : require
+#include "shared/numbers.glsl"
 
 // Either several lanes share a row, or a lane has several.
 const uint ROW_LANES = LANES > ROWS ? LANES / ROWS : 1;
 const uint LANE_ROWS = ROWS > LANES ? ROWS / LANES : 1;
 const uint LANE_QUADS = TILE / 4 / ROW_LANES;
 const uint RESCALE = TILE / 8;
-const float LOWEST = -1e30; // finite, so that a difference of two maxima is never NaN
 
 float highest[LANE_ROWS];
 float total[LANE_ROWS];

@@ -1,5 +1,6 @@
 // What the render kernels agree on: gsplat 1.5.3's thresholds, and the record of the tiles that a Gaussian touches,
 // which render/project writes once and the others only read.
+#include "shared/numbers.glsl"
 
 const float ALPHA_MIN = 1.0 / 255.0;      // weaker contributions are skipped
 const float ALPHA_MAX = 0.999;            // stronger ones are clamped
@@ -8,7 +9,8 @@ const float BLUR = 0.3;                   // pixels^2 added to both variances: a
 const float LONG = 1e8;                   // pixels: powers of what is longer would overflow
 const float LONGEST = 1e15;               // pixels: what is longer is the same in every picture, unless its centre is as far off
 const float FAR_OFF = 256;                // pixels beyond a picture from which on a splat's place is its ridge's
-const uint CULLED_DEPTH = 0x7f800000;     // bits of +infinity: what is not drawn sorts behind everything
+const float MARGIN = 0.15;                // of a picture's size, how far off it a slope may be where a Gaussian is projected
+const uint CULLED_DEPTH = INFINITY_BITS;  // what is not drawn sorts behind everything
 
 // The row at which the x of a splat's place lies on its ridge, where alpha is largest in a row: its centre's, or, so that
 // a long needle's ridge is exact where it is seen, the picture's nearest.

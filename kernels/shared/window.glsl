@@ -2,6 +2,7 @@
 const int RADIUS = 5;
 const float WINDOW[2 * RADIUS + 1] = float[](0.00102838012, 0.00759875821, 0.0360007733, 0.109360687, 0.213005543,
     0.266011715, 0.213005543, 0.109360687, 0.0360007733, 0.00759875821, 0.00102838012);
+const float MIDDLE = 0.5; // of a picture's range: values are taken relative to it, so that squares are small
 const int REACH = int(RUN) + 2 * RADIUS; // values that a run sees, from RADIUS before its first on
 
 // Adds the value at place `k` of the reach to the sums of the run.
