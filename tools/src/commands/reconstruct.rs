@@ -2,14 +2,16 @@
 
 use super::render::Render;
 use crate::{
+    cameras::{Finding, Known, Place},
     explain::Explanation,
-    options::{Quality, Size, Weights, parse_length},
+    options::{Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
-    photos,
+    photos::{self, PhotoArgs},
     refinement::{self, MOST_PIXELS, Refinable, Start, Steps, placed},
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
+    video::FrameFolder,
     views::{FitOption, Views},
 };
 use clap::{Args, ValueEnum};
@@ -24,7 +26,7 @@ use zipsplat::{
     stages::render::Renderer,
     types::{
         Camera, PointCloud, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, read_cloud, read_poses},
+        poses::{Frame, read_cloud},
         spz_coarsening,
     },
     weights::Checkpoint,
@@ -38,15 +40,16 @@ use zipsplat::{
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --refine -o sharp.ply
+  zipsplat reconstruct photos/ --poses find --refine -o sharp.ply
+  zipsplat reconstruct clip.mp4 --views 24 --poses find --cameras-out cameras.json -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
 seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
 pub struct Reconstruct {
-    /// Photos (PNG, JPEG, WebP), or folders of them, taken in natural order of their names
-    #[arg(required = true)]
-    photos: Vec<PathBuf>,
+    #[command(flatten)]
+    input: PhotoArgs,
     /// Scene to write: .ply, .spz, .splat, .glb or .gltf
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
@@ -58,12 +61,19 @@ pub struct Reconstruct {
     quality: Quality,
     #[command(flatten)]
     fit: FitOption,
-    /// Take at most so many of the photos, evenly spread, the first and the last among them [default: all]
+    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
+    /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
-    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
+    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, where COLMAP finds
+    /// them
+    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
     poses: Option<PathBuf>,
+    #[command(flatten)]
+    finding: Finding,
+    /// Write the cameras that were found: transforms.json, points and COLMAP's log beside it
+    #[arg(long, value_name = "FILE", requires = "poses")]
+    cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
     /// the cameras look at, else the distance between cameras]
@@ -138,13 +148,33 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        if let Some(place) = &self.cameras_out {
+            let find = self.poses.as_deref().is_some_and(Known::to_find);
+            refuse("--cameras-out", !find, "cameras that are known", "--poses find")?;
+            Place(place).check(self.overwrite)?;
+        }
         let drawing = self.drawing()?;
         self.refine().map_or(Ok(()), |steps| steps.check(self.start))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
-        let mut photos = photos::list(session, &self.photos)?;
-        let poses = self.poses.as_ref().map(read_poses).transpose()?;
+        let (mut photos, mut frame_folder) = {
+            let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
+            self.input.list(session, self.views, named_in)?
+        };
+        let find = self.poses.as_deref().is_some_and(Known::to_find);
+        if let (true, Some(views)) = (find, self.views) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let of_photos = |path: &PathBuf| Known::of(session, path, &photos, &self.finding);
+        let known = self.poses.as_ref().map(of_photos).transpose()?;
+        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
+        if let (Some(place), Some(poses), Some(found)) =
+            (&self.cameras_out, &poses, found.as_ref().and_then(Option::as_ref))
+        {
+            Place(place).save(poses, found)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
         if let Some(poses) = &poses {
             poses.notes.iter().for_each(|note| session.note(note));
             photos = photos::posed(session, photos, poses)?;
@@ -159,7 +189,7 @@ impl Reconstruct {
         if self.weights.is_embedded() && self.poses.is_none() && photos.len() > 1 {
             session.note(
                 "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
-                 one photo, or known cameras, gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
+                 one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);

@@ -1,7 +1,7 @@
 //! `zipsplat refine`: a scene that is made to look like photos.
 
 use crate::{
-    cameras::origin,
+    cameras::{Finding, Known, origin},
     explain::Explanation,
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
@@ -19,7 +19,7 @@ use zipsplat::{
     refine::{self, Refined, Stopped},
     types::{
         Camera, Image, Pose, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, Poses, read_cloud, read_poses},
+        poses::{Frame, Poses, read_cloud},
         read_world,
     },
 };
@@ -34,6 +34,7 @@ use zipsplat::{
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
   zipsplat refine photos/ --poses transforms.json --start points --steps 500 -o scene.ply
+  zipsplat refine photos/ --poses find --start points -o scene.ply
   zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply")]
 pub struct Refine {
     /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or folders of them
@@ -46,9 +47,12 @@ pub struct Refine {
     overwrite: Overwrite,
     #[command(flatten)]
     input: SceneInput,
-    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
-    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
+    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, with --start
+    /// points, where COLMAP finds them
+    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
     poses: PathBuf,
+    #[command(flatten)]
+    finding: Finding,
     /// Photo whose camera is the scene's world [default: the one that the scene's file names, else the cameras' own world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
@@ -90,12 +94,18 @@ impl Refine {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         let (scene, files) = self.files();
-        let poses = read_poses(&self.poses)?;
-        poses.notes.iter().for_each(|note| session.note(note));
+        if Known::to_find(&self.poses) && self.start != Start::Points {
+            let expected = "--start points: the scene is in another world than cameras that are found anew";
+            return Err(Error::argument("--poses find", "with a scene", expected));
+        }
         let photos = photos::list(session, files)?;
+        let Known { poses, found } = Known::of(session, &self.poses, &photos, &self.finding)?;
+        poses.notes.iter().for_each(|note| session.note(note));
         let photos = photos::posed(session, photos, &poses)?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
+        // COLMAP's points have been read.
+        drop(found);
         let device = session.device()?;
         let (images, _) =
             session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
