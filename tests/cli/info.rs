@@ -91,6 +91,28 @@ fn a_plan_takes_what_a_run_then_takes() {
     let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply {drawing}")).json();
     assert_eq!(plan["peak_bytes"], run["peak_bytes"]);
     assert!(plan["separate_bytes"].as_u64() > plan["peak_bytes"].as_u64(), "{plan}");
+    // With a refinement, from photos to its last step: of nine photos one is held out.
+    folder.run("scene --seed 5 --views 9 --size 42x28 -o @/place").success();
+    let photos = "@/place/images --poses @/place";
+    for ratio in ["1", "0.5"] {
+        let plan = folder.run(&format!("info --plan --views 9 --poses --ratio {ratio} --refine 42x28 {shared}")).json();
+        let options = format!("--ratio {ratio} --refine=3 --start scene");
+        let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
+        assert_eq!(plan["peak_bytes"], run["refined"]["peak_bytes"], "{plan}");
+        let number = |key: &str| plan[key].as_u64().expect("a number");
+        assert!(number("refine_kept_bytes") > 3 * number("scene_bytes") && number("refine_arena_bytes") > 0, "{plan}");
+    }
+    // Photos that are small at first, and a scene that comes from a file.
+    folder.run("scene --seed 5 --views 3 --size 400x384 -o @/large").success();
+    let refine = "refine @/scene.ply @/large/images --poses @/large --steps 5 -o @/sharp.ply --json";
+    let run = folder.run(refine).json();
+    let plan = folder.run(&format!("info --plan --views 9 --ratio 0.5 --refine 400x384 {shared}")).json();
+    let wide = |plan: &serde_json::Value| plan["refine_arena_bytes"].as_u64().zip(plan["refine_kept_bytes"].as_u64());
+    let planned = wide(&plan).map(|(arena, kept)| arena + kept);
+    assert_eq!(planned, run["refined"]["peak_bytes"].as_u64(), "{plan}");
+    let of_tokens = folder.run(&format!("info --plan --views 9 --refine 42x28:tokens {shared}")).json();
+    assert!(of_tokens["refine_kept_bytes"].as_u64() > Some(0), "{of_tokens}");
+    assert_eq!(folder.run(&format!("info --plan --views 9 --refine 42x28:cameras {shared}")).code, 2);
     let line = "info --plan --views 3 --weights seeded:vitg --ratio auto --poses";
     let (top, all) = (folder.run(line).success(), folder.run(&format!("{line} --all")).success());
     assert!(top.lines().count() < 30 && all.lines().count() > 50 && top.contains("--all shows them"), "{top}");

@@ -122,7 +122,7 @@ impl Gaussians {
         (update, schedule): (Run, Tensor),
     ) -> Result<Self> {
         let clear = filling(&arena, &memories[0], gradients.into_iter())?;
-        let at_once = if arena.device().limits().cpu { 1 } else { request.views_per_step };
+        let together = together(request, arena.device().limits());
         Ok(Self {
             arena,
             memories,
@@ -134,7 +134,7 @@ impl Gaussians {
             schedule,
             steps: 0,
             plans: Vec::new(),
-            together: request.together.unwrap_or(at_once).max(1),
+            together,
             capacity: request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1),
         })
     }
@@ -166,7 +166,7 @@ impl Gaussians {
             let mut left = alike;
             while !left.is_empty() {
                 let pixels = left[0].rgb.len() / 3;
-                let count = left.len().min(self.together).min((PIXELS_TOGETHER / pixels).max(1));
+                let count = left.len().min(self.together).min(most_together(pixels));
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {
                     Ok(Some(index)) => {
@@ -236,8 +236,7 @@ impl Gaussians {
             self.plans.remove(0);
         }
         let FrameShape { cameras: count, width, height } = shape;
-        let most = self.limits().max_binding_bytes / intersection_bytes(learns);
-        let capacity = self.capacity.saturating_mul(count).min(most as usize);
+        let capacity = room(self.limits(), self.capacity, count, learns);
         let mut rec = Recorder::new(self.limits());
         let cameras = rec.input::<CameraRows>("cameras", count);
         let drawing = RenderRequest::default();
@@ -289,6 +288,22 @@ impl Gaussians {
         profile.rows.extend(self.update.profile()?.rows);
         Ok(profile)
     }
+}
+
+/// Photos whose gradients are computed at once, where they are of one size and not large.
+pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
+    request.together.unwrap_or(if limits.cpu { 1 } else { request.views_per_step }).max(1)
+}
+
+/// Photos of so many pixels of one run, at most.
+pub(super) fn most_together(pixels: usize) -> usize {
+    (PIXELS_TOGETHER / pixels).max(1)
+}
+
+/// Room of a plan for intersections, of which there is `each` for each camera.
+pub(super) fn room(limits: &Limits, each: usize, cameras: usize, learns: bool) -> usize {
+    let most = limits.max_binding_bytes / intersection_bytes(learns);
+    each.saturating_mul(cameras).min(most as usize)
 }
 
 /// Bytes of the largest list of a picture's intersections, for each.

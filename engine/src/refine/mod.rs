@@ -2,6 +2,7 @@
 
 mod adam;
 mod gaussians;
+mod plan;
 mod refinement;
 mod schedule;
 mod start;
@@ -9,6 +10,7 @@ mod tokens;
 mod views;
 
 pub use adam::{Adam, Space, record_adam};
+pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use start::{join, scene_of_points};
 pub use tokens::FrozenHead;
 
@@ -217,6 +219,11 @@ fn resolved(request: &Refine, photos: &[Image], cameras: &[Camera]) -> Result<Re
         let expected = format!("one for each of {count} photos, at least one");
         return Err(Error::argument("cameras", cameras.len(), expected));
     }
+    filled(request, count)
+}
+
+/// The request with what follows from the number of photos filled in.
+fn filled(request: &Refine, count: usize) -> Result<Refine> {
     let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM));
     if held_out >= count {
         return Err(Error::argument("held-out photos", held_out, format!("fewer than the {count} photos")));

@@ -17,11 +17,12 @@ const FILES: [(&str, &str); 3] = [
 ];
 
 /// The same for a step.
-const REFINE_FILES: [(&str, &str); 4] = [
+const REFINE_FILES: [(&str, &str); 5] = [
     ("pytorch_refine.py", include_str!("../../../bench/pytorch_refine.py")),
     ("rasterise.py", include_str!("../../../train/rasterise.py")),
     ("rasterise_numba.py", include_str!("../../../train/rasterise_numba.py")),
     ("rasterise_triton.py", include_str!("../../../train/rasterise_triton.py")),
+    ("splats.py", include_str!("../../../train/splats.py")),
 ];
 
 const REFINE_NEEDED: &str = "a Python with torch, numpy and, without a CUDA GPU, numba";
@@ -128,4 +129,27 @@ pub fn refine(
     let printed = super::python::run("--pytorch", REFINE_NEEDED, &mut command)?;
     serde_json::from_str(&printed)
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), REFINE_NEEDED))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Modules of tools/train that a script imports, by way of others, too.
+    #[test]
+    fn scripts_find_what_they_import() {
+        let train = Path::new(env!("CARGO_MANIFEST_DIR")).join("train");
+        for files in [&FILES[..], &REFINE_FILES] {
+            for (name, text) in files {
+                let words = text.lines().filter_map(|line| {
+                    let line = line.trim_start();
+                    line.strip_prefix("from ").or_else(|| line.strip_prefix("import "))?.split([' ', ',', '.']).next()
+                });
+                let own = words.map(|word| format!("{word}.py")).filter(|file| train.join(file).exists());
+                for file in own {
+                    assert!(files.iter().any(|(other, _)| *other == file), "{name} imports {file}");
+                }
+            }
+        }
+    }
 }

@@ -2,6 +2,7 @@
 
 mod plan;
 
+use self::plan::Refinement;
 use crate::{
     options::{Quality, SceneInput, Size, Weights, refuse},
     session::Session,
@@ -26,7 +27,8 @@ use zipsplat::{
   zipsplat info                                                every Vulkan device and whether it can be used
   zipsplat info zipsplat.safetensors
   zipsplat info scene.ply
-  zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto"
+  zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto
+  zipsplat info --plan --weights seeded:vitg --views 24 --refine 252x252"
 )]
 pub struct Info {
     /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
@@ -49,6 +51,10 @@ pub struct Info {
     /// Also plan pictures of this size of the scene, two in flight as zipsplat render has them
     #[arg(long, value_name = "WxH", requires = "plan")]
     pictures: Option<Size>,
+    /// Also plan a refinement of the scene against as many photos of this size; :tokens moves the network's tokens, from which its head
+    /// makes Gaussians, and not the Gaussians themselves
+    #[arg(long, value_name = "WxH[:tokens|gaussians]", requires = "plan")]
+    refine: Option<Refinement>,
     /// Show every tensor of the plan, by first use, not only the largest
     #[arg(long, requires = "plan")]
     all: bool,

@@ -3,20 +3,43 @@
 use super::Info;
 use crate::{
     options::{Quality, Size},
+    refinement::Steps,
     session::Session,
     table::{Table, bytes, counted},
 };
 use indicatif::HumanCount;
 use serde_json::json;
+use std::str::FromStr;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device, Limits, Plan},
     reconstruct::{Network, NetworkPlan, Shape},
+    refine::{Moved, Refine, plan_refinement},
     stages::render::{RenderRequest, plan_pictures},
 };
 
 /// Tensors that are shown where not all are asked for.
 const LARGEST: usize = 20;
+
+/// A refinement that is planned.
+#[derive(Clone, Copy, Debug)]
+pub struct Refinement {
+    /// Of the photos.
+    size: Size,
+    tokens: bool,
+}
+
+impl FromStr for Refinement {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (size, moved) = text.split_once(':').unwrap_or((text, "gaussians"));
+        // What is moved is told as `--refine` of a reconstruction has it.
+        let Steps { tokens, .. } =
+            format!("0:{moved}").parse().map_err(|_| "expected WxH, WxH:gaussians or WxH:tokens")?;
+        Ok(Self { size: size.parse()?, tokens })
+    }
+}
 
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
     let Quality { ratio, select, arithmetic, .. } = &info.quality;
@@ -37,6 +60,14 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let pictures =
         |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderRequest::default());
     let pictures = info.pictures.map(pictures).transpose()?;
+    let refined = info.refine.map(|Refinement { size: Size(width, height), tokens }| {
+        let (tensors, a) = (tensors.scene(), checkpoint.architecture());
+        let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
+        let moved = if tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
+        plan_refinement(&limits, moved, views, [width, height], &Refine::default())
+    });
+    let refined = refined.transpose()?;
+    let refining = refined.map_or(0, |refined| refined.bytes());
 
     let (weights, scene) = (network.weight_bytes(), layout.bytes());
     let of_pictures = pictures.as_ref().map_or(0, Plan::arena_bytes);
@@ -47,8 +78,9 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let mut rows = plan.arena_map();
     let json = json!({
         "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
-        "precision": precision.name(), "peak_bytes": weights + scene + arena, "weight_bytes": weights,
-        "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
+        "precision": precision.name(), "peak_bytes": weights + scene + arena + refining, "weight_bytes": weights,
+        "refine_kept_bytes": refined.map(|refined| refined.kept_bytes),
+        "refine_arena_bytes": refined.map(|refined| refined.arena_bytes), "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
     let count = rows.len();
     if !info.all {
@@ -68,7 +100,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         counted(shape.grid.tokens(), "token"),
         precision.name(),
         if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name },
-        bytes(weights + scene + arena)
+        bytes(weights + scene + arena + refining)
     );
     text += &format!(
         "weights {}, Gaussians {}, arena {}{}; {} commands, {:.1} GFLOP\n\n{table}",
@@ -79,6 +111,14 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         plan.len(),
         plan.flops() as f64 / 1e9
     );
+    if let Some(refined) = refined {
+        text += &format!(
+            "\nrefinement: {} beside these: {} of Gaussians, gradients and moments, an arena of {}\n",
+            bytes(refined.bytes()),
+            bytes(refined.kept_bytes),
+            bytes(refined.arena_bytes)
+        );
+    }
     if rows.len() < count {
         text += &format!("and {}: --all shows them", counted(count - rows.len(), "smaller tensor"));
     }

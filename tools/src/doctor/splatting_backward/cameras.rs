@@ -89,7 +89,7 @@ pub fn area() -> Area {
     let cancelling = || {
         let values = Noise(3).values(1000 * NUMBERS);
         // Each row of large numbers has its opposite.
-        let opposite = |i: usize| if i / NUMBERS % 2 == 0 { 1e6 } else { -1e6 };
+        let opposite = |i: usize| if (i / NUMBERS).is_multiple_of(2) { 1e6 } else { -1e6 };
         let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());
         Problem((0..values.len()).map(large).collect())
     };

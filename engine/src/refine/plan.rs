@@ -1,0 +1,158 @@
+//! What a refinement takes of a device's memory, before it begins.
+
+use super::{
+    Adam, Refine, Space, filled,
+    gaussians::{most_together, room, scene_gradients, scene_tensors, together},
+    record_adam,
+    schedule::Schedule,
+    views::size,
+};
+use crate::{
+    Result,
+    gpu::{Arena, Limits, Plan, Recorder, ResidentLayout, Tensor},
+    ops::{Arithmetic, ParameterLayout},
+    stages::{
+        gaussians::Head,
+        loss::record_loss,
+        render::{
+            CameraRows, FrameShape, Gradients, RenderRequest, SceneTensors, first_capacity, record,
+            record_with_gradients,
+        },
+    },
+    types::Image,
+    weights::Architecture,
+};
+
+/// What a refinement moves.
+#[derive(Clone, Copy, Debug)]
+pub enum Moved<'a> {
+    /// So many Gaussians, with harmonics up to a degree.
+    Gaussians(usize, u32),
+    /// So many tokens, through the head of a network.
+    Tokens(usize, &'a Architecture),
+}
+
+/// Bytes of a refinement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RefinePlan {
+    /// Bytes of what stays: Gaussians, their gradients, moments; of tokens also these and the head's weights in f32.
+    pub kept_bytes: u64,
+    /// Bytes of the arena in which the plans of a step take turns.
+    pub arena_bytes: u64,
+}
+
+impl RefinePlan {
+    /// All of it.
+    pub fn bytes(&self) -> u64 {
+        self.kept_bytes + self.arena_bytes
+    }
+}
+
+/// Plans a refinement against `photos` photos of `[width, height]` pixels; needs no device. Pictures of more intersections than they
+/// have room for at first take more.
+///
+/// # Errors
+/// [`Error::Argument`](crate::Error::Argument) where more photos are held out than there are, and
+/// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+pub fn plan_refinement(
+    limits: &Limits,
+    moved: Moved<'_>,
+    photos: usize,
+    [width, height]: [u32; 2],
+    request: &Refine,
+) -> Result<RefinePlan> {
+    let request = filled(request, photos)?;
+    let (len, sh_degree) = match moved {
+        Moved::Gaussians(len, sh_degree) => (len, sh_degree),
+        Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
+    };
+    let mut layout = ResidentLayout::new(limits);
+    let counts = [3, 3, 4, 1, 3 * (sh_degree as usize + 1).pow(2)].map(|width| width * len);
+    let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
+    let scene = scene_tensors(values, len, sh_degree);
+    let mut plans = Vec::new();
+    let mut kept_bytes = 0;
+    match moved {
+        Moved::Gaussians(..) => {
+            let moments = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
+            let mut rec = Recorder::new(limits);
+            let schedule = rec.input::<f32>("schedule", 4);
+            for i in 0..counts.len() {
+                let moments = [moments[0][i], moments[1][i]];
+                adam(&mut rec, values[i], gradients[i], moments, schedule, counts[i]);
+            }
+            plans.push(rec.finish()?);
+        }
+        Moved::Tokens(count, a) => {
+            let mut parameters = ParameterLayout::new(limits, Arithmetic::EXACT);
+            let head = Head::new(&mut parameters, a);
+            let width = count * (a.width + a.color_width);
+            let [tokens, first, second] = [(); 3].map(|()| layout.add::<f32>(width));
+            let unit = layout.add::<f32>(1);
+            let mut rec = Recorder::new(limits);
+            let schedule = rec.input::<f32>("schedule", 4);
+            let kept = head.record(&mut rec, tokens, count, unit, &scene);
+            let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
+            adam(&mut rec, tokens, d_tokens, [first, second], schedule, width);
+            head.record(&mut rec, tokens, count, unit, &scene);
+            plans.push(rec.finish()?);
+            // The tokens that were given stay, too.
+            let mut given = ResidentLayout::new(limits);
+            given.add::<f32>(width);
+            kept_bytes += parameters.bytes() + given.bytes();
+        }
+    }
+    kept_bytes += layout.bytes();
+
+    let photo = Image { width, height, rgb: Vec::new() };
+    let photo_size = |shrink| size(&photo, request.size, shrink);
+    let schedule = Schedule { steps: request.steps, rate: 1.0, coarse: request.coarse };
+    let shortest = photo_size(1).into_iter().min().unwrap_or(0);
+    let mut shrinks: Vec<u32> = (0..request.steps).map(|step| schedule.shrink(step, shortest)).collect();
+    shrinks.dedup();
+    let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
+    let each = request.room.unwrap_or_else(|| first_capacity(len)).max(1);
+    for shrink in shrinks {
+        let [width, height] = photo_size(shrink);
+        let pixels = width as usize * height as usize;
+        let cameras = together(&request, limits).min(request.views_per_step).min(most_together(pixels));
+        let shape = FrameShape { cameras, width, height };
+        plans.push(learning(limits, &request, &scene, shape, room(limits, each, cameras, true), &gradients)?);
+    }
+    if request.hold_out.unwrap_or(0) > 0 {
+        let [width, height] = photo_size(1);
+        let mut rec = Recorder::new(limits);
+        let cameras = rec.input::<CameraRows>("cameras", 1);
+        let shape = FrameShape { cameras: 1, width, height };
+        record(&mut rec, &scene, cameras, shape, &RenderRequest::default(), room(limits, each, 1, false));
+        plans.push(rec.finish()?);
+    }
+    Ok(RefinePlan { kept_bytes, arena_bytes: Arena::lane_bytes(&plans) })
+}
+
+/// One field's step.
+fn adam(rec: &mut Recorder, values: Tensor, gradient: Tensor, moments: [Tensor; 2], schedule: Tensor, len: usize) {
+    record_adam(rec, Adam::default(), values, gradient, moments, schedule, 1.0, Space::Linear, len);
+}
+
+/// The plan of photos that are learnt from.
+fn learning(
+    limits: &Limits,
+    request: &Refine,
+    scene: &SceneTensors,
+    shape: FrameShape,
+    capacity: usize,
+    gradients: &Gradients,
+) -> Result<Plan> {
+    let mut rec = Recorder::new(limits);
+    let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
+    let targets = rec.input::<f32>("targets", 3 * shape.cameras * shape.width as usize * shape.height as usize);
+    let drawing = RenderRequest::default();
+    let compare = |rec: &mut Recorder, frames: Tensor| {
+        let found = record_loss(rec, request.loss, frames, targets, shape, drawing.channels(), 1.0);
+        rec.output(found.value);
+        found.d_frames
+    };
+    record_with_gradients(&mut rec, scene, cameras, shape, &drawing, capacity, compare, gradients);
+    rec.finish()
+}
