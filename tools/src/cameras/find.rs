@@ -72,7 +72,9 @@ pub struct Known {
 pub struct Found {
     /// Photos that have no camera.
     pub lost: Vec<PathBuf>,
-    /// Photos with cameras in each group that COLMAP could not join with the others, the largest first, which is taken.
+    /// Photos with a camera.
+    pub count: usize,
+    /// The numbers of photos, of those that have no camera, in groups that COLMAP could not join with the others.
     pub groups: Vec<usize>,
     pub points: usize,
     /// The program that found them.
@@ -136,8 +138,9 @@ impl Found {
                 })
             })?;
             times.push((step.name(), took));
-            // The mapper fails, too, where there is nothing to find.
-            if !status.success() && !(step == Step::Cameras && told.no_start) {
+            // So the mapper ends where there is nothing to find.
+            let finds_nothing = step == Step::Cameras && told.no_start && status.code() == Some(1);
+            if !status.success() && !finds_nothing {
                 let place = log.keep()?;
                 let said = match told.last_words() {
                     words if words.is_empty() => String::new(),
@@ -150,27 +153,27 @@ impl Found {
         let mut models = work.models()?;
         // Of equal ones the first.
         models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
-        let groups: Vec<usize> = models.iter().map(|model| model.frames.len()).collect();
-        let Some(model) = models.into_iter().next() else { return Err(nothing(photos.len(), &told)) };
+        let mut models = models.into_iter();
+        let Some(model) = models.next() else { return Err(nothing(photos.len(), &told)) };
+        let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
+        let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
         let (poses, lost) = work.named(model)?;
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let program = colmap.to_string();
-        Ok((poses, Self { lost, groups, points, program, times, log, _work: work.folder }))
+        let count = poses.frames.len();
+        Ok((poses, Self { lost, count, groups, points, program, times, log, _work: work.folder }))
     }
 
     /// What was found, in words.
     pub fn told(&self) -> String {
-        let found = self.groups[0];
-        let mut text = format!("{found} of {}", counted(found + self.lost.len(), "photo"));
+        let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
         if !self.lost.is_empty() {
             text += &format!("; without a camera: {}", names(&self.lost));
         }
-        if let [_, others @ ..] = &self.groups[..]
-            && !others.is_empty()
-        {
-            let others: Vec<String> = others.iter().map(ToString::to_string).collect();
-            text += &format!("; groups of {} photos could not be joined with the largest", others.join(", "));
+        if !self.groups.is_empty() {
+            let groups: Vec<String> = self.groups.iter().map(ToString::to_string).collect();
+            text += &format!("; of them groups of {} see something of their own", groups.join(", "));
         }
         text
     }
