@@ -115,7 +115,8 @@ impl Known {
 }
 
 impl Found {
-    /// The cameras of photos, in a world and unit of COLMAP's choice. Frames are named by the photos' paths.
+    /// The cameras of photos, in a world and unit of COLMAP's choice. Frames have the names of the photos' files, or of several that
+    /// share one their paths.
     ///
     /// # Errors
     /// [`Error::Argument`] where COLMAP is missing or finds no cameras, with the likely reason; [`Error::Io`] where it fails, with
@@ -138,6 +139,10 @@ impl Found {
                 })
             })?;
             times.push((step.name(), took));
+            if told.no_room {
+                let why = "COLMAP found no room left for its files; TMPDIR says where they go";
+                return Err(process::failure(&std::env::temp_dir(), why, status));
+            }
             // So the mapper ends where there is nothing to find.
             let finds_nothing = step == Step::Cameras && told.no_start && status.code() == Some(1);
             if !status.success() && !finds_nothing {
@@ -223,7 +228,10 @@ impl Place<'_> {
         let said = std::fs::read(found.log.0.path()).map_err(|source| Error::io(found.log.0.path(), source))?;
         write_atomic(&log, |out| out.write_all(&said))?;
         let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let name = |frame: &Frame| Ok(Frame { name: path_from(folder, Path::new(&frame.name))?, ..frame.clone() });
+        let name = |frame: &Frame| {
+            let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
+            Ok(Frame { name: path_from(folder, photo)?, ..frame.clone() })
+        };
         let frames = poses.frames.iter().map(name).collect::<Result<Vec<Frame>>>()?;
         let points = points.file_name().unwrap_or_default().to_string_lossy();
         write_frames(&cameras, &frames, Some(&points))
@@ -386,7 +394,7 @@ impl Log {
     }
 
     fn write(&mut self, line: &str) -> Result<()> {
-        writeln!(self.0, "{line}").map_err(|source| Error::io(self.0.path(), source))
+        writeln!(self.0.as_file_mut(), "{line}").map_err(|source| Error::io(self.0.path(), source))
     }
 
     /// Leaves it for who looks for a reason.
