@@ -37,8 +37,16 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     };
     assert!(pose.translation.abs_diff_eq(first.translation, 1e-9));
     let again = format!("refine {PHOTOS} --start points --steps 30 -o @/again.ply");
-    let text = folder.run(&again).success();
-    assert!(text.contains("held-out photos"), "{text}");
+    let text = folder.run(&format!("{again} --explain")).success();
+    assert!(text.contains("held-out photos") && !text.contains("left out"), "{text}");
+    let row = |what: &str| text.lines().find_map(|line| line.strip_prefix(what)).unwrap_or_else(|| panic!("{text}"));
+    assert_eq!(row("start").trim(), "the capture's points");
+    assert!(row("steps").contains("30 of 30, of 4 photos each; kept is step "), "{text}");
+    assert!(row("rates").contains("means 0.005"), "{text}");
+    let names = std::fs::read_dir(folder.path("place/images")).expect("photos").map(|file| file.expect("a file"));
+    let held = row("held-out photos").trim();
+    assert!(names.map(|file| file.file_name()).any(|name| name == held), "{held}");
+    assert_eq!((row("largest photo").trim(), row("ended").trim()), ("42x28 from step 1", "after all steps"));
     assert_eq!(read_scene(folder.path("again.ply")).expect("a scene"), scene);
 }
 

@@ -1,14 +1,19 @@
 //! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
 
-use crate::{session::Session, table::time};
+use crate::{
+    session::Session,
+    table::{Table, bytes, counted, time},
+};
 use clap::ValueEnum;
 use serde_json::{Value, json};
-use std::{ops::ControlFlow, str::FromStr};
+use std::{ops::ControlFlow, path::PathBuf, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::Device,
     reconstruct::SceneTokens,
-    refine::{FrozenHead, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points},
+    refine::{
+        FrozenHead, Rates, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points,
+    },
     types::{Camera, Image, PointCloud, Pose, Scene},
 };
 
@@ -68,6 +73,9 @@ impl Start {
         }
     }
 }
+
+/// What a refinement of tokens starts from, in words.
+pub const TOKENS: &str = "the network's tokens";
 
 /// Most pixels of a photo along x and y, where nobody says.
 pub const MOST_PIXELS: &str = "1600x1600";
@@ -184,9 +192,58 @@ pub fn summary(refined: &Refined, start: &str) -> String {
 /// The same for programs.
 pub fn as_json(refined: &Refined, start: &str) -> Value {
     json!({
-        "start": start,        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
-        "held_out": refined.held_out, "seconds": refined.took.as_secs_f64(),
+        "start": start, "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "held_out": refined.held_out, "held_out_photos": refined.held, "sizes": refined.sizes, "ended": ended(refined),
+        "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
+}
+
+/// What was refined and how, for `--explain`: photos have their files' names.
+pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
+    let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let held: Vec<String> = refined.held.iter().map(name).collect();
+    let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
+    let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
+    let Rates { means, scales, quats, opacities, sh_coeffs, tokens } = request.rates;
+    let rates = match start {
+        TOKENS => format!("tokens {tokens}"),
+        _ => format!(
+            "means {means} of the scene's distance, ln scales {scales}, quats {quats}, logit opacities {opacities}, \
+             sh_coeffs {sh_coeffs}"
+        ),
+    };
+    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held.len()));
+    let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
+    let mut table = Table::new(2, &["refined", ""]);
+    for (what, how) in [
+        ("start", start.to_owned()),
+        (
+            "steps",
+            format!(
+                "{steps} of {}, of {} each; kept is step {}",
+                request.steps,
+                counted(each, "photo"),
+                refined.best_step
+            ),
+        ),
+        ("rates", format!("{rates}; they fall to a tenth")),
+        ("held-out photos", or_none(held.join(", "))),
+        ("largest photo", or_none(sizes.join(", "))),
+        ("memory", bytes(refined.peak_bytes)),
+        ("ended", ended(refined)),
+    ] {
+        table.row([what.into(), how]);
+    }
+    table
+}
+
+/// Why a refinement ended.
+fn ended(refined: &Refined) -> String {
+    match &refined.stopped {
+        None => "after all steps".into(),
+        Some(Stopped::Cancelled) => "cancelled".into(),
+        Some(Stopped::Diverged(why)) => why.clone(),
+    }
 }
 
 /// What there is to say where it ended early.

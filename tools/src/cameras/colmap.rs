@@ -288,7 +288,9 @@ mod tests {
             "I2 1 2 feature_extraction.cc:294]   Features:        31 (SIFT)",
             "Loading matches... 49 in 0.000s",
         ];
-        lines.iter().for_each(|line| drop(told.hear(line, 3)));
+        for line in lines {
+            told.hear(line, 3);
+        }
         assert_eq!((&told.features[..], told.pairs), (&[2666, 31][..], Some(49)));
         told.hear("I2 1 2 database_cache.cc:144] Loading matches...", 3);
         told.hear("I2 1 2 database_cache.cc:163]  48 in 0.000s", 3);

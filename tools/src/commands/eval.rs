@@ -149,7 +149,7 @@ impl Eval {
         let mut scene = result.scene()?;
         self.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
-        let mut started = "the network's tokens";
+        let mut started = refinement::TOKENS;
         let refined = match (self.refine, &tokens) {
             (Some(Steps { count, .. }), Some(tokens)) => {
                 let head = FrozenHead::load(&device, &checkpoint)?;

@@ -87,7 +87,7 @@ pub struct Reconstruct {
     explain: bool,
     /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
     /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
-    /// the step that predicts it best
+    /// the step that predicts it best. Ctrl-C in between writes the best so far
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         )]
     refine: Option<Option<Steps>>,
@@ -229,7 +229,7 @@ impl Reconstruct {
             }
             _ => None,
         };
-        if let Some((refined, _)) = &refined {
+        if let Some((refined, ..)) = &refined {
             scene = refined.scene.clone();
         }
         let world = frames.first().map(|first| self.world.of(first));
@@ -247,6 +247,11 @@ impl Reconstruct {
             spz_coarsening(&scene).into_iter().for_each(|note| session.note(note));
         }
         let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
+        if let Some((Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, ..)) = &refined {
+            save()?.into_iter().for_each(|note| session.note(note));
+            session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
+            return Err(Error::Cancelled);
+        }
         let (note, write) = session.stage("write", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
         let drawn = drawing.map(|drawing| {
@@ -267,7 +272,7 @@ impl Reconstruct {
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
-        times.extend(refined.iter().map(|(refined, _)| ("refine", refined.took)));
+        times.extend(refined.iter().map(|(refined, ..)| ("refine", refined.took)));
         times.push(("write", write));
         let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
         let tokens = shape.grid.tokens();
@@ -306,8 +311,11 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some((refined, started)) = &refined {
+        if let Some((refined, started, request)) = &refined {
             text += &format!("{}\n", refinement::summary(refined, started));
+            if self.explain {
+                text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
+            }
             json["refined"] = refinement::as_json(refined, started);
         }
         if let Some((pictures, told)) = drawn {
@@ -330,7 +338,7 @@ impl Reconstruct {
         from: From<'_>,
         (scene, cloud): (Scene, Option<&PointCloud>),
         (photos, frames): (&[PathBuf], &[&Frame]),
-    ) -> Result<(Refined, &'static str)> {
+    ) -> Result<(Refined, &'static str, Refine)> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
@@ -338,7 +346,7 @@ impl Reconstruct {
             session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
-        let mut started = "the network's tokens";
+        let mut started = refinement::TOKENS;
         let refined = if let Some(tokens) = &from.tokens {
             let head = FrozenHead::load(from.device, from.checkpoint)?;
             refinement::refine(session, Refinable::Tokens(&head, tokens), &photos, &cameras, &request)?
@@ -350,8 +358,8 @@ impl Reconstruct {
         };
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
-            Some(Stopped::Cancelled) => Err(Error::Cancelled),
-            _ => Ok((refined, started)),
+            Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
+            _ => Ok((refined, started, request)),
         }
     }
 

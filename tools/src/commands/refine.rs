@@ -74,7 +74,7 @@ pub struct Refine {
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Also print the passes of a step, with time and bytes
+    /// Also print the passes of a step, with time and bytes, and what was refined and how
     #[arg(long)]
     explain: bool,
 }
@@ -107,9 +107,9 @@ impl Refine {
         // COLMAP's points have been read.
         drop(found);
         let device = session.device()?;
-        let (photos, _) =
+        let (images, _) =
             session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
-        let refined = self.refine(session, &device, &started, &photos)?;
+        let (refined, request) = self.refine(session, &device, &started, &images)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         if refined.stopped == Some(Stopped::Cancelled) && refined.best_step == 0 {
             return Err(Error::Cancelled);
@@ -121,7 +121,7 @@ impl Refine {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
             return Err(Error::Cancelled);
         }
-        self.report(session, device.limits().name.clone(), photos.len(), refined)
+        self.report(session, device.limits().name.clone(), &photos, refined, &request)
     }
 
     /// The scene's file, where there has to be one, and those of the photos.
@@ -166,7 +166,13 @@ impl Refine {
         Ok(Started { scene, cameras, world })
     }
 
-    fn refine(&self, session: &Session<'_>, device: &Device, started: &Started, photos: &[Image]) -> Result<Refined> {
+    fn refine(
+        &self,
+        session: &Session<'_>,
+        device: &Device,
+        started: &Started,
+        photos: &[Image],
+    ) -> Result<(Refined, refine::Refine)> {
         let request = refine::Refine {
             steps: self.steps,
             views_per_step: self.batch,
@@ -177,25 +183,33 @@ impl Refine {
             ..refine::Refine::default()
         };
         let from = Refinable::Scene(device, &started.scene);
-        refinement::refine(session, from, photos, &started.cameras, &request)
+        Ok((refinement::refine(session, from, photos, &started.cameras, &request)?, request))
     }
 
-    fn report(&self, session: &mut Session<'_>, device: String, photos: usize, refined: Refined) -> Result<()> {
+    fn report(
+        &self,
+        session: &mut Session<'_>,
+        device: String,
+        photos: &[PathBuf],
+        refined: Refined,
+        request: &refine::Refine,
+    ) -> Result<()> {
+        let start = self.start.name();
         let count = refined.scene.len();
         let mut json = json!({
-            "output": self.output, "device": device, "photos": photos, "gaussians": count,
-            "refined": refinement::as_json(&refined, self.start.name()),
+            "output": self.output, "device": device, "photos": photos.len(), "gaussians": count,
+            "refined": refinement::as_json(&refined, start),
         });
         let mut text = format!(
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
-            counted(photos, "photo"),
-            refinement::summary(&refined, self.start.name()),
+            counted(photos.len(), "photo"),
+            refinement::summary(&refined, start),
         );
-        if let Some(profile) = refined.profile {
-            let explanation = Explanation::of_kernels(&profile, Vec::new());
-            text += &format!("\n{explanation}");
+        if let Some(profile) = &refined.profile {
+            let explanation = Explanation::of_kernels(profile, Vec::new());
+            text += &format!("\n{explanation}\n{}", refinement::explain(&refined, request, start, photos));
             json["explain"] = json!(explanation);
         }
         session.report(&json, text)
