@@ -47,7 +47,10 @@ fn photos() {
     ] {
         std::fs::write(folder.path(name), start).expect("a file");
         let advice = folder.line(advice);
-        refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
+        // A video that is named goes to ffmpeg.
+        if !kind.contains("video") {
+            refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
+        }
         // A folder of nothing else says the same, with the command for the file where it is.
         std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
         if name != "b.jpg" {

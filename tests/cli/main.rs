@@ -13,6 +13,7 @@ mod reconstruct;
 mod refine;
 mod render;
 mod trajectories;
+mod video;
 mod weights;
 
 use std::{

@@ -13,7 +13,7 @@ use zipsplat::{Error, Result};
 
 /// Between looks at whether a program is done, or this command should stop.
 pub const POLL: Duration = Duration::from_millis(10);
-/// For a process that no longer reads to say why.
+/// For a process that no longer reads, or has ended, to be heard.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// A process in a group of its own, ended with all of the group when this is dropped.
@@ -97,13 +97,18 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
             bytes.clear();
         }
     });
+    let mut ended = None;
     loop {
         stage.check()?;
         match lines.recv_timeout(POLL) {
             Ok(text) => line(&text)?,
             Err(RecvTimeoutError::Disconnected) => break,
-            // What it left running may hold the pipe open.
-            Err(RecvTimeoutError::Timeout) if running.0.try_wait().map_err(failed)?.is_some() => break,
+            Err(RecvTimeoutError::Timeout) if running.0.try_wait().map_err(failed)?.is_some() => {
+                // What it left running may hold the pipe open.
+                if ended.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
+                    break;
+                }
+            }
             Err(RecvTimeoutError::Timeout) => {}
         }
     }

@@ -41,6 +41,8 @@ pub struct Told {
     pub pairs: Option<usize>,
     /// Whether it said that no pair of photos is a start.
     pub no_start: bool,
+    /// Whether the disk was full, which COLMAP 3 only says.
+    pub no_room: bool,
     /// Whether the next line has the number of pairs.
     pairs_follow: bool,
     /// The last lines that were no mere progress.
@@ -123,7 +125,8 @@ impl Colmap {
     /// [`Error::Io`] where it cannot be asked which options it has.
     pub fn command(&self, step: Step, folder: &Path, pairs: Pairs, side: u32) -> Result<Command> {
         let mut command = Command::new(&self.program);
-        headless(&mut command);
+        // What it leaves behind goes with the folder.
+        headless(&mut command).env("TMPDIR", folder);
         if self.python {
             let step = match (step, pairs) {
                 (Step::Features, _) => "features",
@@ -209,6 +212,7 @@ impl Told {
             self.pairs_follow = self.pairs.is_none();
         }
         self.no_start |= text.contains("No good initial image pair found") || text.contains("failed to create sparse");
+        self.no_room |= ["disk is full", "No space left"].iter().any(|words| text.contains(words));
         let far = progress(text, photos);
         if far.is_none() && text.contains(char::is_alphanumeric) && !text.starts_with("Elapsed time") {
             self.last.push(text.to_owned());

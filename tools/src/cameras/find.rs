@@ -2,7 +2,7 @@
 
 use super::colmap::{Colmap, Step, Told};
 use crate::{
-    outputs::{LOG_START, Overwrite},
+    outputs::LOG_START,
     photos::names,
     process,
     session::{Session, Stage},
@@ -21,8 +21,7 @@ use zipsplat::{
     Error, Result,
     types::{
         Image, open_file,
-        poses::{Frame, Poses, read_cloud, read_poses, write_frames},
-        write_atomic, write_points,
+        poses::{Frame, Poses, read_cloud, read_poses},
     },
 };
 
@@ -72,18 +71,20 @@ pub struct Known {
 pub struct Found {
     /// Photos that have no camera.
     pub lost: Vec<PathBuf>,
-    /// Photos with cameras in each group that COLMAP could not join with the others, the largest first, which is taken.
+    /// Photos with a camera.
+    pub count: usize,
+    /// The numbers of photos, of those that have no camera, in groups that COLMAP could not join with the others.
     pub groups: Vec<usize>,
     pub points: usize,
     /// The program that found them.
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    log: Log,
+    pub(super) log: Log,
     _work: TempDir,
 }
 
 /// All that COLMAP said.
-struct Log(NamedTempFile);
+pub(super) struct Log(NamedTempFile);
 
 /// The photos in a folder of their own, under names that COLMAP's files have room for.
 struct Work {
@@ -113,7 +114,8 @@ impl Known {
 }
 
 impl Found {
-    /// The cameras of photos, in a world and unit of COLMAP's choice. Frames are named by the photos' paths.
+    /// The cameras of photos, in a world and unit of COLMAP's choice. Frames have the names of the photos' files, or of several that
+    /// share one their paths.
     ///
     /// # Errors
     /// [`Error::Argument`] where COLMAP is missing or finds no cameras, with the likely reason; [`Error::Io`] where it fails, with
@@ -136,8 +138,13 @@ impl Found {
                 })
             })?;
             times.push((step.name(), took));
-            // The mapper fails, too, where there is nothing to find.
-            if !status.success() && !(step == Step::Cameras && told.no_start) {
+            if told.no_room {
+                let why = "COLMAP found no room left for its files; TMPDIR says where they go";
+                return Err(process::failure(&std::env::temp_dir(), why, status));
+            }
+            // So the mapper ends where there is nothing to find.
+            let finds_nothing = step == Step::Cameras && told.no_start && status.code() == Some(1);
+            if !status.success() && !finds_nothing {
                 let place = log.keep()?;
                 let said = match told.last_words() {
                     words if words.is_empty() => String::new(),
@@ -150,89 +157,30 @@ impl Found {
         let mut models = work.models()?;
         // Of equal ones the first.
         models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
-        let groups: Vec<usize> = models.iter().map(|model| model.frames.len()).collect();
-        let Some(model) = models.into_iter().next() else { return Err(nothing(photos.len(), &told)) };
+        let mut models = models.into_iter();
+        let Some(model) = models.next() else { return Err(nothing(photos.len(), &told)) };
+        let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
+        let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
         let (poses, lost) = work.named(model)?;
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let program = colmap.to_string();
-        Ok((poses, Self { lost, groups, points, program, times, log, _work: work.folder }))
+        let count = poses.frames.len();
+        Ok((poses, Self { lost, count, groups, points, program, times, log, _work: work.folder }))
     }
 
     /// What was found, in words.
     pub fn told(&self) -> String {
-        let found = self.groups[0];
-        let mut text = format!("{found} of {}", counted(found + self.lost.len(), "photo"));
+        let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
         if !self.lost.is_empty() {
             text += &format!("; without a camera: {}", names(&self.lost));
         }
-        if let [_, others @ ..] = &self.groups[..]
-            && !others.is_empty()
-        {
-            let others: Vec<String> = others.iter().map(ToString::to_string).collect();
-            text += &format!("; groups of {} photos could not be joined with the largest", others.join(", "));
+        if !self.groups.is_empty() {
+            let groups: Vec<String> = self.groups.iter().map(ToString::to_string).collect();
+            text += &format!("; of them groups of {} see something of their own", groups.join(", "));
         }
         text
     }
-}
-
-/// Where found cameras are kept: `transforms.json`, and beside it the points and COLMAP's log.
-pub struct Place<'a>(pub &'a Path);
-
-impl Place<'_> {
-    /// The file of the points, or the log: `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
-    fn beside(&self, name: &str) -> PathBuf {
-        match self.0.file_stem() {
-            Some(stem) if stem != "transforms" => {
-                let mut own = stem.to_owned();
-                own.push(format!(".{name}"));
-                self.0.with_file_name(own)
-            }
-            _ => self.0.with_file_name(name),
-        }
-    }
-
-    fn files(&self) -> [PathBuf; 3] {
-        [self.0.to_owned(), self.beside("points.ply"), self.beside("colmap.log")]
-    }
-
-    /// Checks that cameras can be kept here, before they are looked for.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where it is no JSON file or another's would be replaced, [`Error::Io`] where none can be written.
-    pub fn check(&self, overwrite: Overwrite) -> Result<()> {
-        if self.0.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
-            return Err(Error::argument("file of cameras", self.0.display(), "one that ends in .json"));
-        }
-        self.files().iter().try_for_each(|file| overwrite.check_file(file))
-    }
-
-    /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points and the log.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming the file that cannot be written.
-    pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
-        let [cameras, points, log] = self.files();
-        if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
-            let colored = cloud.positions.into_iter().zip(cloud.colors);
-            write_points(&points, &colored.collect::<Vec<_>>())?;
-        }
-        let said = std::fs::read(found.log.0.path()).map_err(|source| Error::io(found.log.0.path(), source))?;
-        write_atomic(&log, |out| out.write_all(&said))?;
-        let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let name = |frame: &Frame| Ok(Frame { name: path_from(folder, Path::new(&frame.name))?, ..frame.clone() });
-        let frames = poses.frames.iter().map(name).collect::<Result<Vec<Frame>>>()?;
-        let points = points.file_name().unwrap_or_default().to_string_lossy();
-        write_frames(&cameras, &frames, Some(&points))
-    }
-}
-
-/// A photo's path as seen from a folder above it, else its whole path.
-fn path_from(folder: &Path, photo: &Path) -> Result<String> {
-    let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
-    let (folder, photo) = (whole(folder)?, whole(photo)?);
-    let path = photo.strip_prefix(folder).unwrap_or(&photo);
-    Ok(path.to_string_lossy().replace('\\', "/"))
 }
 
 /// Shows how far a step is, and how long it may still take.
@@ -383,7 +331,11 @@ impl Log {
     }
 
     fn write(&mut self, line: &str) -> Result<()> {
-        writeln!(self.0, "{line}").map_err(|source| Error::io(self.0.path(), source))
+        writeln!(self.0.as_file_mut(), "{line}").map_err(|source| Error::io(self.0.path(), source))
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        self.0.path()
     }
 
     /// Leaves it for who looks for a reason.

@@ -3,6 +3,8 @@
 mod colmap;
 mod find;
 mod paths;
+mod place;
 
-pub use find::{Finding, Found, Known, Place};
+pub use find::{Finding, Found, Known};
 pub use paths::{CameraArgs, origin};
+pub use place::Place;

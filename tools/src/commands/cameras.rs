@@ -55,7 +55,7 @@ impl Cameras {
         let seconds: serde_json::Map<_, _> =
             found.times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
         let json = json!({
-            "output": self.output, "photos": photos.len(), "found": poses.frames.len(), "lost": found.lost,
+            "output": self.output, "photos": photos.len(), "found": found.count, "lost": found.lost,
             "groups": found.groups, "points": found.points, "program": found.program, "seconds": seconds,
         });
         let mut text = format!("{}: {}\n", self.output.display(), found.told());

@@ -1,0 +1,93 @@
+//! Photos from videos: with programs that stand for ffmpeg, and with itself where it is installed.
+#![cfg(unix)]
+
+use crate::{
+    Folder,
+    cameras::{COPIES, OPTIONS_3, colmap, installed, model, script},
+};
+use glam::{DMat3, DVec3};
+use std::{fs, path::PathBuf};
+use zipsplat::types::{
+    Camera,
+    poses::{Frame, read_poses},
+};
+
+/// Frames of a video through a program that stands for ffmpeg: of 6 frames 1, 2 and 4 are the sharp ones of their thirds.
+#[test]
+fn videos_become_their_sharpest_frames() {
+    let folder = Folder::new();
+    let noise =
+        |frame: usize, i: usize| ((i * 2_654_435_761) >> 7) as u8 / if [1, 2, 4].contains(&frame) { 1 } else { 8 };
+    let grey: Vec<u8> = (0..6).flat_map(|frame| (0..512 * 512).map(move |i| noise(frame, i))).collect();
+    fs::write(folder.path("grey"), grey).expect("written");
+    let ppm = |shade: u8| [b"P6\n16 8\n255\n".as_slice(), &[shade; 3 * 16 * 8]].concat();
+    fs::write(folder.path("ppm"), [ppm(40), ppm(90), ppm(200)].concat()).expect("written");
+    let here = folder.line("@");
+    let text = |grey: &str, ppm: &str| {
+        format!(
+            "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho \"$@\" >>'{here}/ffmpeg.args'\ncase \"$*\" in *rawvideo*) {grey};; *ppm*) {ppm};; esac\n"
+        )
+    };
+    let cats = text(&format!("cat '{here}/grey'"), &format!("cat '{here}/ppm'"));
+    script(&folder, "ffmpeg", &cats);
+    fs::write(folder.path("clip.MP4"), "a video").expect("written");
+    let micro = "--weights @/micro.safetensors --size 28x28";
+    let line =
+        |ffmpeg: &str| format!("reconstruct @/clip.MP4 --views 3 --ffmpeg @/{ffmpeg} {micro} -o @/scene.ply --json");
+    let before = folder.names();
+    assert_eq!(folder.run(&line("ffmpeg")).json()["photos"], 3);
+    let made: Vec<String> = folder.names().into_iter().filter(|name| !before.contains(name)).collect();
+    assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
+    let args = fs::read_to_string(folder.path("ffmpeg.args")).expect("arguments");
+    assert!(args.contains("select='eq(n,1)+eq(n,2)+eq(n,4)'"), "{args}");
+    // With cameras the frames stay, and are named.
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
+    let camera = zipsplat_tests::scenes::camera(16, 8);
+    let moved = Camera { pose: zipsplat::types::Pose { rotation: DMat3::IDENTITY, translation: DVec3::X }, ..camera };
+    model(&folder.path("colmap.model/0"), &[("0/000000.jpg", &camera), ("0/000002.jpg", &moved)]);
+    let cameras = "cameras @/clip.MP4 --views 3 --ffmpeg @/ffmpeg --colmap @/colmap -o @/transforms.json";
+    folder.run(cameras).success();
+    let poses = read_poses(folder.path("transforms.json")).expect("cameras");
+    let names: Vec<&str> = poses.frames.iter().map(|frame| frame.name.as_str()).collect();
+    assert_eq!(names, ["frames/clip-00001.jpg", "frames/clip-00004.jpg"]);
+    let shade = |frame: &Frame| -> PathBuf { frame.photo.clone().expect("the frame was kept") };
+    let photo = zipsplat::types::Image::open(shade(&poses.frames[1])).expect("a photo");
+    assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
+    folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
+    folder.run(&format!("{cameras} --overwrite")).success();
+    // A frame that is missing, words of ffmpeg's, and none.
+    fs::remove_file(folder.path("scene.ply")).expect("removed");
+    script(&folder, "short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
+    script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));
+    script(&folder, "nothing", &text("", ""));
+    let before = folder.names();
+    folder.run(&line("short")).fails(1, &["short"]);
+    folder.run(&line("says")).fails(3, &["clip.MP4", "moov atom not found"]);
+    folder.run(&line("nothing")).fails(3, &["clip.MP4", "no frame"]);
+    folder.run(&line("absent")).fails(3, &["ffmpeg", "absent", "an installed ffmpeg"]);
+    folder.run(&line("ffmpeg").replace("clip", "none")).fails(3, &["none.MP4", "No such file"]);
+    assert_eq!(folder.names(), before);
+}
+
+#[test]
+fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
+    if !installed("ffmpeg", "ffmpeg_itself_gives_frames_turned_as_the_file_says") {
+        return;
+    }
+    let folder = Folder::new();
+    let ffmpeg = |line: &str| {
+        let line = folder.line(line);
+        let run = std::process::Command::new("ffmpeg").args(["-loglevel", "error"]).args(line.split(' ')).status();
+        assert!(run.expect("ffmpeg runs").success(), "{line}");
+    };
+    ffmpeg("-f lavfi -i testsrc=duration=1:size=64x48:rate=10 -c:v mpeg4 @/plain.mp4");
+    ffmpeg("-i @/plain.mp4 -c copy -metadata:s:v rotate=90 @/turned.mp4");
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
+    let camera = |width, height| zipsplat_tests::scenes::camera(width, height);
+    for (clip, width, height) in [("plain", 64, 48), ("turned", 48, 64)] {
+        model(&folder.path("colmap.model/0"), &[("0/000004.jpg", &camera(width, height))]);
+        let line = format!("cameras @/{clip}.mp4 --views 5 --colmap @/colmap -o @/{clip}.json --overwrite --json");
+        let json = folder.run(&line).json();
+        assert_eq!((json["photos"].as_u64(), json["found"].as_u64()), (Some(5), Some(1)), "{json}");
+    }
+}

@@ -1,0 +1,74 @@
+//! Where found cameras are kept.
+
+use super::Found;
+use crate::outputs::Overwrite;
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Error, Result,
+    types::{
+        poses::{Frame, Poses, read_cloud, write_frames},
+        write_atomic, write_points,
+    },
+};
+
+/// Where found cameras are kept: `transforms.json`, and beside it the points and COLMAP's log.
+pub struct Place<'a>(pub &'a Path);
+
+impl Place<'_> {
+    /// The file of the points, or the log: `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
+    fn beside(&self, name: &str) -> PathBuf {
+        match self.0.file_stem() {
+            Some(stem) if stem != "transforms" => {
+                let mut own = stem.to_owned();
+                own.push(format!(".{name}"));
+                self.0.with_file_name(own)
+            }
+            _ => self.0.with_file_name(name),
+        }
+    }
+
+    fn files(&self) -> [PathBuf; 3] {
+        [self.0.to_owned(), self.beside("points.ply"), self.beside("colmap.log")]
+    }
+
+    /// Checks that cameras can be kept here, before they are looked for.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where it is no JSON file or another's would be replaced, [`Error::Io`] where none can be written.
+    pub fn check(&self, overwrite: Overwrite) -> Result<()> {
+        if self.0.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
+            return Err(Error::argument("file of cameras", self.0.display(), "one that ends in .json"));
+        }
+        self.files().iter().try_for_each(|file| overwrite.check_file(file))
+    }
+
+    /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points and the log.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file that cannot be written.
+    pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
+        let [cameras, points, log] = self.files();
+        if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
+            let colored = cloud.positions.into_iter().zip(cloud.colors);
+            write_points(&points, &colored.collect::<Vec<_>>())?;
+        }
+        let said = std::fs::read(found.log.path()).map_err(|source| Error::io(found.log.path(), source))?;
+        write_atomic(&log, |out| out.write_all(&said))?;
+        let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let name = |frame: &Frame| {
+            let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
+            Ok(Frame { name: path_from(folder, photo)?, ..frame.clone() })
+        };
+        let frames = poses.frames.iter().map(name).collect::<Result<Vec<Frame>>>()?;
+        let points = points.file_name().unwrap_or_default().to_string_lossy();
+        write_frames(&cameras, &frames, Some(&points))
+    }
+}
+
+/// A photo's path as seen from a folder above it, else its whole path.
+fn path_from(folder: &Path, photo: &Path) -> Result<String> {
+    let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
+    let (folder, photo) = (whole(folder)?, whole(photo)?);
+    let path = photo.strip_prefix(folder).unwrap_or(&photo);
+    Ok(path.to_string_lossy().replace('\\', "/"))
+}
