@@ -12,6 +12,7 @@ mod reconstruct;
 mod refine;
 mod render;
 mod trajectories;
+mod view;
 mod weights;
 
 use std::{

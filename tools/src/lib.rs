@@ -25,6 +25,7 @@ mod session;
 mod signals;
 mod table;
 mod unit;
+mod viewer;
 mod views;
 
 use clap::Parser;
@@ -43,6 +44,7 @@ use zipsplat::Error;
     after_help = "Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
+  zipsplat view scene.ply -o scene.html
   zipsplat info
   zipsplat doctor
   zipsplat weights get zipsplat

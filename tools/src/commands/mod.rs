@@ -10,6 +10,7 @@ mod refine;
 mod render;
 mod scene;
 mod tune;
+mod view;
 mod weights;
 
 use crate::session::Session;
@@ -22,6 +23,7 @@ pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
     Refine(refine::Refine),
     Render(render::Render),
+    View(view::View),
     Info(info::Info),
     Convert(convert::Convert),
     Eval(eval::Eval),
@@ -45,6 +47,7 @@ impl Command {
             Command::Reconstruct(command) => command.run(session),
             Command::Refine(command) => command.run(session),
             Command::Render(command) => command.run(session),
+            Command::View(command) => command.run(session),
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),
