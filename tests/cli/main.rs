@@ -14,6 +14,7 @@ mod refine;
 mod render;
 mod trajectories;
 mod video;
+mod view;
 mod weights;
 
 use std::{

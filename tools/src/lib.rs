@@ -27,6 +27,7 @@ mod signals;
 mod table;
 mod unit;
 mod video;
+mod viewer;
 mod views;
 
 use clap::Parser;
@@ -45,6 +46,7 @@ use zipsplat::Error;
     after_help = "Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
+  zipsplat view scene.ply -o scene.html
   zipsplat info
   zipsplat doctor
   zipsplat weights get zipsplat

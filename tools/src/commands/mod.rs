@@ -11,6 +11,7 @@ mod refine;
 mod render;
 mod scene;
 mod tune;
+mod view;
 mod weights;
 
 use crate::session::Session;
@@ -24,6 +25,7 @@ pub enum Command {
     Cameras(cameras::Cameras),
     Refine(refine::Refine),
     Render(render::Render),
+    View(view::View),
     Info(info::Info),
     Convert(convert::Convert),
     Eval(eval::Eval),
@@ -48,6 +50,7 @@ impl Command {
             Command::Cameras(command) => command.run(session),
             Command::Refine(command) => command.run(session),
             Command::Render(command) => command.run(session),
+            Command::View(command) => command.run(session),
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),

@@ -1,0 +1,122 @@
+// A headless browser with WebGL2 on the CPU, the command, and pictures of both.
+
+import { execFileSync, spawn } from "node:child_process";
+import { mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { PNG } from "pngjs";
+import puppeteer from "puppeteer-core";
+
+export const folder = mkdtempSync(join(tmpdir(), "zipsplat-viewer-"));
+export const at = name => join(folder, name);
+export const zipsplat = (...args) => execFileSync(process.env.ZIPSPLAT, [...args], { cwd: folder, encoding: "utf8", stdio: ["ignore", "pipe", "pipe"] });
+export const sleep = ms => new Promise(resolve => setTimeout(resolve, ms));
+
+// Starts a command that serves until it is stopped; gives the address that it prints.
+export async function serve(...args) {
+    const child = spawn(process.env.ZIPSPLAT, args, { cwd: folder, stdio: ["ignore", "pipe", "inherit"] });
+    let text = "";
+    for await (const part of child.stdout) if ((text += part).includes("\n")) break;
+    const ended = new Promise(resolve => child.on("exit", resolve));
+    return { address: text.split("\n")[0], stop: () => (child.kill("SIGINT"), ended) };
+}
+
+let browser;
+export const close = () => browser?.close();
+
+export class Tab {
+    // Opens a page and notes what it complains of and asks for.
+    static async open(url, viewport = { width: 320, height: 240 }) {
+        browser ??= await puppeteer.launch({
+            executablePath: process.env.CHROME, protocolTimeout: 600_000,
+            args: ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"],
+        });
+        const tab = new Tab();
+        Object.assign(tab, { complaints: [], requests: [], page: await browser.newPage() });
+        tab.page.on("console", message => message.type() === "error" && tab.complaints.push(message.text()));
+        tab.page.on("pageerror", error => tab.complaints.push(error.message));
+        tab.page.on("request", request => /^(data|blob):/.test(request.url()) || tab.requests.push(request.url()));
+        await tab.page.setViewport(viewport);
+        await tab.page.goto(url);
+        return tab;
+    }
+
+    run(code, ...args) { return this.page.evaluate(code, ...args); }
+    close() { return this.page.close(); }
+
+    // Waits until the scene on show is drawn in order.
+    async settled() {
+        await this.page.waitForFunction(() => {
+            const { scene, waiting } = globalThis.zipsplat ?? {};
+            return scene?.failed || scene?.drawable?.drawn && !scene.sorting && !waiting;
+        }, { timeout: 300_000 });
+    }
+
+    // The words on the page once there is a failure.
+    async failure() {
+        await this.page.waitForSelector("#message.failed:not([hidden])", { timeout: 120_000 });
+        return this.page.$eval("#message", element => element.textContent);
+    }
+
+    // The scene's picture as it is drawn in full.
+    async picture() {
+        await this.settled();
+        const url = await this.run(() => {
+            zipsplat.moved = -1e9;
+            zipsplat.draw(performance.now());
+            return zipsplat.canvas.toDataURL();
+        });
+        return PNG.sync.read(Buffer.from(url.split(",")[1], "base64"));
+    }
+
+    // What `zipsplat render` draws of a file from the page's camera, by way of a camera_path.json that the page makes.
+    async rendered(file, ...options) {
+        const path = await this.run(() => (zipsplat.keys = [], zipsplat.keep(), zipsplat.path()));
+        writeFileSync(at("camera_path.json"), JSON.stringify(path));
+        zipsplat("render", file, "--cameras", "camera_path.json", "-o", "pictures", ...options);
+        return PNG.sync.read(readFileSync(at("pictures/000.png")));
+    }
+
+    async drop(name, bytes) {
+        await this.run((name, base64) => {
+            const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0)), transfer = new DataTransfer();
+            transfer.items.add(new File([bytes], name));
+            dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, cancelable: true, bubbles: true }));
+        }, name, bytes.toString("base64"));
+    }
+
+    async screenshot(name) {
+        if (!process.env.PICTURES) return;
+        mkdirSync(process.env.PICTURES, { recursive: true });
+        await this.page.screenshot({ path: join(process.env.PICTURES, `${name}.png`) });
+    }
+}
+
+export function psnr(a, b) {
+    if (a.width !== b.width || a.height !== b.height) throw new Error(`${a.width}x${a.height} beside ${b.width}x${b.height}`);
+    let sum = 0, count = 0;
+    for (let i = 0; i < a.data.length; ++i) if (i % 4 < 3) sum += (a.data[i] - b.data[i]) ** 2, ++count;
+    return 10 * Math.log10(255 ** 2 * count / Math.max(sum, 1e-9));
+}
+
+// How far the pixels of a picture spread.
+export function spread({ data }) {
+    const values = [...data].filter((_, i) => i % 4 === 1), mean = values.reduce((a, b) => a + b) / values.length;
+    return Math.sqrt(values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / values.length);
+}
+
+// A PLY of random Gaussians ahead of the origin with spherical harmonics of degree 3, the same each time.
+export function randomPly(count) {
+    let state = 1;
+    const random = (least, most) => {
+        state = (state * 48271) % 2147483647;
+        return least + (most - least) * state / 2147483647;
+    };
+    const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", ...Array.from({ length: 45 }, (_, i) => `f_rest_${i}`),
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${count}\n${names.map(name => `property float ${name}\n`).join("")}end_header\n`;
+    const range = name => /^[xy]$/.test(name) ? [-1, 1] : name === "z" ? [1, 4] : name === "opacity" ? [-3, 5]
+        : /^scale/.test(name) ? [-7, -1.5] : /^f_rest/.test(name) ? [-0.2, 0.2] : [-1, 1];
+    const rows = Float32Array.from({ length: count * names.length }, (_, i) => random(...range(names[i % names.length])));
+    return Buffer.concat([Buffer.from(header), Buffer.from(rows.buffer)]);
+}

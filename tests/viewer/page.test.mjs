@@ -1,0 +1,172 @@
+import assert from "node:assert/strict";
+import { readFileSync, rmSync, writeFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+import { pathToFileURL } from "node:url";
+import { Tab, at, close, folder, psnr, randomPly, serve, sleep, spread, zipsplat } from "./browser.mjs";
+
+const AGREES = 56; // dB between the page's picture and that of `render`: roundings, and no more
+const COUNT = 3000;
+
+before(() => {
+    writeFileSync(at("random.ply"), randomPly(COUNT));
+    zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats");
+    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.splat"], ["one.glb"]])
+        zipsplat("convert", "random.ply", name, ...options);
+});
+after(async () => {
+    await close();
+    rmSync(folder, { recursive: true });
+});
+
+async function opened(name, viewport) {
+    const tab = await Tab.open(pathToFileURL(at(name)).href, viewport);
+    await tab.settled();
+    return tab;
+}
+
+async function agrees(tab, file) {
+    const picture = await tab.picture();
+    assert.ok(spread(picture) > 5, "the picture shows something");
+    const found = psnr(picture, await tab.rendered(file));
+    console.log(`${file}: ${found.toFixed(1)} dB`);
+    assert.ok(found > AGREES, `${file}: ${found} dB`);
+}
+
+test("a page in one file draws what render draws, and asks nobody for anything", async () => {
+    for (const scene of ["random.ply", "place/splats.ply"]) {
+        zipsplat("view", scene, "-o", "page.html", "--exact");
+        const tab = await opened("page.html");
+        await agrees(tab, scene);
+        await tab.run(() => (zipsplat.camera.orbit(0.3, -0.2), zipsplat.camera.move(0.1, 0.1, 0.2), zipsplat.change(true)));
+        await sleep(600);
+        await agrees(tab, scene);
+        assert.deepEqual(tab.requests, [pathToFileURL(at("page.html")).href]);
+        assert.deepEqual(tab.complaints, []);
+        await tab.close();
+    }
+});
+
+test("a packed page draws what render draws of the SPZ", async () => {
+    zipsplat("view", "random.ply", "-o", "page.html");
+    const tab = await opened("page.html");
+    await agrees(tab, "three.spz");
+    await tab.close();
+});
+
+test("files of each format can be dropped", async () => {
+    zipsplat("view", "random.ply", "-o", "page.html");
+    const tab = await opened("page.html");
+    for (const file of ["random.ply", "two.spz", "three.spz", "one.splat"]) {
+        await tab.drop(file, readFileSync(at(file)));
+        await tab.settled();
+        assert.deepEqual(await tab.run(() => [zipsplat.scene.name, zipsplat.scene.count]), [file, COUNT]);
+        await agrees(tab, file);
+    }
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+});
+
+test("a broken file gives clear words and leaves the others", async () => {
+    zipsplat("view", "random.ply", "-o", "page.html");
+    const tab = await opened("page.html"), ply = readFileSync(at("random.ply")), spz = readFileSync(at("three.spz"));
+    for (const [name, bytes, words] of [
+        ["cut.ply", ply.subarray(0, 100_000), /cut off: 3000 Gaussians/],
+        ["head.ply", ply.subarray(0, 100), /header has no end/],
+        ["points.ply", readFileSync(at("place/points.ply")), /no f_dc_0.*no 3D Gaussians/],
+        ["cut.spz", spz.subarray(0, 1000), /damaged or cut off/],
+        ["four.spz", readFileSync(at("four.spz")), /version 4.*convert/],
+        ["one.glb", readFileSync(at("one.glb")), /no glTF.*convert/],
+        ["cut.splat", Buffer.alloc(33), /33 bytes are no multiple of 32/],
+        ["words.txt", Buffer.from("no scene"), /no scene: this page reads PLY, SPZ and .splat/],
+        ["empty.ply", Buffer.alloc(0), /empty/],
+    ]) {
+        await tab.drop(name, bytes);
+        const said = await tab.failure();
+        assert.match(said, words);
+        assert.ok(said.startsWith(`${name}: `), said);
+        await tab.run(() => zipsplat.choose(0));
+        await tab.settled();
+        assert.ok(await tab.page.$eval("#message", element => element.hidden));
+    }
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+});
+
+test("mouse, keys and touch move the camera, and reset brings it back", async () => {
+    zipsplat("view", "place/splats.ply", "-o", "page.html");
+    const tab = await opened("page.html", { width: 1280, height: 800 }), { mouse, keyboard } = tab.page;
+    const view = () => tab.run(() => [...zipsplat.camera.eye, ...zipsplat.camera.axes.flat()]);
+    const home = await view();
+    const moves = async (what, act) => {
+        await tab.page.keyboard.press("r");
+        assert.deepEqual(await view(), home, `reset before ${what}`);
+        await act();
+        assert.notDeepEqual(await view(), home, what);
+    };
+    const drag = button => async () => {
+        await mouse.move(500, 400);
+        await mouse.down({ button });
+        await mouse.move(600, 430);
+        await mouse.up({ button });
+    };
+    await tab.screenshot("desktop");
+    await moves("a drag", drag("left"));
+    const [x] = await view();
+    assert.ok(x < home[0], "a drag to the right takes the camera to the left");
+    await moves("a right drag", drag("right"));
+    await moves("the wheel", () => mouse.wheel({ deltaY: -300 }));
+    for (const key of ["w", "ArrowLeft"]) await moves(key, () => keyboard.press(key));
+    await keyboard.press("h");
+    assert.ok(await tab.page.$eval("#help", element => !element.hidden));
+    await tab.screenshot("help");
+    await keyboard.press("Escape");
+    await tab.page.setViewport({ width: 390, height: 844, hasTouch: true, isMobile: true, deviceScaleFactor: 2 });
+    await sleep(500);
+    await tab.settled();
+    await tab.screenshot("phone");
+    const first = await tab.page.touchscreen.touchStart(150, 400), second = await tab.page.touchscreen.touchStart(250, 400);
+    const before = await tab.run(() => zipsplat.camera.distance);
+    await second.move(330, 400);
+    await first.end();
+    await second.end();
+    assert.ok(await tab.run(() => zipsplat.camera.distance) < before, "a pinch outwards comes nearer");
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+});
+
+test("several scenes stand behind one slider", async () => {
+    zipsplat("view", "one.splat", "two.spz", "random.ply", "-o", "page.html");
+    const tab = await opened("page.html", { width: 800, height: 600 });
+    for (const [i, name] of ["one.splat", "two.spz", "random.ply"].entries()) {
+        await tab.page.$eval("#scene", (slider, i) => {
+            slider.value = i;
+            slider.dispatchEvent(new Event("input"));
+        }, i);
+        await tab.settled();
+        const label = await tab.page.$eval("#scene-label", element => element.textContent);
+        assert.ok(label.startsWith(`${i + 1} of 3: ${name}, 3,000 Gaussians`), label);
+    }
+    await tab.screenshot("slider");
+    await tab.close();
+});
+
+test("a served page shows input cameras with their photos", async () => {
+    const { address, stop } = await serve("view", "place/splats.ply", "--poses", "place/transforms.json");
+    const tab = await Tab.open(address, { width: 800, height: 600 });
+    await tab.settled();
+    await agrees(tab, "place/splats.ply");
+    await tab.page.keyboard.press(".");
+    await tab.page.waitForFunction(() => document.getElementById("photo").naturalWidth === 140);
+    assert.equal(await tab.run(() => zipsplat.input), 1);
+    await tab.settled();
+    await tab.screenshot("photo");
+    await tab.page.keyboard.press("c");
+    await tab.run(() => (zipsplat.camera.zoom(2.5), zipsplat.change(true)));
+    await sleep(800);
+    await tab.settled();
+    await tab.screenshot("cameras");
+    assert.ok(tab.requests.every(url => url.startsWith(address)), tab.requests.join(" "));
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+    assert.equal(await stop(), 0);
+});

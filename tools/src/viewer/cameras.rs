@@ -1,0 +1,92 @@
+//! The cameras that a viewer knows.
+
+use glam::DVec3;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Result,
+    types::{
+        Intrinsics, Pose, World,
+        poses::{Frame, read_cameras},
+    },
+};
+
+/// The lens of cameras whose file says none: 60 degrees.
+const SIDE: u32 = 512;
+const FOV: f64 = 60.0;
+
+/// A camera to look through, as the page takes it: lengths in pixels, camera-to-world, x right, y down, z forward.
+#[derive(Serialize)]
+pub struct InputCamera {
+    name: String,
+    matrix: [[f64; 4]; 3],
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    /// Whether its photo can be asked for.
+    photo: bool,
+    #[serde(skip)]
+    frame: Frame,
+    #[serde(skip)]
+    file: Option<PathBuf>,
+}
+
+impl InputCamera {
+    fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
+        let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
+        let (r, t) = (pose.rotation, pose.translation);
+        let matrix = [0, 1, 2].map(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]]);
+        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: file.is_some(), frame, file }
+    }
+
+    /// Whether there is a photo of it.
+    pub fn has_photo(&self) -> bool {
+        self.photo
+    }
+
+    /// The photo as the camera sees it, as a JPEG; none where there is no photo.
+    ///
+    /// # Errors
+    /// Where the photo cannot be read.
+    pub fn jpeg(&self) -> Result<Option<Vec<u8>>> {
+        let Some(file) = &self.file else { return Ok(None) };
+        let photo = self.frame.open(file)?;
+        let mut bytes = Vec::new();
+        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 90);
+        image::ImageEncoder::write_image(encoder, &photo.rgb, photo.width, photo.height, image::ColorType::Rgb8.into())
+            .map_err(|error| zipsplat::Error::format(file, None, error.to_string()))?;
+        Ok(Some(bytes))
+    }
+}
+
+/// The cameras of a file in the scene's world, and what there is to say about them. `world` is what the scene's file says of it.
+/// Photos are those near the file, or those of the same names in `photos`; none with `without_photos`.
+///
+/// # Errors
+/// As [`read_cameras`]; where the file has none for the photo `relative_to`.
+pub fn input_cameras(
+    file: &Path,
+    relative_to: Option<&Path>,
+    world: Option<&World>,
+    photo_of: impl Fn(&Frame) -> Option<PathBuf>,
+) -> Result<(Vec<InputCamera>, Vec<String>)> {
+    let fov = FOV.to_radians();
+    let mut poses = read_cameras(file, &Intrinsics::from_fov(SIDE, SIDE, fov, fov))?;
+    let (place, note) = crate::cameras::origin(relative_to, &poses, world, file)?;
+    poses.notes.extend(note);
+    let camera = |frame: Frame| {
+        let pose = place.map_or(frame.camera.pose, |place| frame.camera.pose.relative_to(&place));
+        let photo = photo_of(&frame);
+        InputCamera::new(frame, &pose, photo)
+    };
+    Ok((poses.frames.into_iter().map(camera).collect(), poses.notes))
+}
+
+/// The direction against gravity: photos are taken upright on average.
+pub fn vertical(cameras: &[InputCamera]) -> Option<[f64; 3]> {
+    let up = cameras.iter().map(|camera| -DVec3::from(camera.matrix.map(|row| row[1]))).sum::<DVec3>();
+    up.try_normalize().map(DVec3::into)
+}

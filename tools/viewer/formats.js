@@ -1,0 +1,178 @@
+// Reads scenes in the worker: PLY as 3D Gaussian splatting writes it, SPZ versions 2 and 3, .splat.
+//
+// A scene has `count` Gaussians on the axes of the engine (x right, y down, z forward): means [N, 3], scales [N, 3] linear,
+// quats [N, 4] wxyz, opacities [N], colours [N, 3], the coefficients of degree 0 as a colour, and `rest` [N, K - 1, 3], the
+// coefficients above degree 0 as half floats. What cannot be read throws an Error with words for the user.
+
+const SH_0 = 0.2820947917738781;
+
+const floats = new Float32Array(1), floatBits = new Uint32Array(floats.buffer);
+
+// Bits of the nearest half float. Too large is infinity's largest neighbour, too small is 0.
+function half(value) {
+    floats[0] = value;
+    const bits = floatBits[0], sign = bits >>> 16 & 0x8000, magnitude = (bits & 0x7fffffff) + 0x1000;
+    if (magnitude >= 0x47800000) return sign | 0x7bff;
+    return magnitude < 0x38800000 ? sign : sign | (magnitude - 0x38000000) >>> 13;
+}
+
+function emptyScene(count, degree) {
+    const scene = { count, degree };
+    for (const [name, width] of [["means", 3], ["scales", 3], ["quats", 4], ["opacities", 1], ["colours", 3]])
+        scene[name] = new Float32Array(count * width);
+    scene.rest = new Uint16Array(count * 3 * ((degree + 1) ** 2 - 1));
+    return scene;
+}
+
+const PLY_TYPES = {
+    char: [1, "getInt8"], int8: [1, "getInt8"], uchar: [1, "getUint8"], uint8: [1, "getUint8"],
+    short: [2, "getInt16"], int16: [2, "getInt16"], ushort: [2, "getUint16"], uint16: [2, "getUint16"],
+    int: [4, "getInt32"], int32: [4, "getInt32"], uint: [4, "getUint32"], uint32: [4, "getUint32"],
+    float: [4, "getFloat32"], float32: [4, "getFloat32"], double: [8, "getFloat64"], float64: [8, "getFloat64"],
+};
+
+// The bytes where a PLY's Gaussians start, how many and how long they are, and the place and reader of each property.
+function plyHeader(bytes) {
+    const text = new TextDecoder("latin1").decode(bytes.subarray(0, 1 << 16));
+    const end = /(^|\n)end_header\r?\n/.exec(text);
+    if (!end) throw new Error("The PLY's header has no end: the file is cut off or no PLY.");
+    const header = { start: end.index + end[0].length, count: 0, row: 0, properties: new Map() };
+    let element = null;
+    for (const line of text.slice(0, end.index).split(/\r?\n/)) {
+        const [word, ...rest] = line.trim().split(/\s+/);
+        if (word === "format" && rest[0] !== "binary_little_endian")
+            throw new Error(`The PLY is ${rest[0]}: this page reads binary_little_endian, which zipsplat convert writes.`);
+        if (word === "element") {
+            if (element === null && rest[0] !== "vertex")
+                throw new Error(`The PLY begins with ${rest[0]}s: zipsplat convert makes a PLY that this page reads.`);
+            element = rest[0];
+            if (element === "vertex") header.count = Number(rest[1]);
+        }
+        if (word === "property" && element === "vertex") {
+            const type = PLY_TYPES[rest[0]];
+            if (!type) throw new Error(`The PLY's vertices have a property of type ${rest[0]}, which no Gaussian has.`);
+            header.properties.set(rest[1], { at: header.row, read: type[1] });
+            header.row += type[0];
+        }
+    }
+    return header;
+}
+
+function readPly(bytes, progress) {
+    const { start, count, row, properties } = plyHeader(bytes);
+    const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+        "rot_0", "rot_1", "rot_2", "rot_3"];
+    const missing = names.filter(name => !properties.has(name));
+    if (missing.length) throw new Error(`The PLY has no ${missing.join(", ")}: it holds no 3D Gaussians.`);
+    if (!(count >= 0 && start + count * row <= bytes.length))
+        throw new Error(`The PLY is cut off: ${count} Gaussians take ${start + count * row} bytes, it has ${bytes.length}.`);
+    let perChannel = 0;
+    while (properties.has(`f_rest_${3 * perChannel}`)) ++perChannel;
+    const degree = [0, 3, 8, 15].indexOf(perChannel);
+    if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
+    const view = new DataView(bytes.buffer, bytes.byteOffset);
+    const reader = name => {
+        const { at, read } = properties.get(name);
+        return i => view[read](start + i * row + at, true);
+    };
+    const [x, y, z, r, g, b, opacity, s0, s1, s2, ...rot] = names.map(reader);
+    const rest = Array.from({ length: 3 * perChannel }, (_, j) => reader(`f_rest_${j % 3 * perChannel + Math.floor(j / 3)}`));
+    const scene = emptyScene(count, degree), fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
+    for (let i = 0; i < count; ++i) {
+        for (const [field, readers] of fields)
+            for (let j = 0; j < readers.length; ++j) field[i * readers.length + j] = readers[j](i);
+        scene.colours.set([0.5 + SH_0 * r(i), 0.5 + SH_0 * g(i), 0.5 + SH_0 * b(i)], 3 * i);
+        scene.scales.set([Math.exp(s0(i)), Math.exp(s1(i)), Math.exp(s2(i))], 3 * i);
+        scene.opacities[i] = 1 / (1 + Math.exp(-opacity(i)));
+        for (let j = 0; j < rest.length; ++j) scene.rest[i * rest.length + j] = half(rest[j](i));
+        if (i % 65536 === 0) progress(i / count);
+    }
+    return scene;
+}
+
+// What coefficient k is multiplied with under half a turn about x.
+function aboutX(k) {
+    const l = Math.floor(Math.sqrt(k)), order = Math.abs(k - l * (l + 1)), negative = k < l * (l + 1);
+    return negative !== ((l + order) % 2 === 1) ? -1 : 1;
+}
+
+async function gunzip(bytes) {
+    try {
+        return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
+    } catch {
+        throw new Error("The SPZ is damaged or cut off: it cannot be unpacked.");
+    }
+}
+
+async function readSpz(packed, progress) {
+    const bytes = await gunzip(packed);
+    progress(0.3);
+    const view = new DataView(bytes.buffer);
+    if (bytes.length < 16 || view.getUint32(0, true) !== 0x5053474e) throw new Error("The file is packed with gzip and holds no SPZ.");
+    const version = view.getUint32(4, true), count = view.getUint32(8, true), degree = bytes[12], one = 2 ** bytes[13];
+    if (version !== 2 && version !== 3) throw new Error(`The SPZ is of version ${version}: this page reads 2 and 3.`);
+    if (degree > 3) throw new Error(`The SPZ has spherical harmonics of degree ${degree}: this page reads 0 to 3.`);
+    const rotationBytes = version === 2 ? 3 : 4, rest = 3 * ((degree + 1) ** 2 - 1);
+    let end = 16;
+    const sections = [9, 1, 3, 3, rotationBytes, rest].map(width => bytes.subarray(end, end += width * count));
+    if (end > bytes.length) throw new Error(`The SPZ is cut off: ${count} Gaussians take ${end} bytes, it has ${bytes.length}.`);
+    const [positions, alphas, colours, scales, rotations, harmonics] = sections;
+    const scene = emptyScene(count, degree), signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
+    const quat = [0, 0, 0, 0];
+    for (let i = 0; i < count; ++i) {
+        for (let j = 0; j < 3; ++j) {
+            const at = 9 * i + 3 * j, c = 3 * i + j;
+            const fixed = (positions[at] << 8 | positions[at + 1] << 16 | positions[at + 2] << 24) >> 8;
+            scene.means[c] = (j === 0 ? fixed : -fixed) / one;
+            scene.colours[c] = 0.5 + SH_0 * (colours[c] / 255 - 0.5) / 0.15;
+            scene.scales[c] = Math.exp(scales[c] / 16 - 10);
+        }
+        scene.opacities[i] = alphas[i] / 255;
+        let left = 3; // x, y, z, w
+        if (version === 2) for (let j = 0; j < 3; ++j) quat[j] = rotations[3 * i + j] / 127.5 - 1;
+        else {
+            let bits = rotations[4 * i] | rotations[4 * i + 1] << 8 | rotations[4 * i + 2] << 16 | rotations[4 * i + 3] << 24;
+            left = bits >>> 30;
+            for (let j = 3; j >= 0; --j) {
+                if (j === left) continue;
+                quat[j] = (bits & 511) / 511 * Math.SQRT1_2 * (bits >>> 9 & 1 ? -1 : 1);
+                bits >>>= 10;
+            }
+        }
+        quat[left] = 0;
+        quat[left] = Math.sqrt(Math.max(0, 1 - quat.reduce((sum, q) => sum + q * q, 0)));
+        scene.quats.set([quat[3], quat[0], -quat[1], -quat[2]], 4 * i);
+        for (let j = 0; j < rest; ++j)
+            scene.rest[i * rest + j] = half(signs[Math.floor(j / 3)] * (harmonics[i * rest + j] - 128) / 128);
+        if (i % 65536 === 0) progress(0.3 + 0.7 * i / count);
+    }
+    return scene;
+}
+
+function readSplat(bytes, progress) {
+    if (bytes.length % 32) throw new Error(`The .splat is cut off: ${bytes.length} bytes are no multiple of 32.`);
+    const count = bytes.length / 32, scene = emptyScene(count, 0), view = new DataView(bytes.buffer, bytes.byteOffset);
+    for (let i = 0; i < count; ++i) {
+        for (let j = 0; j < 3; ++j) {
+            scene.means[3 * i + j] = view.getFloat32(32 * i + 4 * j, true);
+            scene.scales[3 * i + j] = view.getFloat32(32 * i + 12 + 4 * j, true);
+            scene.colours[3 * i + j] = bytes[32 * i + 24 + j] / 255;
+        }
+        scene.opacities[i] = bytes[32 * i + 27] / 255;
+        for (let j = 0; j < 4; ++j) scene.quats[4 * i + j] = (bytes[32 * i + 28 + j] - 128) / 128;
+        if (i % 65536 === 0) progress(i / count);
+    }
+    return scene;
+}
+
+// The scene of a file, told by its first bytes, a .splat by its name.
+async function readScene(bytes, name, progress) {
+    const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
+    if (!bytes.length) throw new Error("The file is empty.");
+    if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress);
+    if (bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
+    if (starts("NGSP")) throw new Error("The SPZ is of version 4: this page reads 2 and 3, which zipsplat convert writes.");
+    if (starts("glTF") || /\.gltf$/i.test(name)) throw new Error("This page reads no glTF: zipsplat convert makes a PLY or an SPZ of it.");
+    if (/\.splat$/i.test(name)) return readSplat(bytes, progress);
+    throw new Error("The file is no scene: this page reads PLY, SPZ and .splat.");
+}

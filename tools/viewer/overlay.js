@@ -1,0 +1,74 @@
+// What lies over the picture: the input cameras, and the photo of the one that is looked through.
+
+class Overlay {
+    constructor(page) {
+        this.page = page;
+        this.canvas = element("cameras");
+        this.shown = false;
+        this.photo = element("photo");
+        element("wiper").oninput = () => this.wipe();
+        page.canvas.addEventListener("click", event => this.pick(event));
+        page.canvas.addEventListener("pointerdown", event => this.pressed = [event.clientX, event.clientY]);
+    }
+
+    toggle() {
+        this.shown = !this.shown && Boolean(config.cameras?.length);
+        this.page.change();
+    }
+
+    // Shows the photo of an input camera, where there is one.
+    stand(input, index) {
+        if (!input.photo) return;
+        this.photo.src = `photo/${index}`;
+        this.photo.hidden = element("photos").hidden = false;
+        this.wipe();
+    }
+
+    leave() { this.photo.hidden = element("photos").hidden = true; }
+
+    // The photo is seen to the left of the wiper.
+    wipe() { this.photo.style.clipPath = `inset(0 ${100 - element("wiper").value}% 0 0)`; }
+
+    // Where a point is in the page, if it is before the camera.
+    project(point) {
+        const { camera, canvas } = this.page, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
+        const [x, y, z] = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));
+        return z > 0.01 ? [focal * x / z + canvas.clientWidth / 2, focal * y / z + canvas.clientHeight / 2] : null;
+    }
+
+    // A camera's centre and the corners of its picture, a share of the scene's distance ahead of it.
+    frustum({ matrix, width, height, fx, fy, cx, cy }) {
+        const size = 0.08 * this.page.camera.distance, eye = matrix.slice(0, 3).map(row => row[3]);
+        const corner = (u, v) => matrix.slice(0, 3).map(row =>
+            row[3] + size * (row[0] * (u - cx) / fx + row[1] * (v - cy) / fy + row[2]));
+        return [eye, corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
+    }
+
+    draw() {
+        const { canvas, shown, page } = this, context = canvas.getContext("2d");
+        if (!shown) return void (canvas.width = 0);
+        canvas.width = canvas.clientWidth;
+        canvas.height = canvas.clientHeight;
+        for (const [i, camera] of config.cameras.entries()) {
+            const [eye, ...corners] = this.frustum(camera).map(point => this.project(point));
+            context.strokeStyle = i === page.input ? "#fc6" : "#7cf";
+            context.beginPath();
+            for (const [k, corner] of corners.entries())
+                for (const [from, to] of [[eye, corner], [corner, corners[(k + 1) % 4]]])
+                    if (from && to) context.moveTo(...from), context.lineTo(...to);
+            context.stroke();
+        }
+    }
+
+    // A click on a camera looks through it.
+    pick({ clientX, clientY }) {
+        const moved = Math.hypot(clientX - this.pressed?.[0], clientY - this.pressed?.[1]) > 4;
+        if (!this.shown || moved) return;
+        const apart = config.cameras.map(camera => {
+            const points = this.frustum(camera).map(point => this.project(point)).filter(Boolean);
+            return Math.min(...points.map(([x, y]) => Math.hypot(x - clientX, y - clientY)));
+        });
+        const nearest = Math.min(...apart);
+        if (nearest < 24) this.page.through(apart.indexOf(nearest));
+    }
+}

@@ -1,0 +1,326 @@
+// The page: loads scenes, draws when something changed, and answers buttons, keys and dropped files.
+
+const element = id => document.getElementById(id);
+const config = JSON.parse(element("config").textContent);
+const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count === 1 ? "" : "s"}`;
+const sized = bytes => bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
+
+const SLOW = 60; // milliseconds a picture, beyond which moving pictures are drawn coarser
+const REST = 250; // milliseconds without movement after which a picture is drawn in full
+
+class Page {
+    constructor() {
+        this.canvas = element("picture");
+        this.camera = new ViewCamera();
+        this.renderer = new Renderer(this.canvas);
+        this.scenes = config.scenes.map(({ name, bytes }) => ({ name, bytes }));
+        this.current = 0;
+        this.keys = [];
+        this.background = [0, 0, 0];
+        this.coarse = 1;
+        this.moved = 0;
+        this.times = [];
+        this.worker = new Worker(URL.createObjectURL(new Blob([element("worker").textContent], { type: "text/javascript" })));
+        this.worker.onmessage = ({ data }) => this.answered(data);
+        this.worker.onerror = event => this.say(`The page's worker failed: ${event.message}`, true);
+        this.controls = new Controls(this.canvas, this.camera, () => this.change(true));
+        this.overlay = new Overlay(this);
+        this.buttons();
+        addEventListener("resize", () => this.change());
+        this.canvas.addEventListener("webglcontextlost", event => {
+            event.preventDefault();
+            this.say("The graphics driver stopped. Reload the page to go on.", true);
+        });
+        if (this.scenes.length) this.choose(0);
+        else this.say("Drop a PLY, SPZ or .splat here, or press Open.");
+    }
+
+    get scene() { return this.scenes[this.current]; }
+
+    say(text, failed = false) {
+        element("message").textContent = text;
+        element("message").classList.toggle("failed", failed);
+        element("message").hidden = !text;
+    }
+
+    // Shows a scene, which is loaded where it is not yet.
+    choose(index) {
+        this.current = Math.max(0, Math.min(this.scenes.length - 1, index));
+        const { scene } = this;
+        if (scene.failed) this.say(`${scene.name}: ${scene.failed}`, true);
+        else if (!scene.loading) this.load(this.current);
+        else this.say(scene.drawable ? "" : `${scene.name}: loading`);
+        this.label();
+        this.change();
+    }
+
+    async load(index) {
+        const scene = this.scenes[index];
+        scene.loading = true;
+        this.say(`${scene.name}: loading`);
+        try {
+            const bytes = await this.bytes(scene, index);
+            scene.bytes ??= bytes.byteLength;
+            this.worker.postMessage({ load: index, bytes, name: scene.name }, [bytes]);
+        } catch (error) {
+            this.failed(index, error.message);
+        }
+    }
+
+    // A scene's bytes: of a dropped file, of those within the page, or of those that zipsplat view serves.
+    async bytes(scene, index) {
+        if (scene.file) return scene.file.arrayBuffer();
+        const inlined = element(`scene-${index}`);
+        if (inlined) {
+            const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
+            const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
+            for (let at = 0; at < text.length; at += part) {
+                const binary = atob(text.slice(at, at + part));
+                for (let i = 0; i < binary.length; ++i) bytes[at / 4 * 3 + i] = binary.charCodeAt(i);
+                this.say(`${scene.name}: unpacking, ${Math.floor(100 * at / text.length)} %`);
+                await new Promise(requestAnimationFrame);
+            }
+            inlined.remove();
+            return bytes.buffer;
+        }
+        const answer = await fetch(`scene/${index}`).catch(() => null);
+        if (!answer?.ok) throw new Error("zipsplat view does not answer: it may have ended.");
+        const all = Number(answer.headers.get("Content-Length")), parts = [];
+        let done = 0;
+        for await (const part of chunks(answer.body)) {
+            parts.push(part);
+            done += part.length;
+            if (all) this.say(`${scene.name}: ${sized(done)} of ${sized(all)}`);
+        }
+        return new Blob(parts).arrayBuffer();
+    }
+
+    failed(index, words) {
+        this.scenes[index].failed = words;
+        if (index === this.current) this.say(`${this.scenes[index].name}: ${words}`, true);
+    }
+
+    answered(data) {
+        const scene = this.scenes[data.load ?? data.sort];
+        if (data.progress !== undefined) this.say(`${scene.name}: reading, ${Math.floor(100 * data.progress)} %`);
+        else if (data.failed) this.failed(data.load, data.failed);
+        else if (data.gaussians) this.loaded(data.load, data);
+        else {
+            this.renderer.sort(scene.drawable, data.order);
+            scene.sorting = false;
+            this.change();
+        }
+    }
+
+    loaded(index, data) {
+        const scene = this.scenes[index];
+        try {
+            scene.drawable = this.renderer.upload(data);
+        } catch (error) {
+            return this.failed(index, error.message);
+        }
+        Object.assign(scene, { count: data.count, sample: data.sample });
+        if (index === this.current) {
+            this.say(data.dropped ? `${counted(data.dropped, "Gaussian")} left out: their values are not finite.` : "");
+            if (data.dropped) setTimeout(() => this.say(""), 4000);
+        }
+        if (!this.home) this.reset();
+        this.label();
+        this.change();
+    }
+
+    // The first view: through the first input camera where these are known.
+    reset() {
+        const { camera, scene } = this;
+        if (!scene?.sample) return;
+        const view = firstView(scene.sample);
+        if (config.up) camera.up = config.up;
+        if (config.cameras?.length) return this.through(0, false);
+        camera.fov = view.fov;
+        camera.place(view.eye, view.axes, view.distance);
+        this.home = true;
+        this.overlay.leave();
+        this.change();
+    }
+
+    // Looks through an input camera, with its photo over the picture where that is there.
+    through(index, withPhoto = true) {
+        const { camera, canvas, scene } = this, all = config.cameras ?? [];
+        if (!all.length || !scene?.sample) return;
+        this.input = (index + all.length) % all.length;
+        const input = all[this.input];
+        camera.through(input, canvas.clientWidth, canvas.clientHeight, 1);
+        camera.distance = distanceAhead(scene.sample, camera.eye, camera.axes) ?? firstView(scene.sample).distance;
+        this.home = true;
+        this.overlay.leave();
+        if (withPhoto) this.overlay.stand(input, this.input);
+        this.change();
+    }
+
+    // Something is to be drawn anew; `moving` where the camera is on its way.
+    change(moving = false) {
+        if (moving) {
+            this.moved = performance.now();
+            this.overlay.leave();
+        }
+        if (this.waiting) return;
+        this.waiting = true;
+        requestAnimationFrame(now => this.draw(now));
+    }
+
+    draw(now) {
+        this.waiting = false;
+        const moving = now - this.moved < REST, { canvas, camera, scene } = this;
+        this.measure(now, moving);
+        const ratio = Math.min(devicePixelRatio, 2) * (moving ? this.coarse : 1);
+        const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
+        this.renderer.resize(width, height);
+        this.order(scene);
+        this.renderer.draw(scene?.drawable, camera, this.background);
+        this.overlay.draw();
+        element("fov").value = camera.fov;
+        element("fov-value").textContent = `${Math.round(camera.fov)}°`;
+        if (moving) this.change();
+    }
+
+    // Asks for the order of a scene's Gaussians as they are seen now, once the last answer is there.
+    order(scene) {
+        if (!scene?.drawable || scene.sorting) return;
+        const view = [...this.camera.axes[2], ...this.camera.eye];
+        if (scene.sortedFor?.every((value, i) => value === view[i])) return;
+        scene.sorting = true;
+        scene.sortedFor = view;
+        this.worker.postMessage({ sort: this.current, forward: view.slice(0, 3), eye: view.slice(3) });
+    }
+
+    // Pictures a second while something moves; where they are slow, moving ones get fewer pixels.
+    measure(now, moving) {
+        const { times } = this;
+        if (!moving) return void (times.length = 0);
+        times.push(now);
+        if (times.length > 30) times.shift();
+        if (times.length < 6) return;
+        const each = (now - times[0]) / (times.length - 1);
+        this.rate = 1000 / each;
+        if (each > SLOW && this.coarse > 0.25) this.coarse /= 2, times.length = 0;
+        else if (each < SLOW / 4 && this.coarse < 1) this.coarse *= 2, times.length = 0;
+        this.label();
+    }
+
+    label() {
+        const { scene, scenes } = this, facts = [];
+        element("name").textContent = scene?.name ?? "";
+        document.title = scene ? `${scene.name} - ZipSplat` : "ZipSplat";
+        if (scene?.count) facts.push(counted(scene.count, "Gaussian"));
+        if (scene?.bytes) facts.push(sized(scene.bytes));
+        if (this.rate) facts.push(`${this.rate.toFixed(0)} frames a second`);
+        element("facts").textContent = facts.join(" · ");
+        element("scenes").hidden = scenes.length < 2;
+        element("scene").max = scenes.length - 1;
+        element("scene").value = this.current;
+        element("scene-label").textContent =
+            scene ? `${this.current + 1} of ${scenes.length}: ${[scene.name, ...facts.slice(0, 2)].join(", ")}` : "";
+    }
+
+    // A file that was dropped or opened stands beside the scenes that there are.
+    add(file) {
+        this.scenes.push({ name: file.name, bytes: file.size, file });
+        this.choose(this.scenes.length - 1);
+    }
+
+    download(name, blob) {
+        const link = document.createElement("a");
+        link.href = URL.createObjectURL(blob);
+        link.download = name;
+        link.click();
+        setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    }
+
+    // What was drawn is gone after the page shows it: it is drawn again and read at once.
+    picture() {
+        this.moved = 0;
+        this.draw(performance.now());
+        const name = (this.scene?.name ?? "scene").replace(/\.\w+$/, "");
+        this.canvas.toBlob(blob => this.download(`${name}.png`, blob));
+    }
+
+    keep() {
+        this.keys.push(this.camera.asKey(this.canvas.clientWidth, this.canvas.clientHeight));
+        element("keys").textContent = `${counted(this.keys.length, "key camera")} kept.`;
+        element("save-keys").disabled = false;
+        element("settings").hidden = false;
+    }
+
+    // As `zipsplat render --cameras` and nerfstudio read it.
+    path() {
+        const { clientWidth, clientHeight } = this.canvas;
+        return {
+            camera_type: "perspective", render_width: clientWidth, render_height: clientHeight, fps: 30,
+            seconds: this.keys.length, camera_path: this.keys,
+        };
+    }
+
+    buttons() {
+        const toggle = id => () => {
+            for (const section of document.querySelectorAll("section"))
+                section.hidden = section.id !== id || !section.hidden;
+        };
+        const full = () => document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen?.();
+        const looks = () => element("looks").checked = this.controls.looks = !this.controls.looks;
+        const step = by => this.through((this.input ?? (by > 0 ? -1 : 0)) + by);
+        const actions = {
+            reset: ["KeyR", () => this.reset()], full: ["KeyF", full], save: ["KeyP", () => this.picture()],
+            open: ["KeyO", () => element("file").click()], "help-button": ["KeyH", toggle("help")],
+            "keep-view": ["KeyK", () => this.keep()], "show-cameras": ["KeyC", () => this.overlay.toggle()],
+            previous: ["Comma", () => step(-1)], next: ["Period", () => step(1)], "settings-button": [null, toggle("settings")],
+        };
+        const keys = {
+            KeyL: looks, Slash: toggle("help"),
+            BracketLeft: () => this.choose(this.current - 1), BracketRight: () => this.choose(this.current + 1),
+            Escape: () => document.querySelectorAll("section").forEach(section => section.hidden = true),
+        };
+        for (const [id, [key, act]] of Object.entries(actions)) {
+            element(id).onclick = act;
+            if (key) keys[key] = act;
+        }
+        addEventListener("keydown", event => {
+            if (event.ctrlKey || event.metaKey || event.altKey || event.repeat || !keys[event.code]) return;
+            event.preventDefault();
+            keys[event.code]();
+        });
+        for (const id of ["previous", "next", "show-cameras"]) element(id).hidden = !config.cameras?.length;
+        element("scene").oninput = event => this.choose(Number(event.target.value));
+        element("fov").oninput = event => (this.camera.fov = Number(event.target.value), this.change(true));
+        element("looks").onchange = event => this.controls.looks = event.target.checked;
+        element("save-keys").onclick = () =>
+            this.download("camera_path.json", new Blob([JSON.stringify(this.path(), null, 1)], { type: "application/json" }));
+        element("background").oninput = event => {
+            this.background = [1, 3, 5].map(at => parseInt(event.target.value.slice(at, at + 2), 16) / 255);
+            this.change();
+        };
+        element("file").onchange = event => {
+            [...event.target.files].forEach(file => this.add(file));
+            event.target.value = "";
+        };
+        addEventListener("dragover", event => (event.preventDefault(), element("drop").hidden = false));
+        addEventListener("dragleave", event => element("drop").hidden ||= event.relatedTarget === null);
+        addEventListener("drop", event => {
+            event.preventDefault();
+            element("drop").hidden = true;
+            [...event.dataTransfer.files].forEach(file => this.add(file));
+        });
+    }
+}
+
+async function* chunks(body) {
+    const reader = body.getReader();
+    for (let part; !(part = await reader.read()).done;) yield part.value;
+}
+
+try {
+    globalThis.zipsplat = new Page();
+} catch (error) {
+    element("message").textContent = error.message;
+    element("message").classList.add("failed");
+    element("message").hidden = false;
+}

@@ -1,0 +1,250 @@
+// Draws Gaussians with WebGL2 by the rules of the engine's kernels/render: EWA splatting with the same blur and cut-offs,
+// spherical harmonics to degree 3, far to near, at half precision a channel, truncated to 8 bits.
+
+const TEXTURE_WIDTH = 4096;
+
+const SPLAT_VERTEX = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx; colour and q.yz
+uniform usampler2D harmonics;
+uniform mat3 view;
+uniform vec3 eye;
+uniform vec2 focal, size;
+uniform int degree;
+layout(location = 0) in uint index;
+out vec2 place; // in standard deviations from the centre
+flat out vec4 colour;
+
+const float BLUR = 0.3, ALPHA_MIN = 1.0 / 255.0, NEAR = 0.01, SCALE_MAX = 1e8;
+
+uvec4 texel(usampler2D source, uint at) {
+    return texelFetch(source, ivec2(at % ${TEXTURE_WIDTH}u, at / ${TEXTURE_WIDTH}u), 0);
+}
+
+mat3 rotation(vec4 q) {
+    q = normalize(q);
+    float w = q.x, x = q.y, y = q.z, z = q.w;
+    return mat3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+}
+
+vec3 bands(vec3 d) {
+    float basis[15];
+    basis[0] = -0.48860251190292 * d.y;
+    basis[1] = 0.48860251190292 * d.z;
+    basis[2] = -0.48860251190292 * d.x;
+    float zz = d.z * d.z, cos2 = d.x * d.x - d.y * d.y, sin2 = 2.0 * d.x * d.y;
+    basis[3] = 0.5462742152960395 * sin2;
+    basis[4] = -1.092548430592079 * d.y * d.z;
+    basis[5] = 0.9461746957575601 * zz - 0.3153915652525201;
+    basis[6] = -1.092548430592079 * d.x * d.z;
+    basis[7] = 0.5462742152960395 * cos2;
+    float ring = 0.4570457994644658 - 2.285228997322329 * zz;
+    basis[8] = -0.5900435899266435 * (d.x * sin2 + d.y * cos2);
+    basis[9] = 1.445305721320277 * d.z * sin2;
+    basis[10] = ring * d.y;
+    basis[11] = d.z * (1.865881662950577 * zz - 1.119528997770346);
+    basis[12] = ring * d.x;
+    basis[13] = 1.445305721320277 * d.z * cos2;
+    basis[14] = -0.5900435899266435 * (d.x * cos2 - d.y * sin2);
+    int count = 3 * ((degree + 1) * (degree + 1) - 1), texels = (count + 7) / 8;
+    vec3 sum = vec3(0);
+    for (int t = 0; t < texels; ++t) {
+        uvec4 words = texel(harmonics, index * uint(texels) + uint(t));
+        for (int j = 0; j < 8 && 8 * t + j < count; ++j) {
+            vec2 pair = unpackHalf2x16(words[j / 2]);
+            sum[(8 * t + j) % 3] += basis[(8 * t + j) / 3] * pair[j % 2];
+        }
+    }
+    return sum;
+}
+
+void main() {
+    gl_Position = vec4(2, 2, 2, 1); // outside
+    uvec4 first = texel(gaussians, 3u * index), second = texel(gaussians, 3u * index + 1u), third = texel(gaussians, 3u * index + 2u);
+    vec3 offset = uintBitsToFloat(first.xyz) - eye, p = view * offset;
+    float opacity = uintBitsToFloat(first.w);
+    if (!(p.z >= NEAR && opacity >= ALPHA_MIN)) return;
+
+    vec2 half_size = 0.5 * size, limit = half_size / focal * 1.3;
+    vec2 slope = clamp(p.xy / p.z, -limit, limit);
+    mat3 rows = transpose(view * rotation(vec4(unpackSnorm2x16(second.w), unpackSnorm2x16(third.w))));
+    vec3 scale = min(uintBitsToFloat(second.xyz), SCALE_MAX * p.z / focal.x);
+    vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scale;
+    vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scale;
+
+    // The determinant as a sum of squares, which does not cancel for needles.
+    vec3 minors = cross(u, v);
+    float det = dot(minors, minors) + BLUR * (dot(u, u) + dot(v, v)) + BLUR * BLUR;
+    float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
+    float reach = 2.0 * log(255.0 * opacity);
+    vec2 centre = focal * p.xy / p.z + half_size, radii = sqrt(reach * vec2(xx, yy));
+    if (any(lessThan(centre + radii, vec2(0))) || any(greaterThan(centre - radii, size))) return;
+
+    float tilt = 0.5 * (xx - yy), spread = length(vec2(tilt, xy)), longest = 0.5 * (xx + yy) + spread;
+    vec2 axis = tilt >= 0.0 ? vec2(tilt + spread, xy) : vec2(xy, spread - tilt);
+    axis = spread > 0.0 ? normalize(axis) : vec2(1, 0);
+    place = (vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0) * sqrt(reach);
+    vec2 pixel = centre + place.x * sqrt(longest) * axis + place.y * sqrt(det / longest) * vec2(-axis.y, axis.x);
+    gl_Position = vec4(vec2(2, -2) * pixel / size + vec2(-1, 1), 0, 1);
+
+    vec3 rgb = uintBitsToFloat(third.xyz);
+    if (degree > 0) rgb += bands(normalize(offset));
+    colour = vec4(max(rgb, 0.0), opacity);
+}`;
+
+const SPLAT_FRAGMENT = `#version 300 es
+precision highp float;
+in vec2 place;
+flat in vec4 colour;
+out vec4 blended;
+void main() {
+    float alpha = min(0.999, colour.a * exp(-0.5 * dot(place, place)));
+    if (alpha < 1.0 / 255.0) discard;
+    blended = vec4(colour.rgb * alpha, alpha);
+}`;
+
+const SHOW_VERTEX = `#version 300 es
+void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1); }`;
+
+const SHOW_FRAGMENT = `#version 300 es
+precision highp float;
+uniform sampler2D frame;
+uniform vec3 background;
+out vec4 shown;
+void main() {
+    vec4 seen = texelFetch(frame, ivec2(gl_FragCoord.xy), 0);
+    vec3 rgb = clamp(seen.rgb + (1.0 - seen.a) * background, 0.0, 1.0);
+    shown = vec4(floor(rgb * 255.0 + 0.05) / 255.0, 1); // the rest is for what half precision lost
+}`;
+
+class Renderer {
+    constructor(canvas) {
+        const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
+        if (!gl) throw new Error("This browser offers no WebGL2, which the picture needs: its settings or another browser may.");
+        this.gl = gl;
+        const float = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
+        this.frameFormat = float ? gl.RGBA16F : gl.RGBA8;
+        this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
+        this.show = this.program(SHOW_VERTEX, SHOW_FRAGMENT);
+        this.frame = { texture: gl.createTexture(), buffer: gl.createFramebuffer(), width: 0, height: 0 };
+        this.empty = gl.createVertexArray();
+    }
+
+    program(vertex, fragment) {
+        const { gl } = this, program = gl.createProgram(), uniforms = {};
+        for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+            const shader = gl.createShader(kind);
+            gl.shaderSource(shader, source);
+            gl.compileShader(shader);
+            if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost())
+                throw new Error(`The graphics driver refuses a shader: ${gl.getShaderInfoLog(shader)}`);
+            gl.attachShader(program, shader);
+        }
+        gl.linkProgram(program);
+        const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) ?? 0;
+        for (let i = 0; i < count; ++i) {
+            const { name } = gl.getActiveUniform(program, i);
+            uniforms[name] = gl.getUniformLocation(program, name);
+        }
+        return { program, uniforms };
+    }
+
+    // Brings a scene that the worker packed to the device.
+    upload({ count, degree, gaussians, harmonics }) {
+        const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+        const texture = words => {
+            const height = Math.max(1, Math.ceil(words.length / 4 / TEXTURE_WIDTH));
+            if (height > most) throw new Error(`${count.toLocaleString("en")} Gaussians of degree ${degree} are more than this device can hold.`);
+            const texture = gl.createTexture(), whole = Math.floor(words.length / 4 / TEXTURE_WIDTH);
+            gl.bindTexture(gl.TEXTURE_2D, texture);
+            gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXTURE_WIDTH, height);
+            const put = (y, width, rows, from) => width && rows &&
+                gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, y, width, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words, from);
+            put(0, TEXTURE_WIDTH, whole, 0);
+            put(whole, words.length / 4 - whole * TEXTURE_WIDTH, 1, 4 * whole * TEXTURE_WIDTH);
+            return texture;
+        };
+        const scene = { count, degree, drawn: 0, gaussians: texture(gaussians), harmonics: texture(harmonics) };
+        scene.order = gl.createBuffer();
+        scene.array = gl.createVertexArray();
+        gl.bindVertexArray(scene.array);
+        gl.bindBuffer(gl.ARRAY_BUFFER, scene.order);
+        gl.bufferData(gl.ARRAY_BUFFER, 4 * count, gl.DYNAMIC_DRAW);
+        gl.enableVertexAttribArray(0);
+        gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
+        gl.vertexAttribDivisor(0, 1);
+        gl.bindVertexArray(null);
+        return scene;
+    }
+
+    // Frees what `upload` made.
+    release({ gaussians, harmonics, order, array }) {
+        this.gl.deleteTexture(gaussians);
+        this.gl.deleteTexture(harmonics);
+        this.gl.deleteBuffer(order);
+        this.gl.deleteVertexArray(array);
+    }
+
+    // Takes the order, far to near, in which a scene is drawn.
+    sort(scene, order) {
+        this.gl.bindBuffer(this.gl.ARRAY_BUFFER, scene.order);
+        this.gl.bufferSubData(this.gl.ARRAY_BUFFER, 0, order);
+        scene.drawn = order.length;
+    }
+
+    resize(width, height) {
+        const { gl, frame } = this;
+        if (frame.width === width && frame.height === height) return;
+        gl.canvas.width = frame.width = width;
+        gl.canvas.height = frame.height = height;
+        gl.deleteTexture(frame.texture);
+        frame.texture = gl.createTexture();
+        gl.bindTexture(gl.TEXTURE_2D, frame.texture);
+        gl.texStorage2D(gl.TEXTURE_2D, 1, this.frameFormat, width, height);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
+        gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
+    }
+
+    // Draws a scene, or only the background, as a camera sees it.
+    draw(scene, camera, background) {
+        const { gl, frame, splats, show } = this, { width, height } = frame;
+        gl.viewport(0, 0, width, height);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
+        gl.clearColor(0, 0, 0, 0);
+        gl.clear(gl.COLOR_BUFFER_BIT);
+        if (scene?.drawn) {
+            const { uniforms } = splats, focal = camera.focal(width, height), [right, down, forward] = camera.axes;
+            gl.useProgram(splats.program);
+            for (const [unit, name] of ["gaussians", "harmonics"].entries()) {
+                gl.activeTexture(gl.TEXTURE0 + unit);
+                gl.bindTexture(gl.TEXTURE_2D, scene[name]);
+                gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+                gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+                gl.uniform1i(uniforms[name], unit);
+            }
+            gl.uniformMatrix3fv(uniforms.view, false, [0, 1, 2].flatMap(i => [right[i], down[i], forward[i]]));
+            gl.uniform3fv(uniforms.eye, camera.eye);
+            gl.uniform2f(uniforms.focal, focal, focal);
+            gl.uniform2f(uniforms.size, width, height);
+            gl.uniform1i(uniforms.degree, scene.degree);
+            gl.enable(gl.BLEND);
+            gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+            gl.bindVertexArray(scene.array);
+            gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, scene.drawn);
+            gl.disable(gl.BLEND);
+        }
+        gl.bindVertexArray(this.empty);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+        gl.useProgram(show.program);
+        gl.activeTexture(gl.TEXTURE0);
+        gl.bindTexture(gl.TEXTURE_2D, frame.texture);
+        gl.uniform1i(show.uniforms.frame, 0);
+        gl.uniform3fv(show.uniforms.background, background);
+        gl.drawArrays(gl.TRIANGLES, 0, 3);
+    }
+}

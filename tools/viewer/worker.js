@@ -1,0 +1,88 @@
+// Works beside the page: reads scenes, packs them for textures, and sorts their Gaussians by depth.
+//
+// In: { load, bytes, name } and { sort, forward, eye }, where load and sort are a scene's number. Out: { load, progress },
+// { load, failed } with words, { load, count, degree, dropped, gaussians, harmonics, sample } and { sort, order }.
+
+const NEAR = 0.01;
+const SAMPLE = 4096;
+const scenes = new Map();
+
+// A scene as texels of 4 words; renderer.js has the shader that reads them.
+function pack(scene) {
+    const { count, means, scales, quats, opacities, colours, rest } = scene;
+    const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
+    const snorm = q => Math.round(32767 * q) & 0xffff;
+    let dropped = 0;
+    for (let i = 0; i < count; ++i) {
+        const [w, x, y, z] = quats.subarray(4 * i, 4 * i + 4), length = Math.hypot(w, x, y, z);
+        values.set(means.subarray(3 * i, 3 * i + 3), 12 * i);
+        values.set(scales.subarray(3 * i, 3 * i + 3), 12 * i + 4);
+        values.set(colours.subarray(3 * i, 3 * i + 3), 12 * i + 8);
+        values[12 * i + 3] = opacities[i];
+        gaussians[12 * i + 7] = snorm(w / length) | snorm(x / length) << 16;
+        gaussians[12 * i + 11] = snorm(y / length) | snorm(z / length) << 16;
+        let sum = length > 0 ? opacities[i] : NaN;
+        for (let j = 0; j < 12; ++j) if (j !== 7 && j !== 11) sum += values[12 * i + j];
+        if (!Number.isFinite(sum)) {
+            values.fill(0, 12 * i, 12 * i + 12);
+            means.fill(0, 3 * i, 3 * i + 3);
+            ++dropped;
+        }
+    }
+    const width = rest.length / count || 0, texels = Math.ceil(width / 8);
+    const harmonics = new Uint16Array(8 * texels * count);
+    for (let i = 0; i < count; ++i) harmonics.set(rest.subarray(i * width, (i + 1) * width), 8 * texels * i);
+    return { gaussians, harmonics: new Uint32Array(harmonics.buffer), dropped };
+}
+
+// Some of the means, by which the page finds a first view.
+function sampled({ means, count }) {
+    const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
+    for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
+    return new Float32Array(points);
+}
+
+async function load(id, buffer, name) {
+    const progress = fraction => postMessage({ load: id, progress: fraction });
+    const scene = await readScene(new Uint8Array(buffer), name, progress);
+    if (!scene.count) throw new Error("The scene has no Gaussians.");
+    const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means } = scene;
+    if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
+    scenes.set(id, { means, count, depths: new Float32Array(count), indices: new Uint32Array(count) });
+    const sample = sampled(scene);
+    postMessage({ load: id, count, degree, dropped, gaussians, harmonics, sample }, [gaussians.buffer, harmonics.buffer]);
+}
+
+const counts = [new Uint32Array(65536), new Uint32Array(65536)];
+
+// Indices of the Gaussians before the near plane, far to near: a stable radix sort by the bits of their depth.
+function sorted({ means, count, depths, indices }, [fx, fy, fz], [ex, ey, ez]) {
+    const bits = new Uint32Array(depths.buffer), [low, high] = counts;
+    low.fill(0);
+    high.fill(0);
+    let seen = 0;
+    for (let i = 0; i < count; ++i) {
+        depths[i] = (means[3 * i] - ex) * fx + (means[3 * i + 1] - ey) * fy + (means[3 * i + 2] - ez) * fz;
+        if (!(depths[i] >= NEAR)) continue;
+        ++low[bits[i] & 0xffff];
+        ++high[bits[i] >>> 16];
+        ++seen;
+    }
+    for (const digit of counts) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
+    for (let i = 0; i < count; ++i) if (depths[i] >= NEAR) indices[low[bits[i] & 0xffff]++] = i;
+    const order = new Uint32Array(seen);
+    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k];
+    return order;
+}
+
+onmessage = async ({ data }) => {
+    if (data.sort !== undefined) {
+        const order = sorted(scenes.get(data.sort), data.forward, data.eye);
+        postMessage({ sort: data.sort, order }, [order.buffer]);
+    } else {
+        await load(data.load, data.bytes, data.name).catch(error => {
+            const words = error instanceof RangeError ? "The scene is larger than this browser's memory." : error.message;
+            postMessage({ load: data.load, failed: words });
+        });
+    }
+};
