@@ -154,7 +154,7 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         assert!(status == 200 && photo.starts_with(b"\xff\xd8"), "a JPEG");
 
         let wrong = path.replace(|c: char| c.is_ascii_hexdigit(), "0");
-        for other in ["/", "/favicon.ico", &path[..path.len() - 1], &wrong, &format!("{}scene/0", &wrong)] {
+        for other in ["/", "/favicon.ico", &path[..path.len() - 1], &wrong, &format!("{wrong}scene/0")] {
             assert_eq!(get(other, "").0, 404, "{other}");
         }
         for other in ["scene/1", "photo/2", "scene/../../../etc/passwd", "other", "scene/"] {

@@ -16,7 +16,7 @@ export const sleep = ms => new Promise(resolve => setTimeout(resolve, ms));
 export async function serve(...args) {
     const child = spawn(process.env.ZIPSPLAT, args, { cwd: folder, stdio: ["ignore", "pipe", "inherit"] });
     let text = "";
-    for await (const part of child.stdout) if ((text += part).includes("\n")) break;
+    await new Promise(resolve => child.stdout.on("data", part => (text += part).includes("\n") && resolve()));
     const ended = new Promise(resolve => child.on("exit", resolve));
     return { address: text.split("\n")[0], stop: () => (child.kill("SIGINT"), ended) };
 }
