@@ -344,10 +344,10 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
         let (found, truth) = (between(&found.frames, pair), between(&truth, pair));
         let turn = (found.rotation.transpose() * truth.rotation).to_cols_array();
         let angle = ((turn[0] + turn[4] + turn[8] - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees();
-        assert!(angle < 1.0, "{pair:?}: {angle} degrees apart");
+        assert!(angle < 2.5, "{pair:?}: {angle} degrees apart");
         scales.push(found.translation.length() / truth.translation.length());
     }
     scales.sort_by(f64::total_cmp);
     let (middle, within) = (scales[scales.len() / 2], &scales[scales.len() / 10..scales.len() * 9 / 10]);
-    assert!(within.iter().all(|scale| (scale / middle - 1.0).abs() < 0.1), "{scales:?}");
+    assert!(within.iter().all(|scale| (scale / middle - 1.0).abs() < 0.15), "{scales:?}");
 }

@@ -32,10 +32,9 @@ fn videos_become_their_sharpest_frames() {
     script(&folder, "ffmpeg", &cats);
     fs::write(folder.path("clip.MP4"), "a video").expect("written");
     let micro = "--weights @/micro.safetensors --size 28x28";
-    let line =
-        |ffmpeg: &str| format!("reconstruct @/clip.MP4 --views 3 --ffmpeg @/{ffmpeg} {micro} -o @/scene.ply --json");
+    let line = |ffmpeg: &str| format!("reconstruct @/clip.MP4 --views 3 --ffmpeg @/{ffmpeg} {micro} -o @/scene.ply");
     let before = folder.names();
-    assert_eq!(folder.run(&line("ffmpeg")).json()["photos"], 3);
+    assert_eq!(folder.run(&(line("ffmpeg") + " --json")).json()["photos"], 3);
     let made: Vec<String> = folder.names().into_iter().filter(|name| !before.contains(name)).collect();
     assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
     let args = fs::read_to_string(folder.path("ffmpeg.args")).expect("arguments");
