@@ -1,15 +1,23 @@
 //! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
 
 use crate::{session::Session, table::time};
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
+use glam::DQuat;
 use serde_json::{Value, json};
-use std::{ops::ControlFlow, str::FromStr};
+use std::{
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    str::FromStr,
+};
 use zipsplat::{
     Error, Result,
     gpu::Device,
     reconstruct::SceneTokens,
     refine::{FrozenHead, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points},
-    types::{Camera, Image, PointCloud, Pose, Scene},
+    types::{
+        Camera, Image, PointCloud, Pose, Scene,
+        poses::{Frame, write_transforms},
+    },
 };
 
 /// What a refinement starts from.
@@ -91,12 +99,15 @@ impl Steps {
     ///
     /// # Errors
     /// [`Error::Argument`].
-    pub fn check(self, start: Option<Start>) -> Result<()> {
-        match self.tokens && !matches!(start, None | Some(Start::Scene)) {
-            true => {
+    pub fn check(self, start: Option<Start>, moved: &Moved) -> Result<()> {
+        match (start, moved.grow) {
+            (Some(Start::Points | Start::Both), _) if self.tokens => {
                 Err(Error::argument("--start", "points, which have no tokens", "--start scene with --refine N:tokens"))
             }
-            false => Ok(()),
+            (_, Some(most)) if self.tokens => {
+                Err(Error::argument("--grow", most, "none with --refine N:tokens, whose tokens have their Gaussians"))
+            }
+            _ => Ok(()),
         }
     }
 }
@@ -114,6 +125,76 @@ impl FromStr for Steps {
         let steps = number.parse().ok().zip(tokens).map(|(count, tokens)| Self { count, tokens });
         steps.ok_or_else(|| "expected a number of steps, such as 100, 100:gaussians or 100:tokens".into())
     }
+}
+
+/// What is moved beside the Gaussians that there are.
+#[derive(Args)]
+pub struct Moved {
+    /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
+    #[arg(long)]
+    refine_cameras: bool,
+    /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
+    #[arg(long, value_name = "N", value_parser = parse_count)]
+    grow: Option<usize>,
+}
+
+fn parse_count(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| *count > 0);
+    count.ok_or_else(|| "expected a number of Gaussians, such as 20000".into())
+}
+
+impl Moved {
+    /// The request with that in it.
+    pub fn request(&self, request: Refine) -> Refine {
+        Refine { cameras: self.refine_cameras, grow: self.grow, ..request }
+    }
+}
+
+/// Refuses photos whose refined cameras a transforms.json of pinholes cannot say.
+///
+/// # Errors
+/// [`Error::Argument`] naming the first whose lens distorts.
+pub fn check_cameras_out(path: Option<&Path>, frames: &[&Frame]) -> Result<()> {
+    match frames.iter().find(|frame| path.is_some() && frame.lens.is_some()) {
+        Some(frame) => {
+            let found = format!("{}, whose lens distorts", frame.name);
+            Err(Error::argument(
+                "photos for --cameras-out",
+                found,
+                "photos without distortion, as COLMAP undistorts them",
+            ))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Writes the refined cameras of photos for `--poses` and other programs, `to_world` the pose of the scene in the cameras' world.
+///
+/// # Errors
+/// Those of [`write_transforms`].
+pub fn save_cameras(path: &Path, refined: &Refined, to_world: &Pose, photos: &[PathBuf]) -> Result<()> {
+    let absolute = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    let folder = absolute(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")));
+    let name = |photo: &PathBuf| {
+        let photo = absolute(photo);
+        photo.strip_prefix(&folder).unwrap_or(&photo).to_string_lossy().into_owned()
+    };
+    let placed = |camera: &Camera| Camera { pose: to_world.compose(&camera.pose), ..*camera };
+    let cameras: Vec<Camera> = refined.cameras.iter().map(placed).collect();
+    write_transforms(path, &cameras, &photos.iter().map(name).collect::<Vec<_>>())
+}
+
+/// The median turn in degrees and the median shift of the cameras that were moved, where any were.
+pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> {
+    let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
+    let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
+    let median = |of: fn(&Pose) -> f64| {
+        let mut values: Vec<f64> = movements.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let degrees = median(|pose| DQuat::from_mat3(&pose.rotation).to_scaled_axis().length().to_degrees());
+    Some([degrees?, median(|pose| pose.translation.length())?])
 }
 
 /// What is refined.
@@ -166,25 +247,31 @@ fn told(at: &Refining) -> String {
     format!("refine{loss}{psnr}, {:.0} s left", at.left.as_secs_f64())
 }
 
-/// What came of a refinement, in words.
-pub fn summary(refined: &Refined, start: &str) -> String {
+/// What came of a refinement of photos with these cameras, in words.
+pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     let (steps, step) = (refined.losses.len(), refined.best_step);
     let loss = match refined.losses[..] {
         [first, .., last] => format!("; loss {first:.4} to {last:.4}"),
         _ => String::new(),
     };
     let psnr = refined.psnr().map(|[after, before]| format!("; held-out photos {before:.2} to {after:.2} dB"));
+    let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
+        format!("; cameras turned by {degrees:.2} degrees and moved by {distance:.4} (medians)")
+    });
     format!(
-        "refined from {start} in {}: kept is step {step} of {steps}{loss}{}",
+        "refined from {start} in {}: kept is step {step} of {steps}{loss}{}{}",
         time(refined.took),
-        psnr.unwrap_or_default()
+        psnr.unwrap_or_default(),
+        cameras.unwrap_or_default()
     )
 }
 
 /// The same for programs.
-pub fn as_json(refined: &Refined, start: &str) -> Value {
+pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
+    let cameras = camera_movement(given, refined);
     json!({
-        "start": start,        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "start": start, "cameras": cameras.map(|[degrees, distance]| json!({ "degrees": degrees, "distance": distance })),
+        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
         "held_out": refined.held_out, "seconds": refined.took.as_secs_f64(),
     })
 }

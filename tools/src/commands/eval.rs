@@ -1,17 +1,19 @@
 //! `zipsplat eval`: reconstructs a capture from some of its photos and compares pictures of it with the others.
 
+mod alignment;
+
 use crate::{
-    align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN, align},
+    align::Method,
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
-    refinement::{self, Refinable, Start, Steps},
+    refinement::{self, Moved, Refinable, Start, Steps},
     session::Session,
     table::Table,
     views::{Fit, FitOption},
 };
-use clap::Args;
-use serde::Serialize;
+use alignment::{Alignment, aligned_scores};
+use clap::{ArgGroup, Args};
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
@@ -41,6 +43,7 @@ const SHOWN: usize = 12;
 /// table says how far each went, and where its figure says little: flat, a photo without texture, which is not aligned; bound,
 /// a camera that went as far as it may; colour, a picture no more like the photo than one colour is.
 #[derive(Args)]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
 #[command(after_help = "Examples:
   zipsplat eval capture/ --views 8
   zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
@@ -57,6 +60,9 @@ pub struct Eval {
     /// Reconstruct without the cameras, and align each picture with its photo
     #[arg(long)]
     pose_free: bool,
+    /// How the camera of a picture is searched for
+    #[arg(long, value_enum, value_name = "HOW", default_value = "levenberg-marquardt", requires = "pose_free")]
+    align: Method,
     #[command(flatten)]
     weights: Weights,
     #[command(flatten)]
@@ -77,6 +83,12 @@ pub struct Eval {
     /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
+    #[command(flatten)]
+    moved: Moved,
+    /// Give the network and the refinement wrong cameras, to see what that costs: those of all inputs but the first are turned by
+    /// so many degrees, and moved by as many percent of the scene's distance
+    #[arg(long, value_name = "DEGREES", default_value = "0")]
+    disturb: f64,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
@@ -106,12 +118,13 @@ impl Eval {
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
         fit.check(size, !self.pose_free)?;
         self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
-        let choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;
+        let mut choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;
         choice.notes().iter().for_each(|note| session.note(note));
+        choice.disturb(self.disturb, self.unit)?;
         let chosen = (self.quality.ratio, &self.quality.select);
         let (views, posed) = (fit.count(&choice.inputs())?, !self.pose_free);
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
-        self.refine.map_or(Ok(()), |steps| steps.check(self.start))?;
+        self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
@@ -160,7 +173,8 @@ impl Eval {
         let targets = &capture.targets;
         let (drawn, alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
-                let found = |view: &Posed| align(&mut renderer, &view.image, &view.camera, &|| stage.check());
+                let found =
+                    |view: &Posed| self.align.align(&mut renderer, &view.image, &view.camera, &|| stage.check());
                 stage.each(targets, found)
             })?;
             let rows = aligned_scores(&capture, &found);
@@ -199,12 +213,12 @@ impl Eval {
             took.as_secs_f64(),
             capture.unit
         ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
-            + &refined
-                .as_ref()
-                .map_or_else(String::new, |refined| format!("\n{}", refinement::summary(refined, started)));
+            + &refined.as_ref().map_or_else(String::new, |refined| {
+                format!("\n{}", refinement::summary(refined, started, &input_cameras(&capture)))
+            });
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
-            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started)),
+            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started, &input_cameras(&capture))),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
             "peak_bytes": result.peak_bytes,
@@ -223,7 +237,7 @@ impl Eval {
     ) -> Result<Refined> {
         let cameras = input_cameras(capture);
         let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
-        let request = Refine { steps, ..Refine::default() };
+        let request = self.moved.request(Refine { steps, ..Refine::default() });
         let refined = refinement::refine(session, from, &photos, &cameras, &request)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
@@ -236,132 +250,6 @@ impl Eval {
 /// Cameras of the whole input photos as they are compared.
 fn input_cameras(capture: &Capture) -> Vec<Camera> {
     capture.inputs.iter().map(|input| input.camera).collect()
-}
-
-/// How one picture's camera was aligned.
-#[derive(Serialize)]
-struct AlignedScore {
-    view: String,
-    psnr: f64,
-    ssim: f64,
-    nearest_psnr: f64,
-    mean_colour_psnr: f64,
-    /// With the camera given.
-    before_psnr: f64,
-    before_ssim: f64,
-    /// Angle between the camera found and the one given.
-    degrees: f64,
-    /// Distance between them, in the unit of the cameras.
-    distance: f64,
-    doubt: Option<Doubt>,
-}
-
-fn aligned_scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
-    let scores = |picture: fn(&Aligned) -> &Vec<f32>| {
-        capture.scores(&found.iter().map(|found| picture(found).clone()).collect::<Vec<_>>())
-    };
-    let (before, after) = (scores(|found| &found.before), scores(|found| &found.drawn));
-    let row = |((found, before), score): ((&Aligned, Score), Score)| AlignedScore {
-        before_psnr: before.psnr,
-        before_ssim: before.ssim,
-        degrees: found.turn.to_degrees(),
-        distance: capture.unit.length * found.shift,
-        doubt: found.doubt.or((score.psnr <= score.mean_colour_psnr).then_some(Doubt::Colour)),
-        view: score.view,
-        psnr: score.psnr,
-        ssim: score.ssim,
-        nearest_psnr: score.nearest_psnr,
-        mean_colour_psnr: score.mean_colour_psnr,
-    };
-    found.iter().zip(before).zip(after).map(row).collect()
-}
-
-/// How far pictures' cameras were aligned, and what they scored before.
-#[derive(Serialize)]
-struct Alignment {
-    /// Median angle between the camera found and the one given.
-    degrees: f64,
-    /// Median distance between them, in the unit of the cameras.
-    distance: f64,
-    /// Means with the cameras given.
-    before: Before,
-    /// Pictures whose figure says little.
-    doubtful: usize,
-    rows: Vec<AlignedScore>,
-}
-
-#[derive(Serialize)]
-struct Before {
-    psnr: f64,
-    ssim: f64,
-}
-
-impl Alignment {
-    fn new(rows: Vec<AlignedScore>) -> Self {
-        let median = |value: fn(&AlignedScore) -> f64| {
-            let mut values: Vec<f64> = rows.iter().map(value).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
-        let mean = |value: fn(&AlignedScore) -> f64| rows.iter().map(value).sum::<f64>() / rows.len() as f64;
-        Self {
-            degrees: median(|row| row.degrees),
-            distance: median(|row| row.distance),
-            before: Before { psnr: mean(|row| row.before_psnr), ssim: mean(|row| row.before_ssim) },
-            doubtful: rows.iter().filter(|row| row.doubt.is_some()).count(),
-            rows,
-        }
-    }
-
-    fn table(&self, mean: &Score) -> Table {
-        let mut table =
-            Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour", "degrees", "distance", "doubt"]);
-        for row in &self.rows {
-            let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_colour_psnr];
-            let [view, psnr, ssim, nearest, colour] = cells(&row.view, score);
-            let doubt = match row.doubt {
-                None => "",
-                Some(Doubt::Flat) => "flat",
-                Some(Doubt::Bound) => "bound",
-                Some(Doubt::Colour) => "colour",
-            };
-            let [degrees, distance] = [format!("{:.2}", row.degrees), format!("{:.4}", row.distance)];
-            table.row([view, psnr, ssim, nearest, colour, degrees, distance, doubt.into()]);
-        }
-        let [view, psnr, ssim, nearest, colour] = cells_of(mean);
-        table.row([view, psnr, ssim, nearest, colour, String::new(), String::new(), String::new()]);
-        table
-    }
-
-    /// What to say where some figures say little.
-    fn doubts(&self) -> Option<String> {
-        let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
-        let [flat, bound, colour] = [Doubt::Flat, Doubt::Bound, Doubt::Colour].map(count);
-        let reasons = [
-            (flat, "of a photo without texture, which is not aligned".to_owned()),
-            (
-                bound,
-                format!(
-                    "with a camera at the bound of {:.0} degrees or {MOST_SHIFT} of the network's unit",
-                    MOST_TURN.to_degrees()
-                ),
-            ),
-            (colour, "no more like its photo than one colour".to_owned()),
-        ];
-        let reasons: Vec<String> = (reasons.iter().filter(|(count, _)| *count > 0))
-            .map(|(count, reason)| format!("{count} {reason}"))
-            .collect();
-        let of = self.rows.len();
-        (self.doubtful > 0)
-            .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
-    }
-
-    fn told(&self) -> String {
-        let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
-        format!(
-            "\naligned by {degrees:.2} degrees and {distance:.4} (medians); with the cameras given {psnr:.2} dB and {ssim:.3}"
-        )
-    }
 }
 
 fn table(scores: &[Score], mean: &Score) -> Table {

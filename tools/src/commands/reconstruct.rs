@@ -6,13 +6,13 @@ use crate::{
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, MOST_PIXELS, Refinable, Start, Steps, placed},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, Steps, check_cameras_out, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
     views::{FitOption, Views},
 };
-use clap::{Args, ValueEnum};
+use clap::{ArgGroup, Args, ValueEnum};
 use indicatif::HumanCount;
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
@@ -34,6 +34,7 @@ use zipsplat::{
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
 #[derive(Args)]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
@@ -88,9 +89,14 @@ pub struct Reconstruct {
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
     #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more]
+    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+    /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
+    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    cameras_out: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -108,6 +114,15 @@ struct From<'a> {
     checkpoint: &'a Checkpoint,
     /// Where they are what is moved.
     tokens: Option<SceneTokens>,
+}
+
+/// What --refine made.
+struct Made {
+    refined: Refined,
+    /// What it started from, in words.
+    started: &'static str,
+    /// The cameras that it was given.
+    cameras: Vec<Camera>,
 }
 
 /// The world that a scene is in.
@@ -138,8 +153,9 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let drawing = self.drawing()?;
-        self.refine().map_or(Ok(()), |steps| steps.check(self.start))?;
+        self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
@@ -169,6 +185,7 @@ impl Reconstruct {
         let (views, chosen) = (fit.count(&photos)?, (*ratio, select));
         let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, self.poses.is_some())?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        check_cameras_out(self.cameras_out.as_deref(), &frames)?;
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
@@ -199,7 +216,7 @@ impl Reconstruct {
             }
             _ => None,
         };
-        if let Some((refined, _)) = &refined {
+        if let Some(Made { refined, .. }) = &refined {
             scene = refined.scene.clone();
         }
         let world = frames.first().map(|first| self.world.of(first));
@@ -219,6 +236,9 @@ impl Reconstruct {
         let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
         let (note, write) = session.stage("write", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
+        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.cameras_out, &refined, frames.first()) {
+            save_cameras(path, refined, &first.camera.pose, &photos)?;
+        }
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
@@ -237,7 +257,7 @@ impl Reconstruct {
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
-        times.extend(refined.iter().map(|(refined, _)| ("refine", refined.took)));
+        times.extend(refined.iter().map(|made| ("refine", made.refined.took)));
         times.push(("write", write));
         let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
         let tokens = shape.grid.tokens();
@@ -276,9 +296,9 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some((refined, started)) = &refined {
-            text += &format!("{}\n", refinement::summary(refined, started));
-            json["refined"] = refinement::as_json(refined, started);
+        if let Some(Made { refined, started, cameras }) = &refined {
+            text += &format!("{}\n", refinement::summary(refined, started, cameras));
+            json["refined"] = refinement::as_json(refined, started, cameras);
         }
         if let Some((pictures, told)) = drawn {
             json["pictures"] = pictures;
@@ -300,7 +320,7 @@ impl Reconstruct {
         from: From<'_>,
         (scene, cloud): (Scene, Option<&PointCloud>),
         (photos, frames): (&[PathBuf], &[&Frame]),
-    ) -> Result<(Refined, &'static str)> {
+    ) -> Result<Made> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
@@ -308,6 +328,7 @@ impl Reconstruct {
             session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
+        let request = self.moved.request(request);
         let mut started = "the network's tokens";
         let refined = if let Some(tokens) = &from.tokens {
             let head = FrozenHead::load(from.device, from.checkpoint)?;
@@ -321,7 +342,7 @@ impl Reconstruct {
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) => Err(Error::Cancelled),
-            _ => Ok((refined, started)),
+            _ => Ok(Made { refined, started, cameras }),
         }
     }
 

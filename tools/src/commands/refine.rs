@@ -6,7 +6,7 @@ use crate::{
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, MOST_PIXELS, Refinable, Start, placed},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, check_cameras_out, placed, save_cameras},
     session::Session,
     table::counted,
 };
@@ -34,7 +34,8 @@ use zipsplat::{
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
   zipsplat refine photos/ --poses transforms.json --start points --steps 500 -o scene.ply
-  zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply")]
+  zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply
+  zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --cameras-out exact.json -o better.ply")]
 pub struct Refine {
     /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
@@ -64,9 +65,14 @@ pub struct Refine {
     /// Photos of a step
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Photos to hold out, evenly spread [default: 1 of 9 or more]
+    /// Photos to hold out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K")]
     hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+    /// File for the cameras as they were refined: a transforms.json in the world of the cameras given
+    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    cameras_out: Option<PathBuf>,
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
@@ -80,6 +86,8 @@ struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: World,
+    /// The pose of the scene in the world of the cameras given.
+    pose: Pose,
 }
 
 impl Refine {
@@ -89,16 +97,18 @@ impl Refine {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
         let poses = read_poses(&self.poses)?;
         poses.notes.iter().for_each(|note| session.note(note));
         let photos = photos::list(session, files)?;
-        let photos = photos::posed(session, photos, &poses)?;
-        let frames = poses.frames_of(&photos)?;
+        let paths = photos::posed(session, photos, &poses)?;
+        let frames = poses.frames_of(&paths)?;
+        check_cameras_out(self.cameras_out.as_deref(), &frames)?;
         let started = self.start(session, scene, &poses, &frames)?;
         let device = session.device()?;
         let (photos, _) =
-            session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
+            session.stage("load photos", |stage| photos::read(&paths, &frames, stage, |_, photo| Ok(photo)))?;
         let refined = self.refine(session, &device, &started, &photos)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         if refined.stopped == Some(Stopped::Cancelled) && refined.best_step == 0 {
@@ -107,11 +117,14 @@ impl Refine {
         let options = WriteOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, Some(&started.world))?;
         note.into_iter().for_each(|note| session.note(note));
+        if let Some(path) = &self.cameras_out {
+            save_cameras(path, &refined, &started.pose, &paths)?;
+        }
         if refined.stopped == Some(Stopped::Cancelled) {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
             return Err(Error::Cancelled);
         }
-        self.report(session, device.limits().name.clone(), photos.len(), refined)
+        self.report(session, device.limits().name.clone(), &started.cameras, refined)
     }
 
     /// The scene's file, where there has to be one, and those of the photos.
@@ -145,7 +158,8 @@ impl Refine {
             (Some(said), None) => said,
             (None, None) => World::Cameras(first.camera.pose),
         };
-        let to_scene = pose.map_or(Pose::IDENTITY, |pose| pose.inverse());
+        let pose = pose.unwrap_or(Pose::IDENTITY);
+        let to_scene = pose.inverse();
         let camera = |frame: &&Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let cloud = match &poses.points {
@@ -153,7 +167,7 @@ impl Refine {
             _ => None,
         };
         let scene = self.start.scene(scene, cloud.as_ref(), &cameras)?;
-        Ok(Started { scene, cameras, world })
+        Ok(Started { scene, cameras, world, pose })
     }
 
     fn refine(&self, session: &Session<'_>, device: &Device, started: &Started, photos: &[Image]) -> Result<Refined> {
@@ -166,22 +180,23 @@ impl Refine {
             profile: self.explain,
             ..refine::Refine::default()
         };
+        let request = self.moved.request(request);
         let from = Refinable::Scene(device, &started.scene);
         refinement::refine(session, from, photos, &started.cameras, &request)
     }
 
-    fn report(&self, session: &mut Session<'_>, device: String, photos: usize, refined: Refined) -> Result<()> {
-        let count = refined.scene.len();
+    fn report(&self, session: &mut Session<'_>, device: String, cameras: &[Camera], refined: Refined) -> Result<()> {
+        let (count, photos) = (refined.scene.len(), cameras.len());
         let mut json = json!({
             "output": self.output, "device": device, "photos": photos, "gaussians": count,
-            "refined": refinement::as_json(&refined, self.start.name()),
+            "refined": refinement::as_json(&refined, self.start.name(), cameras),
         });
         let mut text = format!(
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
             counted(photos, "photo"),
-            refinement::summary(&refined, self.start.name()),
+            refinement::summary(&refined, self.start.name(), cameras),
         );
         if let Some(profile) = refined.profile {
             let explanation = Explanation::of_kernels(&profile, Vec::new());

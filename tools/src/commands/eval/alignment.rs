@@ -1,0 +1,138 @@
+//! What an alignment of cameras did to the scores.
+
+use super::{cells, cells_of};
+use crate::{
+    align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
+    capture::{Capture, Score},
+    table::Table,
+};
+use serde::Serialize;
+
+/// How one picture's camera was aligned.
+#[derive(Serialize)]
+pub(super) struct AlignedScore {
+    view: String,
+    psnr: f64,
+    ssim: f64,
+    nearest_psnr: f64,
+    mean_colour_psnr: f64,
+    /// With the camera given.
+    before_psnr: f64,
+    before_ssim: f64,
+    /// Angle between the camera found and the one given.
+    degrees: f64,
+    /// Distance between them, in the unit of the cameras.
+    distance: f64,
+    doubt: Option<Doubt>,
+}
+
+pub(super) fn aligned_scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
+    let scores = |picture: fn(&Aligned) -> &Vec<f32>| {
+        capture.scores(&found.iter().map(|found| picture(found).clone()).collect::<Vec<_>>())
+    };
+    let (before, after) = (scores(|found| &found.before), scores(|found| &found.drawn));
+    let row = |((found, before), score): ((&Aligned, Score), Score)| AlignedScore {
+        before_psnr: before.psnr,
+        before_ssim: before.ssim,
+        degrees: found.turn.to_degrees(),
+        distance: capture.unit.length * found.shift,
+        doubt: found.doubt.or((score.psnr <= score.mean_colour_psnr).then_some(Doubt::Colour)),
+        view: score.view,
+        psnr: score.psnr,
+        ssim: score.ssim,
+        nearest_psnr: score.nearest_psnr,
+        mean_colour_psnr: score.mean_colour_psnr,
+    };
+    found.iter().zip(before).zip(after).map(row).collect()
+}
+
+/// How far pictures' cameras were aligned, and what they scored before.
+#[derive(Serialize)]
+pub(super) struct Alignment {
+    /// Median angle between the camera found and the one given.
+    degrees: f64,
+    /// Median distance between them, in the unit of the cameras.
+    distance: f64,
+    /// Means with the cameras given.
+    before: Before,
+    /// Pictures whose figure says little.
+    doubtful: usize,
+    pub rows: Vec<AlignedScore>,
+}
+
+#[derive(Serialize)]
+pub(super) struct Before {
+    psnr: f64,
+    ssim: f64,
+}
+
+impl Alignment {
+    /// That of these rows.
+    pub fn new(rows: Vec<AlignedScore>) -> Self {
+        let median = |value: fn(&AlignedScore) -> f64| {
+            let mut values: Vec<f64> = rows.iter().map(value).collect();
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let mean = |value: fn(&AlignedScore) -> f64| rows.iter().map(value).sum::<f64>() / rows.len() as f64;
+        Self {
+            degrees: median(|row| row.degrees),
+            distance: median(|row| row.distance),
+            before: Before { psnr: mean(|row| row.before_psnr), ssim: mean(|row| row.before_ssim) },
+            doubtful: rows.iter().filter(|row| row.doubt.is_some()).count(),
+            rows,
+        }
+    }
+
+    /// A row for each picture, and the mean.
+    pub fn table(&self, mean: &Score) -> Table {
+        let mut table =
+            Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour", "degrees", "distance", "doubt"]);
+        for row in &self.rows {
+            let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_colour_psnr];
+            let [view, psnr, ssim, nearest, colour] = cells(&row.view, score);
+            let doubt = match row.doubt {
+                None => "",
+                Some(Doubt::Flat) => "flat",
+                Some(Doubt::Bound) => "bound",
+                Some(Doubt::Colour) => "colour",
+            };
+            let [degrees, distance] = [format!("{:.2}", row.degrees), format!("{:.4}", row.distance)];
+            table.row([view, psnr, ssim, nearest, colour, degrees, distance, doubt.into()]);
+        }
+        let [view, psnr, ssim, nearest, colour] = cells_of(mean);
+        table.row([view, psnr, ssim, nearest, colour, String::new(), String::new(), String::new()]);
+        table
+    }
+
+    /// What to say where some figures say little.
+    pub fn doubts(&self) -> Option<String> {
+        let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
+        let [flat, bound, colour] = [Doubt::Flat, Doubt::Bound, Doubt::Colour].map(count);
+        let reasons = [
+            (flat, "of a photo without texture, which is not aligned".to_owned()),
+            (
+                bound,
+                format!(
+                    "with a camera at the bound of {:.0} degrees or {MOST_SHIFT} of the network's unit",
+                    MOST_TURN.to_degrees()
+                ),
+            ),
+            (colour, "no more like its photo than one colour".to_owned()),
+        ];
+        let reasons: Vec<String> = (reasons.iter().filter(|(count, _)| *count > 0))
+            .map(|(count, reason)| format!("{count} {reason}"))
+            .collect();
+        let of = self.rows.len();
+        (self.doubtful > 0)
+            .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
+    }
+
+    /// How far cameras went, in a line.
+    pub fn told(&self) -> String {
+        let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
+        format!(
+            "\naligned by {degrees:.2} degrees and {distance:.4} (medians); with the cameras given {psnr:.2} dB and {ssim:.3}"
+        )
+    }
+}
