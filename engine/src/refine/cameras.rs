@@ -4,8 +4,8 @@ use super::Adam;
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec3};
 
-/// Share of the steps before cameras move: until then what the Gaussians lack is not the cameras' fault.
-const AFTER: f64 = 0.1;
+/// Share of the steps before cameras move: what Gaussians lack at first is not the cameras' fault, and would move exact ones.
+const AFTER: f64 = 0.4;
 
 /// Adam on a camera-to-world pose.
 ///
