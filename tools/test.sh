@@ -16,4 +16,5 @@ source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 apt_install g++ pkg-config libvulkan-dev
 python3 -c 'import numpy' 2> /dev/null || apt_install python3 python3-numpy
 export ZIPSPLAT_VALIDATION=1 VK_LAYER_SETTINGS_PATH="$root/tests/${ZIPSPLAT_LAYER_SETTINGS:-vk_layer_settings}.txt"
-stage tests cargo test --manifest-path "$root/Cargo.toml" --workspace "$@"
+[[ " $* " == *" -p "* ]] || set -- --workspace "$@"
+stage tests cargo test --manifest-path "$root/Cargo.toml" "$@"

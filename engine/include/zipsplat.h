@@ -5,7 +5,7 @@
  *
  *     zs_context    a device at work; creates
  *     zs_model      a network with its weights on the device; makes
- *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; is drawn by
+ *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; zs_refine makes them sharp; is drawn by
  *     zs_renderer   a scene on the device
  *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
  *     zs_bytes      a scene's file in memory
@@ -15,8 +15,8 @@
  * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
  * host has no memory left at all.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory or zs_reconstruct hands out is yours; give it back
- * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory, zs_reconstruct or zs_refine hands out is yours; give
+ * it back to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
  * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
  * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
  * get from functions returning const char * are never yours to free.
@@ -542,6 +542,109 @@ zs_status zs_reconstruct(const struct zs_model *model,
                          size_t image_count,
                          const struct zs_reconstruct_options *options,
                          struct zs_scene **scene);
+
+/***************************************************/
+/*  Refinement: a scene made to look like photos.  */
+/***************************************************/
+
+// One photo is held out where there are 9 or more, else none.
+#define ZS_HOLD_OUT_AUTO -1
+
+// Why a refinement ended.
+ZS_ENUM(zs_refine_end) {
+    // It took all steps.
+    ZS_REFINE_FINISHED = 0,
+    // Your progress callback asked to stop.
+    ZS_REFINE_STOPPED = 1,
+    // The loss grew, or became NaN or infinite.
+    ZS_REFINE_DIVERGED = 2,
+};
+
+// How far a refinement is. The library fills it, and later versions may add fields at its end.
+typedef struct zs_refining {
+    // Bytes of this structure in the library's version.
+    uint32_t struct_size;
+    // Steps that are done.
+    uint32_t step;
+    // All steps.
+    uint32_t steps;
+    // 0.
+    uint32_t reserved;
+    // Mean loss of the photos of the last step.
+    double loss;
+    // PSNR in dB of the held-out photos, when they were looked at last; NaN where none are held out.
+    double psnr;
+    // Seconds that are left, as steps took so far.
+    double seconds_left;
+} zs_refining;
+
+// Called after each step, on the thread that made the call; `now` is valid during the callback. Return 0 to go on. Anything else
+// ends the refinement early and is no failure: the best scene so far is handed out. It must return: no longjmp, no C++
+// exception. It may call zs_ functions.
+typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining *now);
+
+// How to refine.
+typedef struct zs_refine_options {
+    // sizeof(zs_refine_options); zs_refine_options_default sets it.
+    uint32_t struct_size;
+    // Steps of the optimiser. Default 100.
+    uint32_t steps;
+    // Photos of a step, at least 1; more than there are to learn from count as all. Default 4.
+    uint32_t views_per_step;
+    // Photos to hold out, evenly spread, fewer than there are, or ZS_HOLD_OUT_AUTO. Nothing is learnt from them: the scene that is
+    // handed out is that of the step that predicts them best. Default ZS_HOLD_OUT_AUTO.
+    int32_t hold_out;
+    // Most pixels of a photo along x: a larger one is compared at the largest size that fits. 0 for photos as they are.
+    // Default 1600.
+    uint32_t width;
+    // Most pixels along y; 0 together with `width`. Default 1600.
+    uint32_t height;
+    // Seed of the order of the photos: the same seed, the same scene. Default 0.
+    uint64_t seed;
+    // Told how far it is; may stop it. Default NULL.
+    zs_refine_progress progress;
+    // Given to `progress`.
+    void *user_data;
+} zs_refine_options;
+
+// What came of a refinement.
+typedef struct zs_refine_info {
+    // sizeof(zs_refine_info); set it before the call.
+    uint32_t struct_size;
+    // Why it ended.
+    zs_refine_end ended;
+    // Steps that were taken.
+    uint32_t steps;
+    // The step after which the scene was kept; 0 where none made it better.
+    uint32_t best_step;
+    // Mean loss of the photos of the first step; NaN where there was none.
+    double first_loss;
+    // Mean loss of the photos of the last step; NaN where there was none.
+    double last_loss;
+    // PSNR in dB of the held-out photos before the first step; NaN where none are held out.
+    double psnr_before;
+    // PSNR in dB of the held-out photos with the scene that was kept; NaN where none are held out.
+    double psnr;
+    // Seconds that it took.
+    double seconds;
+} zs_refine_info;
+
+// Fills `options` with the defaults. `size` is sizeof(zs_refine_options).
+zs_status zs_refine_options_default(struct zs_refine_options *options, size_t size);
+
+// Makes a scene sharp: moves its Gaussians until each of `count` photos is what the camera of its number sees, and hands out the
+// result as a scene of its own. The scene may come from anywhere; `cameras` are those of the whole photos, in the scene's world.
+// It returns when the refinement has ended: after all steps, when `progress` asked to stop, or when the loss grew. That is
+// no failure: the scene is the best that there was. `options` may be NULL, and so may `info`, which is filled with what came
+// of it.
+zs_status zs_refine(const struct zs_context *context,
+                    const struct zs_scene *scene,
+                    const struct zs_image *images,
+                    const struct zs_camera *cameras,
+                    size_t count,
+                    const struct zs_refine_options *options,
+                    struct zs_refine_info *info,
+                    struct zs_scene **refined);
 
 /*********************************************************************/
 /*  Renderers: a scene on a device, drawn into the caller's memory.  */

@@ -22,13 +22,16 @@
 //! ```
 //!
 //! The crates below: [`types`] (`zipsplat-formats`, no GPU in it) and [`gpu`] (`zipsplat-gpu`, which names Vulkan and knows no
-//! kernel). Modules use only what stands before them: `weights` <- `ops` <- `stages` <- `reconstruct` <- `refine` <- `ffi`.
+//! kernel). Modules use only what stands before them: `ops` <- `tune` <- `stages` <- `weights` <- `reconstruct` <- `refine` <-
+//! `ffi`. `ops` records dispatches; `tune` finds which of its kernels a device can trust and which are fastest, and hands that to
+//! `stages` as an [`ops::Arithmetic`]; `stages` declare their parameters, which `weights` reads from files.
 
 pub mod ffi;
 pub mod ops;
 pub mod reconstruct;
 pub mod refine;
 pub mod stages;
+pub mod tune;
 pub mod weights;
 
 /// The typed kernel table that build.rs makes of `kernels/`.

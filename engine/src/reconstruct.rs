@@ -10,22 +10,18 @@ pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape
 
 use crate::{
     Error, Result,
-    gpu::{Arena, Device, Plan, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes},
-    ops::Arithmetic,
+    gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
+    ops::{Arithmetic, Parameters},
     stages::{
-        backbone::{BackboneInputs, POSE_VALUES, interpolate_positions, rotary_tables},
         cluster::{even_indices, random_indices},
         render::{DeviceScene, SceneMemory},
     },
-    types::{Camera, Image, LeftOut, Scene, prior_encoding},
+    types::{Camera, Image, LeftOut, Scene},
     weights::{Architecture, Checkpoint},
 };
-use network::Choice;
+use network::{Choice, Inputs};
 use request::check_cameras;
-use std::{
-    ops::ControlFlow,
-    sync::{Arc, Mutex},
-};
+use std::{ops::ControlFlow, sync::Mutex};
 
 /// A scene and how it came about.
 #[derive(Clone, Debug)]
@@ -48,8 +44,7 @@ pub struct Reconstruction {
 pub struct Model {
     device: Device,
     network: Network,
-    resident: Arc<Resident>,
-    learned_positions: Vec<f32>,
+    parameters: Parameters,
     arena: Arena,
     /// What was recorded for the last shape.
     recorded: Mutex<Option<Recorded>>,
@@ -102,12 +97,9 @@ impl Model {
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let network = Network::new(checkpoint.architecture(), device.limits(), arithmetic);
-        let resident = Arc::new(network.parameters.load(device, checkpoint, progress)?);
-        let name = "backbone.backbone.pos_embed";
-        let mut learned_positions = vec![0.0; checkpoint.shape(name)?.iter().product()];
-        checkpoint.read_f32(name, &mut learned_positions)?;
+        let parameters = network.parameters.load(device, |name, out| checkpoint.read_f32(name, out), progress)?;
         let (arena, recorded) = (Arena::new(device), Mutex::default());
-        Ok(Self { device: device.clone(), network, resident, learned_positions, arena, recorded })
+        Ok(Self { device: device.clone(), network, parameters, arena, recorded })
     }
 
     /// Bytes of the weights on the device.
@@ -188,7 +180,7 @@ impl Model {
     fn record_for(&self, arena: &Arena, shape: Shape) -> Result<Recorded> {
         let NetworkPlan { plan, tensors, layout } = self.network.plan(self.device.limits(), shape)?;
         let scene = SceneMemory::new(&self.device, &layout, *tensors.scene())?.made_in(arena);
-        let run = Run::in_arena(arena, 0, plan, [self.resident.clone(), scene.resident().clone()])?;
+        let run = Run::in_arena(arena, 0, plan, [self.parameters.resident.clone(), scene.resident().clone()])?;
         Ok(Recorded { shape, run, tensors, layout, scenes: vec![scene] })
     }
 
@@ -240,7 +232,7 @@ impl Model {
     /// # Errors
     /// [`Error::Memory`] where the device has too little.
     pub fn run(&self, plan: Plan) -> Result<Run> {
-        Run::with_resident(&self.device, plan, Some(self.resident.clone()))
+        Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
     /// Writes everything that a run of this shape reads.
@@ -263,33 +255,20 @@ impl Model {
     fn write_photos(
         &self,
         run: &mut Run,
-        inputs: &BackboneInputs,
+        inputs: &Inputs,
         shape: Shape,
         images: &[Image],
         request: &Request,
     ) -> Result<()> {
-        let (a, grid) = (self.architecture(), shape.grid);
         run.write(inputs.images, &planar(images))?;
-        let positions =
-            interpolate_positions(&self.learned_positions, a.position_grid, a.width, grid.rows, grid.columns);
-        run.write(inputs.positions, &positions)?;
-        for (tensor, table) in inputs.rotary.iter().zip(rotary_tables(grid.rows, grid.columns, a.head_dim())) {
-            run.write(*tensor, &table)?;
-        }
-        if let (Some(tensor), Some(cameras)) = (inputs.poses, &request.cameras) {
-            let in_units = |camera: &Camera| {
-                let mut camera = *camera;
-                camera.pose.translation /= request.unit;
-                camera
-            };
-            let cameras: Vec<Camera> = cameras.iter().map(in_units).collect();
-            let padded: Vec<_> = prior_encoding(&cameras)?
-                .iter()
-                .map(|e| std::array::from_fn::<f32, POSE_VALUES, _>(|i| e.get(i).copied().unwrap_or(0.0)))
-                .collect();
-            run.write(tensor, &padded)?;
-        }
-        Ok(())
+        let in_units = |camera: &Camera| {
+            let mut camera = *camera;
+            camera.pose.translation /= request.unit;
+            camera
+        };
+        let cameras = request.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
+        let backbone = &self.network.stages.backbone;
+        backbone.write(run, &inputs.backbone, shape.grid, cameras.as_deref(), &self.parameters)
     }
 }
 

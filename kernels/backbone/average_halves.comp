@@ -21,9 +21,7 @@ layout(push_constant) uniform Push {
 
 void main() {
     uint i = global_index();
-    if (i >= rows * width) {
-        return;
-    }
+    if (i >= rows * width) return;
     uint at = i / width * 2 * width + i % width;
     result[i] = 0.5 * (from_INPUT(halves[at]) + from_INPUT(halves[at + width]));
 }

@@ -23,9 +23,7 @@ layout(push_constant) uniform Push {
 
 void main() {
     uint i = global_index();
-    if (i >= views * width) {
-        return;
-    }
+    if (i >= views * width) return;
     uint view = i / width;
     uint row = ENCODED ? view : min(view, 1);
     result[view * tokens * width + i % width] = camera_tokens[row * width + i % width];

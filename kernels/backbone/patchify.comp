@@ -27,9 +27,7 @@ void main() {
     uint area = patch_size * patch_size;
     uint columns = width / patch_size;
     uint patches = columns * (height / patch_size);
-    if (i >= views * patches * stride) {
-        return;
-    }
+    if (i >= views * patches * stride) return;
     uint element = i % stride;
     uint p = i / stride;
     if (element >= 3 * area) {

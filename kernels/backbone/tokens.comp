@@ -25,9 +25,7 @@ layout(push_constant) uniform Push {
 
 void main() {
     uint i = global_index();
-    if (i >= views * tokens * width) {
-        return;
-    }
+    if (i >= views * tokens * width) return;
     uint channel = i % width;
     uint token = i / width % tokens;
     uint view = i / width / tokens;

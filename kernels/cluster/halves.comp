@@ -41,9 +41,7 @@ vec4 rounded(vec4 x) {
 
 void main() {
     uint row = group_index();
-    if (row >= rows) {
-        return;
-    }
+    if (row >= rows) return;
     uint quads = width / 4;
     float largest = 0.0;
     for (uint c = gl_LocalInvocationID.x; c < quads; c += gl_WorkGroupSize.x) {

@@ -25,13 +25,9 @@ layout(push_constant) uniform Push {
 void main() {
     uint quads = width / 4;
     uint i = global_index();
-    if (i >= cluster_count * quads) {
-        return;
-    }
+    if (i >= cluster_count * quads) return;
     uint from = starts[i / quads], to = starts[i / quads + 1];
     vec4 sum = vec4(0.0);
-    for (uint member = from; member < to; member++) {
-        sum += points[members[member] * quads + i % quads];
-    }
+    for (uint member = from; member < to; member++) sum += points[members[member] * quads + i % quads];
     centroids[i] = sum / float(max(to - from, 1));
 }

@@ -38,9 +38,7 @@ float squared_length(vec4 d) { return dot(d, d); }
 
 void main() {
     uint first_point = group_index() * ROWS;
-    if (first_point >= point_count) {
-        return;
-    }
+    if (first_point >= point_count) return;
     uint quads = width / 4;
     uint point_at[ROWS];
     float best[ROWS];
@@ -61,9 +59,7 @@ void main() {
             uint t = tile + COLUMNS * gl_LocalInvocationID.x + c;
             target_at[c] = min(t, target_count - 1) * quads;
         }
-        [[unroll]] for (uint r = 0; r < ROWS; r++) {
-            sum[r] = vec4(0.0);
-        }
+        [[unroll]] for (uint r = 0; r < ROWS; r++) sum[r] = vec4(0.0);
         for (uint k = 0; k < quads; k++) {
             vec4 t0 = targets[target_at[0] + k];
             vec4 t1 = targets[target_at[1] + k];
@@ -94,8 +90,6 @@ void main() {
         float limit = tie_limit(subgroupMin(best[r]));
         uint own = first[r] <= limit ? first_target[r] : best[r] <= limit ? best_target[r] : target_count - 1;
         uint nearest = subgroupMin(own);
-        if (gl_LocalInvocationID.x == 0 && first_point + r < point_count) {
-            result[first_point + r] = nearest;
-        }
+        if (gl_LocalInvocationID.x == 0 && first_point + r < point_count) result[first_point + r] = nearest;
     }
 }

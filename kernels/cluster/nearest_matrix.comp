@@ -100,15 +100,11 @@ uint staged_at(uint at) { return at / HALVES * STRIDE + at % 2 * PIECES + at % H
 void stage(uint base) {
     [[unroll]] for (uint i = 0; i < POINT_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_M * HALVES) {
-            staged[base + staged_at(at)] = next_points[i];
-        }
+        if (at < TILE_M * HALVES) staged[base + staged_at(at)] = next_points[i];
     }
     [[unroll]] for (uint i = 0; i < TARGET_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_N * HALVES) {
-            staged[base + TILE_M * STRIDE + staged_at(at)] = next_targets[i];
-        }
+        if (at < TILE_N * HALVES) staged[base + TILE_M * STRIDE + staged_at(at)] = next_targets[i];
     }
 }
 
@@ -173,12 +169,8 @@ void main() {
             load(first_point, more ? first_target : first_target + TILE_N, more ? tile + 1 : 0);
             uint base = tile % 2 * STAGE;
             multiply(base + own_point * STRIDE, base + (TILE_M + own_target) * STRIDE);
-            if (!more || (tile + 1) * TILE_K % CHUNK == 0) {
-                add_chunk();
-            }
-            if (more) {
-                stage(STAGE - base);
-            }
+            if (!more || (tile + 1) * TILE_K % CHUNK == 0) add_chunk();
+            if (more) stage(STAGE - base);
             barrier();
         }
         [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {

@@ -61,26 +61,20 @@ uint among(uint point, float limit) {
     float least = uintBitsToFloat(0x7f800000u);
     for (uint i = 0; i < 2 * shares; i++) {
         uint target = candidate(point, i, limit);
-        if (target != NONE) {
-            least = min(least, squared_distance(point, target));
-        }
+        if (target != NONE) least = min(least, squared_distance(point, target));
     }
     float tie = tie_limit(least);
     uint first = NONE;
     for (uint i = 0; i < 2 * shares; i++) {
         uint target = candidate(point, i, limit);
-        if (target < first && squared_distance(point, target) <= tie) {
-            first = target;
-        }
+        if (target < first && squared_distance(point, target) <= tie) first = target;
     }
     return first;
 }
 
 void main() {
     uint point = group_index();
-    if (point >= point_count) {
-        return;
-    }
+    if (point >= point_count) return;
     uvec2 best = candidates[point].xy;
     for (uint share = 1; share < shares; share++) {
         uvec2 other = candidates[share * point_count + point].xy;
@@ -89,12 +83,8 @@ void main() {
     float least = uintBitsToFloat(best.x);
     float limit = score_limit(least, norms[point]);
     uint count = 0;
-    for (uint i = 0; i < 2 * shares; i++) {
-        count += candidate(point, i, limit) == NONE ? 0 : 1;
-    }
+    for (uint i = 0; i < 2 * shares; i++) count += candidate(point, i, limit) == NONE ? 0 : 1;
     // One is not worth reading; and where no score is a number, the first target it is.
     uint nearest = count > 1 && !isinf(least) ? among(point, limit) : best.y;
-    if (gl_LocalInvocationID.x == 0) {
-        result[point] = nearest;
-    }
+    if (gl_LocalInvocationID.x == 0) result[point] = nearest;
 }

@@ -22,13 +22,9 @@ layout(push_constant) uniform Push {
 void main() {
     uint quads = width / 4;
     uint quad = global_index();
-    if (quad >= quads) {
-        return;
-    }
+    if (quad >= quads) return;
     vec4 mean = vec4(0.0);
     uint apart = rows / samples * quads;
-    for (uint i = 0; i < samples; i++) {
-        mean += source[i * apart + quad] / float(samples);
-    }
+    for (uint i = 0; i < samples; i++) mean += source[i * apart + quad] / float(samples);
     result[quad] = mean;
 }

@@ -46,9 +46,7 @@ float softplus(float x) {
 
 void main() {
     uint i = global_index();
-    if (i >= count) {
-        return;
-    }
+    if (i >= count) return;
     uint at = i * (11 + 3 * bases);
     for (uint c = 0; c < 3; c++) {
         float y = clamp(raw[at + c], -5.0, 5.0);
@@ -62,11 +60,7 @@ void main() {
         float norm = length(q / largest) * largest;
         q = norm >= 1e-12 ? (q / largest) / length(q / largest) : q / 1e-12;
     }
-    for (uint c = 0; c < 4; c++) {
-        quats[4 * i + c] = q[c];
-    }
+    for (uint c = 0; c < 4; c++) quats[4 * i + c] = q[c];
     opacities[i] = 1.0 / (1.0 + exp(-raw[at + 10]));
-    for (uint c = 0; c < 3 * bases; c++) {
-        sh_coeffs[3 * bases * i + c] = raw[at + 11 + c];
-    }
+    for (uint c = 0; c < 3 * bases; c++) sh_coeffs[3 * bases * i + c] = raw[at + 11 + c];
 }

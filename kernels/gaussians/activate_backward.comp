@@ -38,14 +38,14 @@ void main() {
     uint i = global_index();
     if (i >= count) return;
     uint width = 11 + 3 * bases, from = i * width, to = i / group * stride + i % group * width;
-    for (uint c = 0; c < 3; ++c) {
+    for (uint c = 0; c < 3; c++) {
         float y = raw[from + c];
         d_raw[to + c] = abs(y) <= 5 ? unit * d_means[3 * i + c] * exp(abs(y)) : 0;
         d_raw[to + 3 + c] = unit * d_scales[3 * i + c] * scale_slope(raw[from + 3 + c] - 4);
     }
     vec4 quat = quat_gradient(vec4(raw[from + 6], raw[from + 7], raw[from + 8], raw[from + 9]), d_quats[i]);
-    for (uint c = 0; c < 4; ++c) d_raw[to + 6 + c] = quat[c];
+    for (uint c = 0; c < 4; c++) d_raw[to + 6 + c] = quat[c];
     float opacity = sigmoid(raw[from + 10]), rest = sigmoid(-raw[from + 10]);
     d_raw[to + 10] = d_opacities[i] * opacity * rest;
-    for (uint c = 0; c < 3 * bases; ++c) d_raw[to + 11 + c] = d_sh_coeffs[3 * bases * i + c];
+    for (uint c = 0; c < 3 * bases; c++) d_raw[to + 11 + c] = d_sh_coeffs[3 * bases * i + c];
 }

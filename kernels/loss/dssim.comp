@@ -35,15 +35,15 @@ void main() {
     uint first = gl_WorkGroupID.z * size.y, at = min(column, across - 1);
     vec2 centre = moments[(first + min(gl_WorkGroupID.y * RUN + RUN / 2, size.y - 1)) * across + at].xy;
     vec4 filtered[RUN];
-    [[unroll]] for (uint p = 0; p < RUN; ++p) filtered[p] = vec4(0);
-    [[unroll]] for (int k = 0; k < REACH; ++k) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
+    [[unroll]] for (int k = 0; k < REACH; k++) {
         int y = int(gl_WorkGroupID.y * RUN) + k - RADIUS;
         vec4 value = vec4(0);
         if (y >= 0 && y < size.y) value = moments[(first + y) * across + at];
         add_tap(filtered, k, squared(value, centre));
     }
     float sum = 0;
-    [[unroll]] for (uint p = 0; p < RUN; ++p) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint y = gl_WorkGroupID.y * RUN + p;
         vec3 partial;
         float here = dssim(centred(filtered[p], centre), partial);
@@ -54,6 +54,7 @@ void main() {
     }
     sum = weight * subgroupAdd(sum);
     uint groups = (across + gl_WorkGroupSize.x - 1) / gl_WorkGroupSize.x, runs = (size.y + RUN - 1) / RUN;
-    if (gl_LocalInvocationID.x == 0)
+    if (gl_LocalInvocationID.x == 0) {
         sums[(gl_WorkGroupID.z * runs + gl_WorkGroupID.y) * groups + gl_WorkGroupID.x] = sum;
+    }
 }

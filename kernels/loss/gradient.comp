@@ -28,8 +28,8 @@ void main() {
     uint first = gl_WorkGroupID.z * size.y;
     vec4 filtered[RUN];
     if (DSSIM) {
-        [[unroll]] for (uint p = 0; p < RUN; ++p) filtered[p] = vec4(0);
-        [[unroll]] for (int k = 0; k < REACH; ++k) {
+        [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
+        [[unroll]] for (int k = 0; k < REACH; k++) {
             int y = int(gl_WorkGroupID.y * RUN) + k - RADIUS;
             vec3 value = vec3(0);
             if (y >= 0 && y < size.y) value = partials[(first + y) * across + min(column, across - 1)];
@@ -37,7 +37,7 @@ void main() {
         }
     }
     float sum = 0;
-    [[unroll]] for (uint p = 0; p < RUN; ++p) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint y = gl_WorkGroupID.y * RUN + p;
         if (y >= size.y || column >= across) continue;
         uint at = (first + y) * across + column, to = ((first + y) * size.x + column / 3) * channels;
@@ -47,7 +47,9 @@ void main() {
         if (POINTWISE == 2) gradient += weight * 2 * d;
         if (POINTWISE > 0) sum += weight * (POINTWISE == 1 ? abs(d) : d * d);
         d_frames[to + column % 3] = scale * gradient;
-        if (column % 3 == 0) for (uint c = 3; c < channels; ++c) d_frames[to + c] = 0;
+        if (column % 3 == 0) {
+            for (uint c = 3; c < channels; c++) d_frames[to + c] = 0;
+        }
     }
     if (POINTWISE == 0) return;
     sum = subgroupAdd(sum);

@@ -29,13 +29,13 @@ void main() {
     if (row >= rows) return;
     vec2 centre = moments_of(row * width + min(run * RUN + RUN / 2, width - 1), colour).xy;
     vec4 filtered[RUN];
-    [[unroll]] for (uint p = 0; p < RUN; ++p) filtered[p] = vec4(0);
-    [[unroll]] for (int k = 0; k < REACH; ++k) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
+    [[unroll]] for (int k = 0; k < REACH; k++) {
         int x = int(run * RUN) + k - RADIUS;
         vec4 value = moments_of(row * width + clamp(x, 0, int(width) - 1), colour);
         add_tap(filtered, k, squared(x >= 0 && x < width ? value : vec4(0), centre));
     }
-    [[unroll]] for (uint p = 0; p < RUN; ++p) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint x = run * RUN + p;
         if (x < width) moments[(row * width + x) * 3 + colour] = centred(filtered[p], centre);
     }

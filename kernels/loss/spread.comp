@@ -19,13 +19,13 @@ void main() {
     uint colour = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
     if (row >= rows) return;
     vec4 filtered[RUN];
-    [[unroll]] for (uint p = 0; p < RUN; ++p) filtered[p] = vec4(0);
-    [[unroll]] for (int k = 0; k < REACH; ++k) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
+    [[unroll]] for (int k = 0; k < REACH; k++) {
         int x = int(run * RUN) + k - RADIUS;
         vec3 value = partials[(row * width + clamp(x, 0, int(width) - 1)) * 3 + colour];
         add_tap(filtered, k, vec4(x >= 0 && x < width ? value : vec3(0), 0));
     }
-    [[unroll]] for (uint p = 0; p < RUN; ++p) {
+    [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint x = run * RUN + p;
         if (x < width) result[(row * width + x) * 3 + colour] = filtered[p].xyz;
     }

@@ -15,8 +15,9 @@ layout(push_constant) uniform Push { uint first; uint count; float scale; };
 void main() {
     uint picture = group_index();
     vec2 sum = vec2(0);
-    for (uint i = gl_LocalInvocationID.x; i < count; i += gl_WorkGroupSize.x)
+    for (uint i = gl_LocalInvocationID.x; i < count; i += gl_WorkGroupSize.x) {
         sum = add(sum, vec2(sums[picture * count + i], 0));
+    }
     float all = subgroupAdd(sum.x) + subgroupAdd(sum.y);
     if (gl_LocalInvocationID.x == 0) values[first + picture] = scale * all;
 }

@@ -18,7 +18,5 @@ layout(push_constant) uniform Push {
 };
 
 void main() {
-    if (global_index() < quads) {
-        result[global_index()] = source[global_index()];
-    }
+    if (global_index() < quads) result[global_index()] = source[global_index()];
 }

@@ -27,21 +27,13 @@ layout(push_constant) uniform Push {
 void main() {
     float own = float(global_index() % 16);
     vec4 x[QUADS];
-    [[unroll]] for (uint q = 0; q < QUADS; q++) {
-        x[q] = own + 16.0 * (4.0 * float(q) + vec4(0.0, 1.0, 2.0, 3.0));
-    }
+    [[unroll]] for (uint q = 0; q < QUADS; q++) x[q] = own + 16.0 * (4.0 * float(q) + vec4(0.0, 1.0, 2.0, 3.0));
     for (uint i = 0; i < iterations; i++) {
         [[unroll]] for (uint step = 0; step < STEPS; step++) {
-            [[unroll]] for (uint q = 0; q < QUADS; q++) {
-                x[q] = x[q] * factor + term;
-            }
+            [[unroll]] for (uint q = 0; q < QUADS; q++) x[q] = x[q] * factor + term;
         }
     }
     vec4 sum = vec4(0.0);
-    [[unroll]] for (uint q = 0; q < QUADS; q++) {
-        sum += x[q];
-    }
-    if (global_index() < count) {
-        result[global_index()] = sum.x + sum.y + sum.z + sum.w;
-    }
+    [[unroll]] for (uint q = 0; q < QUADS; q++) sum += x[q];
+    if (global_index() < count) result[global_index()] = sum.x + sum.y + sum.z + sum.w;
 }

@@ -37,18 +37,14 @@ void main() {
         sums[p] = Sums(0);
     }
     for (uint i = 0; i < iterations; i++) {
-        [[unroll]] for (uint p = 0; p < PRODUCTS; p++) {
-            sums[p] = coopMatMulAdd(left, right[p], sums[p]);
-        }
+        [[unroll]] for (uint p = 0; p < PRODUCTS; p++) sums[p] = coopMatMulAdd(left, right[p], sums[p]);
         if ((swaps >> i % 32 & 1u) != 0) {
             Left before = left;
             left = other;
             other = before;
         }
     }
-    [[unroll]] for (uint p = 1; p < PRODUCTS; p++) {
-        sums[0] += sums[p];
-    }
+    [[unroll]] for (uint p = 1; p < PRODUCTS; p++) sums[0] += sums[p];
     uint subgroup = group_index() * SUBGROUPS + gl_SubgroupID;
     coopMatStore(sums[0], result, subgroup * MATRIX_M * MATRIX_N, MATRIX_N, ROW_MAJOR);
 }

@@ -18,7 +18,5 @@ layout(push_constant) uniform Push { uint count; };
 
 void main() {
     uint i = global_index();
-    if (i < count) {
-        result[i] = left[i] + right[i];
-    }
+    if (i < count) result[i] = left[i] + right[i];
 }

@@ -63,18 +63,14 @@ void main() {
         q_at[r] = ((head * sequences + sequence) * queries + query) * quads;
         highest[r] = LOWEST;
         total[r] = 0.0;
-        [[unroll]] for (uint c = 0; c < VECTORS; c++) {
-            sum[r][c] = vec4(0.0);
-        }
+        [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] = vec4(0.0);
     }
 
     for (uint tile = 0; tile < key_quads; tile += lanes) {
         uint key_quad = tile + lane;
         uint k_at = k_base + min(key_quad, key_quads - 1);
         vec4 score[ROWS];
-        [[unroll]] for (uint r = 0; r < ROWS; r++) {
-            score[r] = vec4(0.0);
-        }
+        [[unroll]] for (uint r = 0; r < ROWS; r++) score[r] = vec4(0.0);
         for (uint c = 0; c < quads; c++) {
             uint at = k_at + 4 * c * key_quads;
             vec4 k0 = from_ELEMENT4(k[at]);
@@ -99,9 +95,7 @@ void main() {
             vec4 w = mix(vec4(0.0), exp(s - now), real);
             highest[r] = now;
             total[r] = total[r] * keep + w.x + w.y + w.z + w.w;
-            [[unroll]] for (uint c = 0; c < VECTORS; c++) {
-                sum[r][c] *= keep;
-            }
+            [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] *= keep;
             weights[r][lane] = w;
         }
         subgroupMemoryBarrierShared();

@@ -76,9 +76,7 @@ void scale_sums(uint scores) {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         Sums factor;
         coopMatLoad(factor, staged, scores + m * MATRIX_M * SCORE_STRIDE + RESCALE, SCORE_STRIDE, ROW_MAJOR);
-        [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
-            sums[m * BLOCKS + n] = sums[m * BLOCKS + n] * factor;
-        }
+        [[unroll]] for (uint n = 0; n < BLOCKS; n++) sums[m * BLOCKS + n] = sums[m * BLOCKS + n] * factor;
     }
 }
 
@@ -95,9 +93,7 @@ void main() {
         [[unroll]] for (uint c = 0; c < STEPS; c++) {
             coopMatLoad(query[m * STEPS + c], q, at + c * MATRIX_K / 8, PIECES, ROW_MAJOR);
         }
-        [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
-            sums[m * BLOCKS + n] = Sums(0);
-        }
+        [[unroll]] for (uint n = 0; n < BLOCKS; n++) sums[m * BLOCKS + n] = Sums(0);
     }
     softmax_begin();
 
@@ -106,14 +102,10 @@ void main() {
         barrier();
         stage();
         barrier();
-        if (first_key + TILE < keys) {
-            load(kv_base, first_key + TILE);
-        }
+        if (first_key + TILE < keys) load(kv_base, first_key + TILE);
         [[unroll]] for (uint n = 0; n < TILE / MATRIX_N; n++) {
             Sums score[REPEAT_M];
-            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                score[m] = Sums(0);
-            }
+            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m] = Sums(0);
             [[unroll]] for (uint c = 0; c < STEPS; c++) {
                 Right key;
                 uint at = n * MATRIX_N * STRIDE + c * MATRIX_K / 8;
@@ -130,9 +122,7 @@ void main() {
         subgroupBarrier();
         bool changed = softmax(scores, first_key, keys);
         subgroupBarrier();
-        if (subgroupAny(changed)) {
-            scale_sums(scores);
-        }
+        if (subgroupAny(changed)) scale_sums(scores);
         [[unroll]] for (uint c = 0; c < TILE / MATRIX_K; c++) {
             Left weight[REPEAT_M];
             [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {

@@ -24,11 +24,7 @@ layout(push_constant) uniform Push {
 
 void main() {
     uint i = global_index();
-    if (i >= count * width) {
-        return;
-    }
+    if (i >= count * width) return;
     uint row = rows_from_out[i / width] - first_row;
-    if (row < source_rows) {
-        result[i] = source[row * width + i % width];
-    }
+    if (row < source_rows) result[i] = source[row * width + i % width];
 }

@@ -17,8 +17,11 @@ void main() {
     uint from = 0, to = item_count[0];
     while (from < to) {
         uint middle = (from + to) / 2;
-        if (keys[middle] < key) from = middle + 1;
-        else to = middle;
+        if (keys[middle] < key) {
+            from = middle + 1;
+        } else {
+            to = middle;
+        }
     }
     starts[key] = from;
 }

@@ -43,9 +43,7 @@ float load(uint from, uint packed_row, uint c) {
 
 void main() {
     uint row = group_index();
-    if (row >= rows) {
-        return;
-    }
+    if (row >= rows) return;
     uint source_row = patches > 0 ? row + row / patches + 1 : row;
     uint from = source_row * width;
 

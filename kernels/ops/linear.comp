@@ -39,16 +39,10 @@ layout(push_constant) uniform Push {
 };
 
 void store(uint row, uint column, float value) {
-    if (ACTIVATION == 1) {
-        value = gelu(value);
-    }
-    if (SCALE) {
-        value *= gamma[column];
-    }
+    if (ACTIVATION == 1) value = gelu(value);
+    if (SCALE) value *= gamma[column];
     uint at = row * columns + column;
-    if (ADD) {
-        value += residual[at];
-    }
+    if (ADD) value += residual[at];
     result[at] = to_OUTPUT(value);
 }
 
@@ -83,13 +77,9 @@ void main() {
         }
     }
 
-    if (quad >= quads) {
-        return;
-    }
+    if (quad >= quads) return;
     vec4 offset = vec4(bias[4 * quad], 0.0, 0.0, 0.0);
-    [[unroll]] for (uint c = 1; c < 4; c++) {
-        offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;
-    }
+    [[unroll]] for (uint c = 1; c < 4; c++) offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         uint row = first_row + r;
         if (row < rows) {
@@ -100,9 +90,7 @@ void main() {
                 result[at + 1] = to_OUTPUT(silu(v.z) * v.w);
             } else {
                 [[unroll]] for (uint c = 0; c < 4; c++) {
-                    if (4 * quad + c < columns) {
-                        store(row, 4 * quad + c, v[c]);
-                    }
+                    if (4 * quad + c < columns) store(row, 4 * quad + c, v[c]);
                 }
             }
         }

@@ -85,15 +85,11 @@ void load(uint first_row, uint first_column, uint tile) {
 void stage(uint base) {
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_M * PIECES) {
-            staged[base + at / PIECES * STRIDE + at % PIECES] = next_a[i];
-        }
+        if (at < TILE_M * PIECES) staged[base + at / PIECES * STRIDE + at % PIECES] = next_a[i];
     }
     [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_N * PIECES) {
-            staged[base + (TILE_M + at / PIECES) * STRIDE + at % PIECES] = next_weight[i];
-        }
+        if (at < TILE_N * PIECES) staged[base + (TILE_M + at / PIECES) * STRIDE + at % PIECES] = next_weight[i];
     }
 }
 
@@ -110,20 +106,14 @@ vec4 sums_at(uint at, uint row, uint column) {
 // The quad of results whose first sums are `quad` of the strip's row at `strip`.
 void finish(uint strip, uint quad, uint row, uint column) {
     vec4 v = sums_at(strip + quad * QUAD, row, column);
-    if (ACTIVATION == 1) {
-        v = vec4(gelu(v.x), gelu(v.y), gelu(v.z), gelu(v.w));
-    }
+    if (ACTIVATION == 1) v = vec4(gelu(v.x), gelu(v.y), gelu(v.z), gelu(v.w));
     if (ACTIVATION == 2) {
         vec4 w = sums_at(strip + (quad + 1) * QUAD, row, column + 1);
         v = vec4(silu(v.x) * v.y, silu(v.z) * v.w, silu(w.x) * w.y, silu(w.z) * w.w);
     }
-    if (SCALE) {
-        v *= gamma[column];
-    }
+    if (SCALE) v *= gamma[column];
     uint at = row * (columns / 4 / MERGED) + column / MERGED;
-    if (ADD) {
-        v += residual[at];
-    }
+    if (ADD) v += residual[at];
     result[at] = to_OUTPUT4(v);
 }
 
@@ -134,18 +124,14 @@ void main() {
     uint own_column = gl_SubgroupID % SUBGROUPS_N * SUBGROUP_N;
 
     Sums sums[REPEAT_M * REPEAT_N];
-    [[unroll]] for (uint i = 0; i < REPEAT_M * REPEAT_N; i++) {
-        sums[i] = Sums(0);
-    }
+    [[unroll]] for (uint i = 0; i < REPEAT_M * REPEAT_N; i++) sums[i] = Sums(0);
 
     uint tiles = (inner + TILE_K - 1) / TILE_K;
     load(first_row, first_column, 0);
     stage(0);
     barrier();
     for (uint tile = 0; tile < tiles; tile++) {
-        if (tile + 1 < tiles) {
-            load(first_row, first_column, tile + 1);
-        }
+        if (tile + 1 < tiles) load(first_row, first_column, tile + 1);
         uint base = tile % 2 * STAGE;
         [[unroll]] for (uint k = 0; k < TILE_K / MATRIX_K; k++) {
             Left left[REPEAT_M];
@@ -162,9 +148,7 @@ void main() {
                 }
             }
         }
-        if (tile + 1 < tiles) {
-            stage(STAGE - base);
-        }
+        if (tile + 1 < tiles) stage(STAGE - base);
         barrier();
     }
 
@@ -180,9 +164,7 @@ void main() {
             uint row = first_row + own_row + m * MATRIX_M + i / quads;
             uint quad = i % quads * MERGED;
             uint column = (first_column + own_column) / 4 + quad;
-            if (row < rows && 4 * column < columns) {
-                finish(strip + i / quads * STRIP_STRIDE, quad, row, column);
-            }
+            if (row < rows && 4 * column < columns) finish(strip + i / quads * STRIP_STRIDE, quad, row, column);
         }
         subgroupBarrier();
     }

@@ -23,7 +23,5 @@ layout(push_constant) uniform Push {
 
 void main() {
     uint i = global_index();
-    if (i < count) {
-        result[i / width * out_width + out_column + i % width] = to_OUTPUT(source[i]);
-    }
+    if (i < count) result[i / width * out_width + out_column + i % width] = to_OUTPUT(source[i]);
 }

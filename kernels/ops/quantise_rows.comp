@@ -26,9 +26,7 @@ layout(push_constant) uniform Push {
 
 void main() {
     uint row = group_index();
-    if (row >= rows) {
-        return;
-    }
+    if (row >= rows) return;
     uint quads = width / 4;
     float largest = 0.0;
     bool lost = false;
@@ -44,7 +42,5 @@ void main() {
         ivec4 q = ivec4(clamp(roundEven(vec4(source[row * quads + c]) * steps), -127.0, 127.0)) & 0xff;
         result[row * quads + c] = uint(q.x | q.y << 8 | q.z << 16 | q.w << 24);
     }
-    if (subgroupElect()) {
-        scales[row] = lost ? uintBitsToFloat(0x7fc00000u) : largest / 127.0;
-    }
+    if (subgroupElect()) scales[row] = lost ? uintBitsToFloat(0x7fc00000u) : largest / 127.0;
 }

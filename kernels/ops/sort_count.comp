@@ -18,9 +18,11 @@ void main() {
     for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize) counts[d] = 0;
     subgroupBarrier();
     uvec2 range = block_range(item_count[0], blocks);
-    for (uint i = range.x + gl_SubgroupInvocationID; i < range.y; i += gl_SubgroupSize)
+    for (uint i = range.x + gl_SubgroupInvocationID; i < range.y; i += gl_SubgroupSize) {
         atomicAdd(counts[keys[i] >> shift & mask], 1);
+    }
     subgroupBarrier();
-    for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize)
+    for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize) {
         digit_counts[d * blocks + group_index()] = counts[d];
+    }
 }

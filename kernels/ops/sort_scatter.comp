@@ -31,8 +31,9 @@ uvec4 peers(uint digit, uvec4 lanes) {
 }
 
 void main() {
-    for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize)
+    for (uint d = gl_SubgroupInvocationID; d < RADIX; d += gl_SubgroupSize) {
         next[d] = digit_offsets[d * blocks + group_index()];
+    }
     subgroupBarrier();
     uvec2 range = block_range(item_count[0], blocks);
     for (uint first = range.x; first < range.y; first += gl_SubgroupSize) {

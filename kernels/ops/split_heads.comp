@@ -63,9 +63,7 @@ void store(uint head, uint row, uint channel, float value) {
 
 void main() {
     uint group = group_index();
-    if (group >= rows * heads) {
-        return;
-    }
+    if (group >= rows * heads) return;
     uint row = group / heads;
     uint head = group % heads;
     uint from = row * stride + column + head * dim;

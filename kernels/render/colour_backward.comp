@@ -39,11 +39,12 @@ PairGradient over_tiles(uint pair) {
     PairGradient sum = PairGradient(vec3(0), vec3(0), vec3(0), 0);
     if (status[0] != status[1] || status[2] != 0) return sum;
     uint end = slots[pair + 1];
-    for (uint slot = slots[pair]; slot < end; ++slot) {
+    for (uint slot = slots[pair]; slot < end; slot++) {
         sum.first += moments[2 * slot];
         sum.second += moments[2 * slot + 1];
-        if (COLOUR)
-            for (uint c = 0; c < 3; ++c) sum.rgb[c] += d_values[slot * VALUES + c];
+        if (COLOUR) {
+            for (uint c = 0; c < 3; c++) sum.rgb[c] += d_values[slot * VALUES + c];
+        }
         if (DEPTH) sum.depth += d_values[slot * VALUES + VALUES - 1];
     }
     return sum;
@@ -64,7 +65,7 @@ vec3 to_coefficients(uint n, uint camera, vec3 d_rgb, inout vec3 d_coeffs[COEFFS
     vec3 direction = normalize(offset);
     float basis[16], weights[16];
     spherical_harmonics(SH_DEGREE, direction, basis);
-    for (uint k = 0; k < COEFFS; ++k) {
+    for (uint k = 0; k < COEFFS; k++) {
         d_coeffs[k] += basis[k] * d_rgb;
         weights[k] = dot(sh_coeffs[n * COEFFS + k], d_rgb);
     }
@@ -76,8 +77,8 @@ void main() {
     uint n = global_index();
     if (n >= gaussians) return;
     vec3 d_coeffs[COEFFS];
-    for (uint k = 0; k < COEFFS; ++k) d_coeffs[k] = vec3(0);
-    for (uint camera = 0; camera < camera_count; ++camera) {
+    for (uint k = 0; k < COEFFS; k++) d_coeffs[k] = vec3(0);
+    for (uint camera = 0; camera < camera_count; camera++) {
         uint pair = n * camera_count + camera;
         PairGradient sum = over_tiles(pair);
         if (COLOUR && sum.rgb != vec3(0)) {
@@ -86,6 +87,7 @@ void main() {
         }
         d_pairs[pair] = sum;
     }
-    if (COLOUR && SCENE_GRADIENTS)
-        for (uint k = 0; k < COEFFS; ++k) d_sh_coeffs[n * COEFFS + k] += d_coeffs[k];
+    if (COLOUR && SCENE_GRADIENTS) {
+        for (uint k = 0; k < COEFFS; k++) d_sh_coeffs[n * COEFFS + k] += d_coeffs[k];
+    }
 }

@@ -32,13 +32,13 @@ void main() {
     uint pair = indices[rank];
     TileSet set = unpack(tile_sets[pair]);
     uint corner = ((pair % camera_count) * grid.y + set.first.y) * grid.x + set.first.x;
-    for (uint t = 0; place < min(end, capacity); ++place) {
+    for (uint t = 0; place < min(end, capacity); place++) {
         if (set.mask != 0) {
             t = findLSB(set.mask);
             set.mask &= set.mask - 1;
         }
         tiles[place] = corner + t / set.size.x * grid.x + t % set.size.x;
         pair_indices[place] = pair;
-        ++t;
+        t++;
     }
 }

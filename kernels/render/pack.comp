@@ -23,9 +23,7 @@ void main() {
     if (i < count) {
         vec4 scaled = clamp(frames[i], 0.0, 1.0) * 255.0;
         uvec4 bytes = uvec4(scaled.rgb, roundEven(scaled.a));
-        if (BLUE_FIRST) {
-            bytes = bytes.bgra;
-        }
+        if (BLUE_FIRST) bytes = bytes.bgra;
         packed_pixels[i] = bytes.r | bytes.g << 8 | bytes.b << 16 | bytes.a << 24;
     }
 }

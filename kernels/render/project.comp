@@ -67,7 +67,7 @@ TileSet touched(vec2 centre, vec2 place, vec2 radii, vec3 conic, float reach) {
     TileSet tiles = TileSet(first, end - min(first, end), 0);
     uint area = tiles.size.x * tiles.size.y;
     if (area == 0 || area > 32) return tiles;
-    for (uint t = 0; t < area; ++t) {
+    for (uint t = 0; t < area; t++) {
         vec2 corner = vec2(first + uvec2(t % tiles.size.x, t / tiles.size.x)) * TILE;
         if (nearest(conic, centre, place, corner + 0.5, corner + TILE - 0.5) <= reach + 0.1) tiles.mask |= 1u << t;
     }
@@ -80,7 +80,7 @@ const uint COEFFS = (SH_DEGREE + 1) * (SH_DEGREE + 1);
 void add_bands(uint n, vec3 direction, inout vec3 sum) {
     float basis[16];
     spherical_harmonics(SH_DEGREE, direction, basis);
-    for (uint k = 1; k < COEFFS; ++k) sum += basis[k] * sh_coeffs[n * COEFFS + k];
+    for (uint k = 1; k < COEFFS; k++) sum += basis[k] * sh_coeffs[n * COEFFS + k];
 }
 
 // Seen along `offset`, which is divided by its largest component first, so that its square does not overflow.
@@ -95,7 +95,7 @@ vec3 colour(uint n, vec3 offset) {
 TileSet project(uint n, uint camera, uint pair) {
     const TileSet none = TileSet(uvec2(0), uvec2(0), 0);
     vec4 rows_of_camera[CAMERA_ROWS];
-    for (uint r = 0; r < CAMERA_ROWS; ++r) rows_of_camera[r] = cameras[CAMERA_ROWS * camera + r];
+    for (uint r = 0; r < CAMERA_ROWS; r++) rows_of_camera[r] = cameras[CAMERA_ROWS * camera + r];
     mat4x3 view = transpose(mat3x4(rows_of_camera[0], rows_of_camera[1], rows_of_camera[2]));
     vec3 rest = vec3(rows_of_camera[4].w, rows_of_camera[5].w, rows_of_camera[6].w);
     vec2 focal = rows_of_camera[3].xy, principal = rows_of_camera[3].zw;
@@ -132,8 +132,9 @@ TileSet project(uint n, uint camera, uint pair) {
     vec2 centre = focal * p.xy / p.z + principal;
     if (!(all(greaterThan(centre + radii, vec2(0))) && all(lessThan(centre - radii, vec2(width, height))))) return none;
     vec2 place = centre, beyond = max(-centre, centre - vec2(width, height));
-    if (max(beyond.x, beyond.y) > FAR_OFF)
+    if (max(beyond.x, beyond.y) > FAR_OFF) {
         find_ridge(rows_of_camera, uvec2(width, height), means[n], scale, quats[n], place, conic);
+    }
     TileSet tiles = touched(centre, place, radii, conic, reach);
     if (tile_count(tiles) == 0) return none;
 

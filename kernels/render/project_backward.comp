@@ -74,7 +74,7 @@ void to_rows(PairGradient pair, vec3 conic, vec3 u, vec3 v, float unit, out vec3
 void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout GaussianGradient d_gaussian, inout CameraGradient d_camera) {
     // As in render/project.
     vec4 rows_of_camera[CAMERA_ROWS];
-    for (uint r = 0; r < CAMERA_ROWS; ++r) rows_of_camera[r] = cameras[CAMERA_ROWS * camera + r];
+    for (uint r = 0; r < CAMERA_ROWS; r++) rows_of_camera[r] = cameras[CAMERA_ROWS * camera + r];
     mat4x3 view = transpose(mat3x4(rows_of_camera[0], rows_of_camera[1], rows_of_camera[2]));
     vec3 rest = vec3(rows_of_camera[4].w, rows_of_camera[5].w, rows_of_camera[6].w);
     vec2 focal = rows_of_camera[3].xy, principal = rows_of_camera[3].zw;
@@ -118,15 +118,15 @@ void store(uint camera, CameraGradient gradient) {
     vec4 lens = vec4(subgroupAdd(gradient.focal), subgroupAdd(gradient.principal));
     uint at = ((first_group + group_index()) * camera_count + camera) * 10;
     if (!subgroupElect() || group_index() * gl_WorkGroupSize.x >= gaussians) return;
-    for (uint i = 0; i < 3; ++i) d_cameras[at + i] = turn[i];
-    for (uint i = 0; i < 3; ++i) d_cameras[at + 3 + i] = shift[i];
-    for (uint i = 0; i < 4; ++i) d_cameras[at + 6 + i] = lens[i];
+    for (uint i = 0; i < 3; i++) d_cameras[at + i] = turn[i];
+    for (uint i = 0; i < 3; i++) d_cameras[at + 3 + i] = shift[i];
+    for (uint i = 0; i < 4; i++) d_cameras[at + 6 + i] = lens[i];
 }
 
 void main() {
     uint n = global_index();
     GaussianGradient sum = GaussianGradient(vec3(0), vec3(0), vec3(0), 0);
-    for (uint camera = 0; camera < camera_count; ++camera) {
+    for (uint camera = 0; camera < camera_count; camera++) {
         CameraGradient d_camera = CameraGradient(vec3(0), vec3(0), vec2(0), vec2(0));
         if (n < gaussians) {
             uint pair = n * camera_count + camera;

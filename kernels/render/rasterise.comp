@@ -100,17 +100,18 @@ void store(Pixel pixel, uint at) {
 
 void main() {
     Pixel pixels[RUNS];
-    for (uint run = 0; run < RUNS; ++run)
+    for (uint run = 0; run < RUNS; run++) {
         pixels[run] = Pixel(all(lessThan(position(run), size)) ? 1 : -1, NOTHING);
+    }
 
     uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
     uint end = tile_offsets[list + 1];
-    for (uint i = tile_offsets[list]; i < end; ++i) {
+    for (uint i = tile_offsets[list]; i < end; i++) {
         uint pair = pair_indices[i];
         Values seen = values(pair);
         Falloff splat = falloff(xy_opacities[pair], conics[pair]);
         bool live = false;
-        for (uint run = 0; run < RUNS; ++run) {
+        for (uint run = 0; run < RUNS; run++) {
             Sight sight;
             if (sees(splat, run, sight)) blend(pixels[run], min(ALPHA_MAX, alpha(splat, sight)), seen);
             live = live || pixels[run].transmittance > 0;
@@ -119,7 +120,7 @@ void main() {
     }
 
     const uint channels = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0) + (NORMAL ? 3 : 0) + (TOKEN_PAIRS > 0 ? 3 : 0);
-    for (uint run = 0; run < RUNS; ++run) {
+    for (uint run = 0; run < RUNS; run++) {
         uvec2 at = position(run);
         if (any(greaterThanEqual(at, size))) continue;
         uint row = gl_WorkGroupID.z * row_count + at.y - first_tile_row * TILE;

@@ -92,8 +92,9 @@ void put(uint slot, Gradient gradient) {
     if (slot >= capacity) return;
     moments[2 * slot] = gradient.first;
     moments[2 * slot + 1] = gradient.second;
-    if (COLOUR)
-        for (uint c = 0; c < 3; ++c) d_values[slot * VALUES + c] = gradient.rgb[c];
+    if (COLOUR) {
+        for (uint c = 0; c < 3; c++) d_values[slot * VALUES + c] = gradient.rgb[c];
+    }
     if (DEPTH) d_values[slot * VALUES + VALUES - 1] = gradient.depth;
 }
 
@@ -121,28 +122,28 @@ void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, in
     if (COLOUR) sum.rgb += weight * pixel.d_rgb;
     if (DEPTH) sum.depth += weight * pixel.d_depth;
     pixel.transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
-    if (seen && !drawn) --open;
+    if (seen && !drawn) open--;
 }
 
 void main() {
     const Gradient nothing = Gradient(vec3(0), vec3(0), vec3(0), 0);
     Pixel pixels[RUNS];
     uint open = 0; // of the invocation's pixels those that are not done
-    for (uint run = 0; run < RUNS; ++run) {
+    for (uint run = 0; run < RUNS; run++) {
         pixels[run] = pixel(position(run));
-        if (pixels[run].transmittance > 0) ++open;
+        if (pixels[run].transmittance > 0) open++;
     }
 
     uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
     uint i = tile_offsets[list], end = tile_offsets[list + 1];
-    for (; i < end && subgroupAny(open > 0); ++i) {
+    for (; i < end && subgroupAny(open > 0); i++) {
         uint pair = pair_indices[i];
         vec3 rgb = COLOUR ? colours[pair] : vec3(0);
         float depth = DEPTH ? depths[pair] : 0;
         Falloff splat = falloff(xy_opacities[pair], conics[pair]);
         Gradient sum = nothing;
         bool reached = false;
-        for (uint run = 0; run < RUNS; ++run) {
+        for (uint run = 0; run < RUNS; run++) {
             Sight sight;
             if (sees(splat, run, sight)) {
                 share(pixels[run], alpha(splat, sight), sight, rgb, depth, sum, open);

@@ -27,23 +27,23 @@ void turn(vec4 q, out vec2 turned[3][3]) {
 // Replaces a splat's place (see ridge_row) and its conic.
 void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec4 quat, inout vec2 place, inout vec3 conic) {
     vec2 rows[3][3], offset[3], p[3];
-    for (uint c = 0; c < 3; ++c) offset[c] = add(add(mean[c], -camera[c].w), vec2(-camera[4 + c].w, 0));
-    for (uint r = 0; r < 3; ++r) {
-        for (uint c = 0; c < 3; ++c) rows[r][c] = vec2(camera[r][c], camera[4 + r][c]);
+    for (uint c = 0; c < 3; c++) offset[c] = add(add(mean[c], -camera[c].w), vec2(-camera[4 + c].w, 0));
+    for (uint r = 0; r < 3; r++) {
+        for (uint c = 0; c < 3; c++) rows[r][c] = vec2(camera[r][c], camera[4 + r][c]);
         p[r] = inner(rows[r], offset);
     }
     vec4 q = quat * to_one(max(max(abs(quat.x), abs(quat.y)), max(abs(quat.z), abs(quat.w))));
     float largest = max(max(scale.x, scale.y), scale.z);
     vec2 axes[3][3], centre[2], spread[2][3];
     turn(q, axes);
-    for (uint a = 0; a < 2; ++a) {
+    for (uint a = 0; a < 2; a++) {
         vec2 focal = vec2(camera[3][a], camera[7][a]), principal = vec2(camera[3][a + 2], camera[7][a + 2]);
         vec2 slope = divide(p[a], p[2]);
         centre[a] = add(multiply(focal, slope), principal);
         slope = held_slope(slope, focal, principal, size[a]);
         vec2 row[3];
-        for (uint c = 0; c < 3; ++c) row[c] = add(rows[a][c], -multiply(slope, rows[2][c]));
-        for (uint i = 0; i < 3; ++i) spread[a][i] = multiply(inner(row, axes[i]), vec2(scale[i] * to_one(largest), 0));
+        for (uint c = 0; c < 3; c++) row[c] = add(rows[a][c], -multiply(slope, rows[2][c]));
+        for (uint i = 0; i < 3; i++) spread[a][i] = multiply(inner(row, axes[i]), vec2(scale[i] * to_one(largest), 0));
     }
     // k = u v / (v v + BLUR), where u and v are the rows of `spread` times focal lengths and a common factor.
     float pixel = p[2].x * dot(q, q) / camera[3].y * to_one(largest);

@@ -25,15 +25,9 @@ const uvec4 NONE = uvec4(0x7f800000u, 0, 0x7f800000u, 0);
 uvec4 with_score(uvec4 found, float score, uint column) {
     float least = uintBitsToFloat(found.x), second = uintBitsToFloat(found.z);
     uvec2 taken = uvec2(floatBitsToUint(score), column);
-    if (score < least) {
-        return uvec4(taken, found.xy);
-    }
-    if (score == least) {
-        return uvec4(found.x, min(found.y, column), found.zw);
-    }
-    if (score < second) {
-        return uvec4(found.xy, taken);
-    }
+    if (score < least) return uvec4(taken, found.xy);
+    if (score == least) return uvec4(found.x, min(found.y, column), found.zw);
+    if (score < second) return uvec4(found.xy, taken);
     return score == second ? uvec4(found.xyz, min(found.w, column)) : found;
 }
 
@@ -42,9 +36,7 @@ uint row_in_strip(uint own) { return own % LANE_ROWS * LANES + gl_SubgroupInvoca
 uint row_in_subgroup(uint own) { return own / LANE_ROWS * MATRIX_M + row_in_strip(own); }
 
 void minimum_begin() {
-    [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) {
-        two_least[own] = NONE;
-    }
+    [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) two_least[own] = NONE;
 }
 
 // Takes the m-th strip, whose columns are those from `first_column` on.
@@ -54,9 +46,7 @@ void minimum(uint strip, uint m, uint first_column) {
         uint row = strip + min(row_in_strip(own), MATRIX_M - 1) * STRIP_STRIDE;
         for (uint quad = gl_SubgroupInvocationID % ROW_LANES; quad < QUADS; quad += ROW_LANES) {
             uint column = first_column + 4 * quad;
-            if (column >= column_count) {
-                break;
-            }
+            if (column >= column_count) break;
             vec4 scores = scores_of(uintBitsToFloat(staged[row + quad]), own, column);
             [[unroll]] for (uint c = 0; c < 4; c++) {
                 if (scores[c] < uintBitsToFloat(two_least[own].z) && column + c < column_count) {

@@ -25,9 +25,7 @@ void softmax_begin() {
 uint lane_row(uint i) { return i * LANES + gl_SubgroupInvocationID / ROW_LANES; }
 
 void put_factor(uint row, float factor) {
-    [[unroll]] for (uint c = 0; c < MATRIX_N / 4; c++) {
-        staged[row + RESCALE + c] = floatBitsToUint(vec4(factor));
-    }
+    [[unroll]] for (uint c = 0; c < MATRIX_N / 4; c++) staged[row + RESCALE + c] = floatBitsToUint(vec4(factor));
 }
 
 // Turns the scores of the lane's rows into weights; gives whether an earlier sum has to be scaled for it.
@@ -46,9 +44,7 @@ bool softmax(uint scores, uint first_key, uint keys) {
             }
             now = max(now, max(max(s[c].x, s[c].y), max(s[c].z, s[c].w)));
         }
-        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) {
-            now = max(now, subgroupShuffleXor(now, apart));
-        }
+        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) now = max(now, subgroupShuffleXor(now, apart));
         float keep = exp(highest[i] - now);
         changed = changed || now > highest[i];
         highest[i] = now;
@@ -70,9 +66,7 @@ bool softmax(uint scores, uint first_key, uint keys) {
 // Leaves 1 / total as every row's factor.
 void softmax_end(uint scores) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
-        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) {
-            total[i] += subgroupShuffleXor(total[i], apart);
-        }
+        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) total[i] += subgroupShuffleXor(total[i], apart);
         put_factor(scores + lane_row(i) * SCORE_STRIDE, 1.0 / total[i]);
     }
 }

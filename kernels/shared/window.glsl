@@ -6,7 +6,7 @@ const int REACH = int(RUN) + 2 * RADIUS; // values that a run sees, from RADIUS 
 
 // Adds the value at place `k` of the reach to the sums of the run.
 void add_tap(inout vec4 sums[RUN], int k, vec4 value) {
-    [[unroll]] for (int p = 0; p < RUN; ++p) {
+    [[unroll]] for (int p = 0; p < RUN; p++) {
         int tap = k - p;
         if (tap >= 0 && tap <= 2 * RADIUS) sums[p] += WINDOW[tap] * value;
     }

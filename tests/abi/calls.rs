@@ -205,6 +205,13 @@ pub fn picture_at(pixels: *mut u8) -> zs_picture {
     zs_picture { struct_size, reserved: 0, stride: 0, pixels: pixels.cast(), alpha: none, depth: none }
 }
 
+/// A scene of arrays.
+pub fn scene_of(scene: &Scene) -> Object<zs_scene> {
+    let array = arrays(scene);
+    // SAFETY: arrays of their lengths, and where to put it.
+    Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
+}
+
 /// A scene's Gaussians, by way of arrays.
 pub fn read(scene: &Object<zs_scene>) -> Scene {
     let mut found = arrays(&Scene::default());

@@ -4,20 +4,32 @@ use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, La
 use std::path::{Path, PathBuf};
 
 /// Sources in the order of the header.
-const SOURCES: [&str; 10] =
-    ["version", "status", "context", "picture", "photo", "scene", "model", "reconstruct", "renderer", "vulkan"];
+const SOURCES: [&str; 11] = [
+    "version",
+    "status",
+    "context",
+    "picture",
+    "photo",
+    "scene",
+    "model",
+    "reconstruct",
+    "refine",
+    "renderer",
+    "vulkan",
+];
 
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
 /// Enumerations that structures hold as plain numbers, which the header names all the same.
-const ENUMERATIONS: [&str; 7] = [
+const ENUMERATIONS: [&str; 8] = [
     "zs_device_kind",
     "zs_pixel_format",
     "zs_precision",
     "zs_selection",
     "zs_world",
+    "zs_refine_end",
     "zs_depth",
     "zs_requirement_kind",
 ];
@@ -152,6 +164,8 @@ fn types_and_functions_of_an_object_stand_together() {
         "zs_status zs_scene_open(",
         "typedef struct zs_model zs_model;",
         "zs_status zs_model_open(",
+        "typedef struct zs_refine_options {",
+        "zs_status zs_refine(",
         "typedef struct zs_vulkan_target {",
         "zs_status zs_render_to_vulkan(",
     ];

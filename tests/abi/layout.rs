@@ -38,6 +38,13 @@ fn structures() -> Vec<(String, usize)> {
         zs_reconstruct_options {
             struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data
         }
+        zs_refining { struct_size, step, steps, reserved, loss, psnr, seconds_left }
+        zs_refine_options {
+            struct_size, steps, views_per_step, hold_out, width, height, seed, progress, user_data
+        }
+        zs_refine_info {
+            struct_size, ended, steps, best_step, first_loss, last_loss, psnr_before, psnr, seconds
+        }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
         zs_vulkan_requirement { kind, optional, name, structure }
@@ -67,6 +74,7 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
         zs_world { ZS_WORLD_FIRST_CAMERA, ZS_WORLD_CAMERAS }
+        zs_refine_end { ZS_REFINE_FINISHED, ZS_REFINE_STOPPED, ZS_REFINE_DIVERGED }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
         zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
     };
@@ -80,7 +88,8 @@ fn constants() -> Vec<(String, usize)> {
 
 #[test]
 fn is_what_c_sees() {
-    let enumerations = ["status", "device_kind", "pixel_format", "precision", "selection", "depth", "requirement_kind"];
+    let enumerations =
+        ["status", "device_kind", "pixel_format", "precision", "selection", "refine_end", "depth", "requirement_kind"];
     let mut expected = [structures(), constants()].concat();
     expected.extend(enumerations.map(|name| (format!("sizeof(zs_{name})"), 4)));
     let mut program = "#include <stdio.h>\n#include <zipsplat.h>\nint main(void) {\n".to_owned();
@@ -112,5 +121,5 @@ fn nothing_was_left_out() {
     let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
     assert_eq!(constants().len() - 4, numbers);
     let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("ZS_ENUM(")).count();
-    assert_eq!(defined, 4 + 1, "and ZS_RATIO_AUTO");
+    assert_eq!(defined, 4 + 2, "and ZS_RATIO_AUTO, ZS_HOLD_OUT_AUTO");
 }

@@ -13,5 +13,6 @@ mod lost;
 mod memory;
 mod notes;
 mod random_calls;
+mod refine;
 mod same_bits;
 mod threads;

@@ -10,7 +10,7 @@ use std::{
 };
 use zipsplat::{
     ffi::{zs_status::*, *},
-    types::{Image, Scene, SceneFormat, WriteOptions, encode_scene, read_scene},
+    types::{Image, SceneFormat, WriteOptions, encode_scene, read_scene},
 };
 use zipsplat_tests::{compare::assert_same, scenes::random_scene};
 
@@ -57,12 +57,6 @@ int main(void) {
 }
 "#;
     success(runner(&installation().compile_text("expression.c", program, Linking::Sanitised)));
-}
-
-fn scene_of(scene: &Scene) -> Object<zs_scene> {
-    let array = arrays(scene);
-    // SAFETY: arrays of their lengths, and where to put it.
-    Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
 }
 
 fn from_memory(bytes: &[u8], format: Option<&str>, dropped: *mut u64) -> Result<Object<zs_scene>, zs_status> {

@@ -4,7 +4,7 @@ use crate::calls::*;
 use std::{ffi::CStr, fs};
 use zipsplat::{
     ffi::{zs_precision::*, *},
-    ops::SelfTest,
+    tune::SelfTest,
 };
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 

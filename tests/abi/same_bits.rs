@@ -5,9 +5,10 @@ use glam::{DMat3, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
     ffi::*,
-    ops::{Arithmetic, Chosen, Precision},
+    ops::{Arithmetic, Precision},
     reconstruct::{Model, Ratio, Request, Selection},
     stages::render::{Depth, Frame, RenderRequest, Renderer},
+    tune::Chosen,
     types::{Camera, Image, Intrinsics, Pose, Scene},
 };
 use zipsplat_tests::{compare::assert_same, device::device};

@@ -48,6 +48,7 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
         "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/made/scene.ply",
         "render @/scene.ply --wiggle --frames 24 --size 64x48 --video @/made/film.gif -o @/made/pictures",
         "refine @/scene.ply @/place/images --poses @/place --steps 12 -o @/made/scene.ply",
+        "reconstruct @/place/images --poses @/place --weights @/micro.safetensors --size 28x28 --refine=12 -o @/made/scene.ply",
         "convert @/micro.safetensors @/made/half.safetensors --dtype f16",
         "bench tradeoff @/place --weights @/micro.safetensors --size 28x28 --views 2 --ratio 1 --repeats 1 -o @/made",
     ] {
@@ -87,6 +88,35 @@ fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     assert!(outcome.err.contains("points that were measured"), "{}", outcome.err);
     outcome.fails(130, &["cancelled"]);
     assert_eq!(check_whole(&folder.path("report")), 2);
+}
+
+/// Cancelled after twice as long each time, until there was something to write: long before the last step.
+#[test]
+fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
+    write_ply(&scenes::random_scene(300, 1, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    let shared = "@/place/images --poses @/place -o @/best.ply";
+    let reconstruct = format!("reconstruct {shared} --weights @/micro.safetensors --size 28x28");
+    for line in [
+        format!("refine @/scene.ply {shared} --steps 1000000"),
+        format!("{reconstruct} --refine=1000000"),
+        format!("{reconstruct} --refine=1000000:tokens --world cameras"),
+    ] {
+        let mut delay = Duration::from_millis(100);
+        let outcome = loop {
+            let outcome = cancelled_after(delay, &folder.line(&line));
+            if folder.path("best.ply").exists() {
+                break outcome;
+            }
+            outcome.fails(130, &["cancelled"]);
+            delay *= 2;
+        };
+        assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
+        read_scene(folder.path("best.ply")).expect("a whole scene");
+        outcome.fails(130, &["cancelled"]);
+        std::fs::remove_file(folder.path("best.ply")).expect("it is there");
+    }
 }
 
 /// Photos that would take minutes.

@@ -1,5 +1,6 @@
 //! The command line, run in process: results, errors with their exit codes, and that no failure leaves a file.
 
+mod cameras;
 mod cancel;
 mod convert;
 mod errors;
@@ -47,6 +48,12 @@ impl Outcome {
     #[track_caller]
     fn json(self) -> serde_json::Value {
         serde_json::from_str(&self.success()).expect("--json prints JSON and nothing else")
+    }
+
+    /// Holds that the arguments were refused as no usage.
+    #[track_caller]
+    fn fails_usage(self) {
+        assert_eq!((self.code, self.out.as_str()), (2, ""), "{}", self.err);
     }
 
     /// Holds that the command failed with `code` and one line that has all of `words`.

@@ -99,6 +99,25 @@ fn frames_are_measured_by_pass() {
     assert!(text.contains("frames/s") && text.contains("render/rasterise"), "{text}");
 }
 
+#[test]
+fn a_step_is_measured_beside_its_picture() {
+    let rows = rows(&Folder::new(), "refine --gaussians 50,300 --size 32x32 --sh 0 --photos 2");
+    let passes =
+        ["render/rasterise", "render/rasterise_backward", "render/project_backward", "loss/gradient", "refine/adam"];
+    for what in passes.into_iter().chain(["step", "picture", "host"]) {
+        assert_eq!(rows.iter().filter(|row| row["what"] == what).count(), 2, "{what}: {rows:?}");
+    }
+    assert!(rows.iter().all(|row| ordered(&row["ms"]) && row["pictures"].as_f64() > Some(0.0)), "{rows:?}");
+    for row in rows.iter().filter(|row| row["what"] == "step") {
+        assert!(shared(&row["bandwidth_share"], true) && shared(&row["fma_share"], true), "{row}");
+        assert!(row["peak_bytes"].as_u64() > Some(0) && row["photos"] == 2, "{row}");
+    }
+    let text = Folder::new().run("bench refine --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
+    assert!(text.contains("of bandwidth") && text.contains("render/rasterise_backward"), "{text}");
+    Folder::new().run("bench refine --sh 2 --pytorch").fails(3, &["--sh", "0 or 1"]);
+    Folder::new().run("bench refine --pytorch=no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
+}
+
 /// A Python that prints what it was asked for as if it had measured it, and one that fails.
 #[cfg(unix)]
 #[test]

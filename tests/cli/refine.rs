@@ -37,8 +37,16 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     };
     assert!(pose.translation.abs_diff_eq(first.translation, 1e-9));
     let again = format!("refine {PHOTOS} --start points --steps 30 -o @/again.ply");
-    let text = folder.run(&again).success();
-    assert!(text.contains("held-out photos"), "{text}");
+    let text = folder.run(&format!("{again} --explain")).success();
+    assert!(text.contains("held-out photos") && !text.contains("left out"), "{text}");
+    let row = |what: &str| text.lines().find_map(|line| line.strip_prefix(what)).unwrap_or_else(|| panic!("{text}"));
+    assert_eq!(row("start").trim(), "the capture's points");
+    assert!(row("steps").contains("30 of 30, of 4 photos each; kept is step "), "{text}");
+    assert!(row("rates").contains("means 0.005"), "{text}");
+    let names = std::fs::read_dir(folder.path("place/images")).expect("photos").map(|file| file.expect("a file"));
+    let held = row("held-out photos").trim();
+    assert!(names.map(|file| file.file_name()).any(|name| name == held), "{held}");
+    assert_eq!((row("largest photo").trim(), row("ended").trim()), ("42x28 from step 1", "after all steps"));
     assert_eq!(read_scene(folder.path("again.ply")).expect("a scene"), scene);
 }
 
@@ -70,7 +78,7 @@ fn a_scene_is_refined_in_its_own_world() {
 #[test]
 fn refined_cameras_are_written() {
     let folder = place();
-    let options = "--steps 20 --refine-cameras --hold-out 1 --cameras-out @/cameras.json";
+    let options = "--steps 20 --refine-cameras --hold-out 1 --refined-cameras @/cameras.json";
     let refined = folder.run(&format!("refine {PHOTOS} --start points {options} -o @/scene.ply --json")).json();
     let degrees = refined["refined"]["cameras"]["degrees"].as_f64().expect("an angle");
     let [given, found] =
@@ -89,10 +97,12 @@ fn refined_cameras_are_written() {
     let again = "refine @/scene.ply @/place/images --poses @/cameras.json --steps 0 -o @/again.ply --json";
     assert!(folder.run(again).json()["refined"]["cameras"].is_null());
     let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
-    folder.run(&format!("{reconstruct} --refine=5 --start points --refine-cameras --cameras-out @/r.json")).success();
+    folder
+        .run(&format!("{reconstruct} --refine=5 --start points --refine-cameras --refined-cameras @/r.json"))
+        .success();
     assert!(read_poses(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
     assert_eq!(folder.run(&format!("{reconstruct} --refine-cameras")).code, 2);
-    assert_eq!(folder.run(&format!("{reconstruct} --refine=5 --cameras-out @/r.json")).code, 2);
+    assert_eq!(folder.run(&format!("{reconstruct} --refine=5 --refined-cameras @/r.json")).code, 2);
 }
 
 #[test]

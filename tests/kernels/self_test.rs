@@ -1,7 +1,8 @@
 //! The self-test of fast kernels, and what follows from it.
 
 use zipsplat::gpu::{Device, DeviceOptions, Matrices};
-use zipsplat::ops::{Arithmetic, Chosen, Precision, SelfTest};
+use zipsplat::ops::{Arithmetic, Precision};
+use zipsplat::tune::{Chosen, SelfTest};
 use zipsplat_tests::device::device;
 
 #[test]

@@ -4,10 +4,8 @@ use std::ops::ControlFlow;
 use zipsplat::{
     Error,
     gpu::{Element, Matrices, Recorder, Run},
-    ops::{
-        Arithmetic, AttentionTile, Epilogue, Linear, LinearKernel, LinearTile, Measured, NearestTile, Precision, Tiles,
-        Tuned, Tuning, Units, pack_matrix,
-    },
+    ops::{Arithmetic, Epilogue, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, pack_matrix},
+    tune::{Measured, Tuning},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
 
@@ -29,13 +27,14 @@ fn measures_every_tile_and_can_be_stopped() {
     assert_eq!(tuning.measured.is_empty(), limits.matrices == Matrices::default());
     for measured in &tuning.measured {
         let units = Units::of(measured.factor, limits).unwrap();
-        let candidates = match measured.kernel {
-            Tuned::Linear => LinearTile::candidates(limits, units).len(),
-            Tuned::Attention => AttentionTile::candidates(limits, units, 64).len(),
-            Tuned::Nearest => NearestTile::candidates(limits, units).len(),
+        let candidates = match measured.kernel.as_str() {
+            "linear" => Tile::linear(limits, units).len(),
+            "attention" => Tile::attention(limits, units, Tile::TUNED_CHANNELS).len(),
+            "nearest" => Tile::nearest(limits, units).len(),
+            other => panic!("{other} has no tiles"),
         };
         // Larger results are not measured with tiles that are slow already.
-        let alike = tuning.measured.iter().filter(|m| (m.kernel, m.factor) == (measured.kernel, measured.factor));
+        let alike = tuning.measured.iter().filter(|m| (&m.kernel, m.factor) == (&measured.kernel, measured.factor));
         let smallest = alike.map(|m| m.values).min() == Some(measured.values);
         let least = if smallest { candidates } else { 1 };
         assert!((least..=candidates).contains(&measured.tiles.len()), "{measured:?}");
@@ -60,12 +59,12 @@ fn the_fastest_tile_is_taken() {
     let limits = device().limits();
     let Some(fast) = Arithmetic::of(Precision::Fast, limits) else { return };
     let Some(units) = fast.linear else { return };
-    let names: Vec<String> = LinearTile::candidates(limits, units).iter().map(ToString::to_string).collect();
+    let names: Vec<String> = Tile::linear(limits, units).iter().map(ToString::to_string).collect();
     let tuning = |best: &str| {
         let tiles =
             names.iter().cloned().chain([best.into()]).map(|name| (name.clone(), if name == best { 1.0 } else { 2.0 }));
         let measured =
-            Measured { kernel: Tuned::Linear, factor: Element::F16, values: 1 << 14, tiles: tiles.collect() };
+            Measured { kernel: "linear".into(), factor: Element::F16, values: 1 << 14, tiles: tiles.collect() };
         Tuning { measured: vec![measured], ..Tuning::default() }
     };
     for (index, name) in names.iter().enumerate() {
@@ -101,7 +100,8 @@ fn a_tile_changes_no_bit_of_a_linear_layer() {
             let (packed_weight, bias) = (rec.input::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));
             let input = rec.input::<u8>("input", rows * inner * kernel.element().bytes());
             let layer = Linear { weight: packed_weight, bias, inner, columns, kernel };
-            let out = layer.apply(&mut rec, "out", input, rows, Epilogue::default());
+            let x_rows = Rows { tensor: input, count: rows, width: inner, element: kernel.element() };
+            let out = layer.apply(&mut rec, "out", x_rows, Element::F32, Epilogue::default()).tensor;
             rec.output(out);
             let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
             run.write(packed_weight, &packed).unwrap();
@@ -110,7 +110,7 @@ fn a_tile_changes_no_bit_of_a_linear_layer() {
             run.execute().unwrap();
             run.read(out).unwrap()
         };
-        for index in 1..LinearTile::candidates(limits, units).len() {
+        for index in 1..Tile::linear(limits, units).len() {
             assert_same(&format!("{:?}, tile {index}", units.factor), &product(index), &product(0));
         }
     }

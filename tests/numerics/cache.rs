@@ -9,7 +9,8 @@ use tempfile::TempDir;
 use zipsplat::{
     Error,
     gpu::Element,
-    ops::{Chosen, Precision, SelfTest},
+    ops::Precision,
+    tune::{Chosen, SelfTest},
 };
 use zipsplat_tests::device::device;
 use zipsplat_tests::processes::{assert_succeeds, child, target};

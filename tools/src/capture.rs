@@ -83,7 +83,14 @@ impl Choice {
     /// # Errors
     /// Where the cameras cannot be read or there are too few photos.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
-        let poses = read_poses(folder)?;
+        Self::of(read_poses(folder)?, folder, views, targets)
+    }
+
+    /// As [`Choice::new`], of frames that are known; `folder` is for messages.
+    ///
+    /// # Errors
+    /// Where there are too few photos.
+    pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
             let expected = format!("more than --views {views}, to have some to compare with");

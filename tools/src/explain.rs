@@ -65,9 +65,12 @@ impl fmt::Display for Explanation {
         let commands: u32 = self.passes.iter().map(|pass| pass.commands).sum();
         let moved: u64 = self.passes.iter().map(|pass| pass.bytes).sum();
         table.row(["together".into(), commands.to_string(), format!("{:.3}", 1e3 * seconds), bytes(moved)]);
-        writeln!(f, "{table}")?;
+        write!(f, "{table}")?;
+        if self.left_out.is_empty() {
+            return Ok(());
+        }
         let mut table = Table::new(2, &["left out", "why"]);
         self.left_out.iter().for_each(|left| table.row([left.what.clone(), left.why.clone()]));
-        write!(f, "{table}")
+        write!(f, "\n{table}")
     }
 }

@@ -19,34 +19,46 @@ mod photos;
 mod pictures;
 mod plot;
 pub mod procedural;
+mod process;
 mod refinement;
 mod released;
 mod session;
 mod signals;
 mod table;
 mod unit;
+mod video;
 mod views;
 
 use clap::Parser;
-use session::Session;
+use commands::Command;
+pub use session::Terminal;
+use session::{Global, Session};
 pub use signals::cancelled_by_signals;
-use std::{
-    ffi::OsString,
-    io::{ErrorKind, Write},
-    sync::atomic::AtomicBool,
-};
+use std::{ffi::OsString, io::ErrorKind};
 use zipsplat::Error;
 
-/// Where a command prints, and how it learns that it should stop.
-pub struct Terminal<'a> {
-    /// Results.
-    pub out: &'a mut dyn Write,
-    /// Errors and notes.
-    pub err: &'a mut dyn Write,
-    /// Whether progress bars may be drawn on the process' standard error, where that is a terminal.
-    pub progress: bool,
-    /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
-    pub cancelled: &'a AtomicBool,
+/// Photos without poses to a compact 3D Gaussian scene, on any Vulkan device.
+#[derive(Parser)]
+#[command(
+    name = "zipsplat",
+    version,
+    after_help = "Examples:
+  zipsplat reconstruct photos/ -o scene.ply
+  zipsplat render scene.ply --wiggle -o out/
+  zipsplat info
+  zipsplat doctor
+  zipsplat weights get zipsplat
+  zipsplat help render
+
+Exit codes:
+  0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
+  4 no device, a lost one or too little memory   5 a device that computes wrongly   130 cancelled"
+)]
+struct Cli {
+    #[command(flatten)]
+    global: Global,
+    #[command(subcommand)]
+    command: Command,
 }
 
 /// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or
@@ -54,7 +66,7 @@ pub struct Terminal<'a> {
 /// cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
-    let options::Cli { global, command } = match options::Cli::try_parse_from(&args) {
+    let Cli { global, command } = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
             let (stream, code) =

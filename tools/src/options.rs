@@ -1,60 +1,17 @@
-//! The command line: global options, and those that several commands share.
+//! Options that several commands share.
 
-use crate::{commands::Command, released, session::Session};
-use clap::{Args, Parser, ValueEnum};
+use crate::{released, session::Session};
+use clap::{Args, ValueEnum};
 use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
-    ops::{Arithmetic, Chosen, Precision},
+    ops::{Arithmetic, Precision},
     reconstruct::{Ratio, Selection},
+    tune::Chosen,
     types::{Image, Scene, SceneFormat, open_file, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
 };
-
-/// Photos without poses to a compact 3D Gaussian scene, on any Vulkan device.
-#[derive(Parser)]
-#[command(
-    name = "zipsplat",
-    version,
-    after_help = "Examples:
-  zipsplat reconstruct photos/ -o scene.ply
-  zipsplat render scene.ply --wiggle -o out/
-  zipsplat info
-  zipsplat doctor
-  zipsplat weights get zipsplat
-  zipsplat help render
-
-Exit codes:
-  0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
-  4 no device, a lost one or too little memory   5 a device that computes wrongly   130 cancelled"
-)]
-pub struct Cli {
-    #[command(flatten)]
-    pub global: Global,
-    #[command(subcommand)]
-    pub command: Command,
-}
-
-/// Options of every command.
-#[derive(Args)]
-pub struct Global {
-    /// Vulkan device: its number in `zipsplat info` or a part of its name; with `info --plan` also none, for an ordinary one
-    /// [default: the best]
-    #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
-    pub device: Option<String>,
-    /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
-    /// [default: all of it]
-    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
-    pub memory: Option<u64>,
-    /// Print the result as JSON to standard output, and an error as one line of JSON to standard error: {"error", "kind",
-    /// "exit_code"}
-    #[arg(long, global = true, help_heading = "Options of every command")]
-    pub json: bool,
-    /// Print neither result nor notes nor progress, only errors; --json still prints
-    #[arg(long, short, global = true, help_heading = "Options of every command")]
-    pub quiet: bool,
-}
 
 /// Which weights.
 #[derive(Args)]
@@ -310,18 +267,6 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
         "auto" => Ok(Ratio::Auto),
         number => number.parse().map(Ratio::Fixed).map_err(|_| "expected a number in (0, 1], or auto".into()),
     }
-}
-
-/// A number of bytes, or of 1024 to the power of 1, 2 or 3 of them.
-fn parse_bytes(text: &str) -> Result<u64, String> {
-    let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
-        Some(number) if text.ends_with('K') => (number, 1 << 10),
-        Some(number) if text.ends_with('M') => (number, 1 << 20),
-        Some(number) => (number, 1 << 30),
-        None => (text, 1),
-    };
-    let bytes = number.parse().ok().and_then(|number: u64| number.checked_mul(unit));
-    bytes.ok_or_else(|| "expected a number of bytes, such as 800000000, 800M or 3G".into())
 }
 
 /// A length that something can be measured in.

@@ -17,11 +17,13 @@ use zipsplat::{
 pub const DEPTH_LEVELS: f32 = 1000.0;
 /// What this program calls itself in files that it writes.
 pub const MADE_BY: &str = "zipsplat";
+/// The first line of logs of other programs.
+pub const LOG_START: &str = "zipsplat: what COLMAP said";
 /// Bytes at a file's start and end that are searched for it.
 const SEARCHED: u64 = 1 << 16;
 /// How files begin, and what stands in those that this program has written. A `.splat` has room for nothing and is not among
 /// them.
-const MARKS: [(&[u8], &[u8]); 13] = [
+const MARKS: [(&[u8], &[u8]); 14] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
@@ -32,6 +34,7 @@ const MARKS: [(&[u8], &[u8]); 13] = [
     (b"\0\0\0", b"zipsplat"),
     (b"<!doctype html>", b"<meta name=generator content=zipsplat>"),
     (b"ZSSCENES", b"ZSSCENES"),
+    (LOG_START.as_bytes(), b""),
     (b"", b"\"zipsplat.architecture\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
     (b"views,precision,ratio,select", b"views,"),
@@ -90,7 +93,7 @@ pub fn is_own(path: &Path) -> bool {
         file.take(SEARCHED).read_to_end(&mut bytes)?;
         Ok::<_, std::io::Error>(bytes)
     };
-    let holds = |bytes: &[u8], mark: &[u8]| bytes.windows(mark.len()).any(|window| window == mark);
+    let holds = |bytes: &[u8], mark: &[u8]| mark.is_empty() || bytes.windows(mark.len()).any(|window| window == mark);
     read().is_ok_and(|bytes| MARKS.iter().any(|(start, mark)| bytes.starts_with(start) && holds(&bytes, mark)))
 }
 

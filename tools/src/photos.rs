@@ -2,9 +2,12 @@
 
 use crate::{
     options::Size,
+    outputs::Overwrite,
     session::{Session, Stage},
     table::counted,
+    video::{FRAMES, FrameFolder, is_video, sharpest_frames},
 };
+use clap::Args;
 use rayon::prelude::*;
 use std::{
     cmp::Ordering,
@@ -27,6 +30,50 @@ const NAMED: usize = 5;
 /// Share of the photos' area that may be cropped away without a word.
 const CROPPED: f64 = 0.1;
 
+/// Where photos come from.
+#[derive(Args)]
+pub struct PhotoArgs {
+    /// Photos (PNG, JPEG, WebP), folders of them, taken in natural order of their names, or videos, of which the sharpest frames
+    /// are taken
+    #[arg(required = true)]
+    photos: Vec<PathBuf>,
+    /// Also take the photos of folders in folders
+    #[arg(long)]
+    recursive: bool,
+    /// Program that reads videos
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    ffmpeg: PathBuf,
+}
+
+impl PhotoArgs {
+    /// The photos as [`list`] has them, and the folder of the frames of videos: of each video `frames`, or a usual number. The
+    /// folder lies beside the file that will name them, where there is one, and may exist where that says so.
+    ///
+    /// # Errors
+    /// As [`list`], [`FrameFolder`] and [`sharpest_frames`].
+    pub fn list(
+        &self,
+        session: &mut Session<'_>,
+        frames: Option<u32>,
+        named_in: Option<(&Path, Overwrite)>,
+    ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
+        let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
+        let make = || named_in.map_or_else(FrameFolder::temporary, beside);
+        let folder = self.photos.iter().any(|path| is_video(path)).then(make).transpose()?;
+        let mut photos = Vec::new();
+        for path in &self.photos {
+            match &folder {
+                Some(folder) if is_video(path) => {
+                    let count = frames.map_or(FRAMES, |frames| frames as usize);
+                    photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, folder.path())?);
+                }
+                _ => photos.extend(list_path(session, path, self.recursive)?),
+            }
+        }
+        Ok((photos, folder))
+    }
+}
+
 /// The photos that `paths` stand for: files as they are, of folders the photos inside by natural order. Other files of a
 /// folder are left out, which is noted, but for hidden ones.
 ///
@@ -35,20 +82,45 @@ const CROPPED: f64 = 0.1;
 pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();
     for path in paths {
-        if path.metadata().map_err(|error| Error::io(path, error))?.is_dir() {
-            photos.extend(list_folder(session, path)?);
-        } else {
-            photos.push(path.clone());
-        }
+        photos.extend(list_path(session, path, false)?);
     }
     Ok(photos)
+}
+
+fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<Vec<PathBuf>> {
+    match path.metadata().map_err(|error| Error::io(path, error))?.is_dir() {
+        false => Ok(vec![path.to_owned()]),
+        true if recursive => {
+            let mut photos = Vec::new();
+            list_below(path, &mut photos)?;
+            if photos.is_empty() {
+                let expected = format!("files that end in {}", EXTENSIONS.join(", "));
+                return Err(Error::argument(format!("photos in {} and below", path.display()), "none", expected));
+            }
+            Ok(photos)
+        }
+        true => list_folder(session, path),
+    }
+}
+
+/// The photos of a folder, then those of each folder in it; links to folders are not followed, which may lead round.
+fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
+    let mut entries = visible(folder)?;
+    entries.sort_by(by_name);
+    photos.extend(entries.iter().filter(|path| path.is_file() && is_photo(path)).cloned());
+    entries.iter().filter(|path| path.is_dir() && !path.is_symlink()).try_for_each(|path| list_below(path, photos))
+}
+
+/// The natural order of paths.
+fn by_name(a: &PathBuf, b: &PathBuf) -> Ordering {
+    natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b))
 }
 
 fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = visible(folder)?;
     let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) =
         entries.into_iter().filter(|path| path.is_dir() || path.is_file()).partition(|path| path.is_dir());
-    files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b)));
+    files.sort_by(by_name);
     let (photos, others): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|path| is_photo(path));
     let below = folders_of_photos(folders);
     if photos.is_empty() {
@@ -94,7 +166,7 @@ fn is_photo(path: &Path) -> bool {
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     let has_photos = |folder: &PathBuf| visible(folder).is_ok_and(|files| files.iter().any(|file| is_photo(file)));
     folders.retain(has_photos);
-    folders.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    folders.sort_by(by_name);
     named(&folders, |folder| folder.join("").display().to_string())
 }
 
@@ -129,7 +201,7 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
 }
 
 /// The first few of the files by name.
-fn names(files: &[PathBuf]) -> String {
+pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 

@@ -1,6 +1,10 @@
 //! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
 
-use crate::{session::Session, table::time};
+use crate::{
+    cameras::path_from,
+    session::Session,
+    table::{Table, bytes, counted, time},
+};
 use clap::{Args, ValueEnum};
 use glam::DQuat;
 use serde_json::{Value, json};
@@ -13,10 +17,12 @@ use zipsplat::{
     Error, Result,
     gpu::Device,
     reconstruct::SceneTokens,
-    refine::{FrozenHead, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points},
+    refine::{
+        FrozenHead, Rates, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points,
+    },
     types::{
         Camera, Image, PointCloud, Pose, Scene,
-        poses::{Frame, write_transforms},
+        poses::{Frame, write_frames},
     },
 };
 
@@ -76,6 +82,9 @@ impl Start {
         }
     }
 }
+
+/// What a refinement of tokens starts from, in words.
+pub const TOKENS: &str = "the network's tokens";
 
 /// Most pixels of a photo along x and y, where nobody says.
 pub const MOST_PIXELS: &str = "1600x1600";
@@ -150,38 +159,24 @@ impl Moved {
     }
 }
 
-/// Refuses photos whose refined cameras a transforms.json of pinholes cannot say.
-///
-/// # Errors
-/// [`Error::Argument`] naming the first whose lens distorts.
-pub fn check_cameras_out(path: Option<&Path>, frames: &[&Frame]) -> Result<()> {
-    match frames.iter().find(|frame| path.is_some() && frame.lens.is_some()) {
-        Some(frame) => {
-            let found = format!("{}, whose lens distorts", frame.name);
-            Err(Error::argument(
-                "photos for --cameras-out",
-                found,
-                "photos without distortion, as COLMAP undistorts them",
-            ))
-        }
-        None => Ok(()),
-    }
-}
-
 /// Writes the refined cameras of photos for `--poses` and other programs, `to_world` the pose of the scene in the cameras' world.
 ///
 /// # Errors
-/// Those of [`write_transforms`].
-pub fn save_cameras(path: &Path, refined: &Refined, to_world: &Pose, photos: &[PathBuf]) -> Result<()> {
-    let absolute = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-    let folder = absolute(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")));
-    let name = |photo: &PathBuf| {
-        let photo = absolute(photo);
-        photo.strip_prefix(&folder).unwrap_or(&photo).to_string_lossy().into_owned()
+/// [`Error::Io`] naming the file that cannot be written.
+pub fn save_cameras(
+    path: &Path,
+    refined: &Refined,
+    to_world: &Pose,
+    photos: &[PathBuf],
+    frames: &[&Frame],
+) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let moved = |((camera, photo), frame): ((&Camera, &PathBuf), &&Frame)| {
+        let camera = Camera { pose: to_world.compose(&camera.pose), ..frame.camera };
+        Ok(Frame { name: path_from(folder, photo)?, camera, ..Frame::clone(frame) })
     };
-    let placed = |camera: &Camera| Camera { pose: to_world.compose(&camera.pose), ..*camera };
-    let cameras: Vec<Camera> = refined.cameras.iter().map(placed).collect();
-    write_transforms(path, &cameras, &photos.iter().map(name).collect::<Vec<_>>())
+    let moved = refined.cameras.iter().zip(photos).zip(frames).map(moved).collect::<Result<Vec<Frame>>>()?;
+    write_frames(path, &moved, None)
 }
 
 /// The median turn in degrees and the median shift of the cameras that were moved, where any were.
@@ -272,8 +267,60 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     json!({
         "start": start, "cameras": cameras.map(|[degrees, distance]| json!({ "degrees": degrees, "distance": distance })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
-        "held_out": refined.held_out, "seconds": refined.took.as_secs_f64(),
+        "held_out": refined.held_out, "held_out_photos": refined.held, "sizes": refined.sizes, "ended": ended(refined),
+        "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
+}
+
+/// What was refined and how, for `--explain`: photos have their files' names.
+pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
+    let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let held: Vec<String> = refined.held.iter().map(name).collect();
+    let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
+    let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
+    let Rates { means, scales, quats, opacities, sh_coeffs, tokens, turns, shifts } = request.rates;
+    let mut rates = match start {
+        TOKENS => format!("tokens {tokens}"),
+        _ => format!(
+            "means {means} of the scene's distance, ln scales {scales}, quats {quats}, logit opacities {opacities}, \
+             sh_coeffs {sh_coeffs}"
+        ),
+    };
+    if request.cameras {
+        rates += &format!(", turns of cameras {turns}, shifts {shifts} of the scene's distance");
+    }
+    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held.len()));
+    let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
+    let mut table = Table::new(2, &["refined", ""]);
+    for (what, how) in [
+        ("start", start.to_owned()),
+        (
+            "steps",
+            format!(
+                "{steps} of {}, of {} each; kept is step {}",
+                request.steps,
+                counted(each, "photo"),
+                refined.best_step
+            ),
+        ),
+        ("rates", format!("{rates}; they fall to a tenth")),
+        ("held-out photos", or_none(held.join(", "))),
+        ("largest photo", or_none(sizes.join(", "))),
+        ("memory", bytes(refined.peak_bytes)),
+        ("ended", ended(refined)),
+    ] {
+        table.row([what.into(), how]);
+    }
+    table
+}
+
+/// Why a refinement ended.
+fn ended(refined: &Refined) -> String {
+    match &refined.stopped {
+        None => "after all steps".into(),
+        Some(Stopped::Cancelled) => "cancelled".into(),
+        Some(Stopped::Diverged(why)) => why.clone(),
+    }
 }
 
 /// What there is to say where it ended early.

@@ -2,7 +2,7 @@
 
 use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
-use zipsplat::{Error, Result, ops::cache_folder};
+use zipsplat::{Error, Result, tune::cache_folder};
 
 /// Released weights.
 pub struct Released {

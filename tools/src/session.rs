@@ -1,6 +1,6 @@
 //! One run of a command: its device, its output, its stages with their progress, and cancelling.
 
-use crate::{Terminal, options::Global};
+use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::{
@@ -30,6 +30,38 @@ const POLL: Duration = Duration::from_millis(50);
 const NO_DEVICE: &str = "none";
 /// Steps of a progress bar.
 const STEPS: u64 = 1000;
+
+/// Where a command prints, and how it learns that it should stop.
+pub struct Terminal<'a> {
+    /// Results.
+    pub out: &'a mut dyn Write,
+    /// Errors and notes.
+    pub err: &'a mut dyn Write,
+    /// Whether progress bars may be drawn on the process' standard error, where that is a terminal.
+    pub progress: bool,
+    /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
+    pub cancelled: &'a AtomicBool,
+}
+
+/// Options of every command.
+#[derive(Args)]
+pub struct Global {
+    /// Vulkan device: its number in `zipsplat info` or a part of its name; with `info --plan` also none, for an ordinary one
+    /// [default: the best]
+    #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
+    pub device: Option<String>,
+    /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
+    /// [default: all of it]
+    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    pub memory: Option<u64>,
+    /// Print the result as JSON to standard output, and an error as one line of JSON to standard error: {"error", "kind",
+    /// "exit_code"}
+    #[arg(long, global = true, help_heading = "Options of every command")]
+    pub json: bool,
+    /// Print neither result nor notes nor progress, only errors; --json still prints
+    #[arg(long, short, global = true, help_heading = "Options of every command")]
+    pub quiet: bool,
+}
 
 /// The global options and the terminal of a command.
 pub struct Session<'a> {
@@ -295,4 +327,16 @@ impl Stage<'_> {
     pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
+}
+
+/// A number of bytes, or of 1024 to the power of 1, 2 or 3 of them.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
+        Some(number) if text.ends_with('K') => (number, 1 << 10),
+        Some(number) if text.ends_with('M') => (number, 1 << 20),
+        Some(number) => (number, 1 << 30),
+        None => (text, 1),
+    };
+    let bytes = number.parse().ok().and_then(|number: u64| number.checked_mul(unit));
+    bytes.ok_or_else(|| "expected a number of bytes, such as 800000000, 800M or 3G".into())
 }

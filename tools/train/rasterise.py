@@ -10,13 +10,7 @@ from collections import namedtuple
 
 import torch
 
-NEAR = 0.01
-BLUR = 0.3  # added to the diagonal of a projected covariance, square pixels
-MIN_ALPHA = 1 / 255
-MAX_ALPHA = 0.999
-MIN_TRANSMITTANCE = 1e-4
-# What a splat holds: mean (pixels), conic, opacity, colour, depth.
-SPLAT = 10
+from splats import BLUR, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, NEAR, depth_order
 
 Pictures = namedtuple("Pictures", "rgb alpha depth reached")
 
@@ -109,11 +103,6 @@ def shade(sh, directions, sh_degree):
     else:
         color = color.expand_as(directions)
     return color.clamp_min(0)
-
-
-def depth_order(splats):
-    """[P, N] i32: Gaussians from near to far, ties by index."""
-    return splats[..., 9].detach().argsort(dim=-1, stable=True).int()
 
 
 def blend_plain(splats, bounds, size):

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import torch
 
-from rasterise import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
+from splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
 
 # OpenMP's threads spin between calls, which costs many times the work where other processes use the cores.
 numba.config.THREADING_LAYER = "workqueue"

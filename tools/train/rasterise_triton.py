@@ -4,7 +4,7 @@ import torch
 import triton
 import triton.language as tl
 
-from rasterise import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
+from splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
 
 TILE = tl.constexpr(8)
 # Gaussians that a program blends at a time, and those that it looks through at a time for its list.

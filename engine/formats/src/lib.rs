@@ -1,8 +1,9 @@
-//! What crosses stages: images, cameras, Gaussians, and the files they come from.
+//! Images, cameras and 3D Gaussian scenes, and the files that they come from. Nothing here needs a GPU.
 
 mod axes;
 mod camera;
 mod file;
+mod format;
 mod gltf;
 mod image;
 mod left_out;
@@ -25,6 +26,7 @@ pub use camera::{
     Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, unit_quaternion,
 };
 pub use file::{Unfinished, open_file, write_atomic};
+pub use format::WriteOptions;
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet};
 pub use left_out::LeftOut;
@@ -32,12 +34,12 @@ pub use lens::{Distortion, Lens};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
 pub use scene::Scene;
 pub use scene_file::{
-    SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked,
+    SceneFormat, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked, read_world,
     write_scene, write_scene_in,
 };
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use squares::{square_count, squares};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline};
-pub use world::{World, read_world};
+pub use world::World;
 use zipsplat_error::{Error, Result};

@@ -1,30 +1,16 @@
 //! Scene files of every format that is known. A format is a module beside this file and a line of the table below.
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::Path;
 
-use super::{Scene, World, file::write_atomic, gltf, ply, source::Source, splat, spz};
+use super::{
+    Scene, World,
+    format::{Format, WriteOptions},
+    gltf, ply,
+    source::Source,
+    splat, spz,
+};
 use crate::{Error, Result};
-
-/// What a format's module says of it.
-pub(super) struct Format {
-    /// First bytes of its files, any of these; none where the extension alone tells it.
-    pub marks: &'static [&'static [u8]],
-    /// Whether it keeps spherical harmonics above degree 0.
-    pub view_dependence: bool,
-    /// Reads a scene with its values as they are.
-    pub read: fn(Source<'_>) -> Result<Scene>,
-    /// Reads the line of [`World::line`] in a file; none where the format has no room for it.
-    pub world: Option<ReadLine>,
-    /// Checks that the format can hold a scene, which is valid, and gives what writes it, with the world where it has room.
-    pub write: for<'a> fn(&'a Scene, &WriteOptions, Option<&World>) -> Result<Encoder<'a>>,
-}
-
-/// Reads one line of a file.
-type ReadLine = fn(&Path) -> Result<Option<String>>;
-
-/// Writes a scene that was checked: only writing itself can fail any more.
-pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 /// ".a, .b or .c".
 macro_rules! listed {
@@ -76,19 +62,6 @@ formats! {
     Glb ".glb" gltf::BINARY;
     /// glTF 2.0 with KHR_gaussian_splatting, as JSON.
     Gltf ".gltf" gltf::TEXT;
-}
-
-/// How a scene is written where its format leaves a choice.
-#[derive(Clone, Copy, Debug)]
-pub struct WriteOptions {
-    /// Version of an SPZ: 3; 2 for older readers; 4, which is packed by zstd, for those that know only the newest.
-    pub spz_version: u32,
-}
-
-impl Default for WriteOptions {
-    fn default() -> Self {
-        Self { spz_version: 3 }
-    }
 }
 
 impl SceneFormat {
@@ -208,19 +181,7 @@ pub fn write_scene_in(
     let path = path.as_ref();
     let format = SceneFormat::of_extension(path)
         .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
-    write_as(format, path, scene, options, world)
-}
-
-/// Writes a scene in a format, whatever the path is called.
-pub(super) fn write_as(
-    format: SceneFormat,
-    path: &Path,
-    scene: &Scene,
-    options: &WriteOptions,
-    world: Option<&World>,
-) -> Result<()> {
-    scene.validate()?;
-    write_atomic(path, (format.format().write)(scene, options, world)?)
+    format.format().write_file(path, scene, options, world)
 }
 
 /// The bytes of the file that [`write_scene`] writes.
@@ -233,4 +194,15 @@ pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) 
     let written = (format.format().write)(scene, options, None)?(&mut bytes);
     written.map_err(|source| Error::io(name, source))?;
     Ok(bytes)
+}
+
+/// The world of a scene, where its file says so: a PLY, an SPZ or a glTF that this engine wrote of a scene whose world was
+/// known. A `.splat` has no room for it.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read.
+pub fn read_world(path: impl AsRef<Path>) -> Result<Option<World>> {
+    let path = path.as_ref();
+    let Some(read) = SceneFormat::of_file(path)?.and_then(|format| format.format().world) else { return Ok(None) };
+    Ok(read(path)?.as_deref().and_then(World::parse))
 }

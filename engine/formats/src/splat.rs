@@ -5,7 +5,7 @@
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
-use super::scene_file::{Encoder, Format, SceneFormat, WriteOptions, write_as};
+use super::format::{Encoder, Format, WriteOptions};
 use super::{Scene, World, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
 
@@ -26,7 +26,7 @@ fn sh_constant() -> f32 {
 /// # Errors
 /// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    write_as(SceneFormat::Splat, path.as_ref(), scene, &WriteOptions::default(), None)
+    FORMAT.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
 }
 
 fn encoder<'a>(scene: &'a Scene, _: &WriteOptions, _: Option<&World>) -> Result<Encoder<'a>> {

@@ -1,11 +1,8 @@
 //! The world that a scene is in, as files say it.
 
 use std::fmt;
-use std::path::Path;
 
-use super::SceneFormat;
 use super::camera::{Pose, matrix_from_quaternion, quaternion_from_matrix};
-use crate::Result;
 
 /// Begins what this engine writes into files about themselves: a comment of a PLY or an SPZ, an extra of a glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
@@ -58,15 +55,4 @@ impl fmt::Display for World {
             }
         }
     }
-}
-
-/// The world of a scene, where its file says so: a PLY, an SPZ or a glTF that this engine wrote of a scene whose world was
-/// known. A `.splat` has no room for it.
-///
-/// # Errors
-/// [`Error::Io`](crate::Error::Io) when the file cannot be read.
-pub fn read_world(path: impl AsRef<Path>) -> Result<Option<World>> {
-    let path = path.as_ref();
-    let Some(read) = SceneFormat::of_file(path)?.and_then(|format| format.format().world) else { return Ok(None) };
-    Ok(read(path)?.as_deref().and_then(World::parse))
 }

@@ -3,8 +3,10 @@
 use super::{
     Device,
     device::{Shared, SharedParts},
+    features::{BYTES, Feature, HALVES, MATRICES, REQUIRED},
     instance::Instance,
-    limits::{FAST_FEATURES, Matrices, REQUIRED_FEATURES, missing_features, probe},
+    limits::Matrices,
+    probe::{missing_features, probe},
     queue::Queue,
 };
 use crate::{Error, Result};
@@ -34,17 +36,17 @@ pub enum Requirement {
 
 /// Everything that has to be enabled.
 pub fn requirements() -> Vec<Requirement> {
-    [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED_FEATURES.map(feature)).collect()
+    [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED.map(feature)).collect()
 }
 
 /// What matrix units and 16-bit floats need, for precisions other than exact. Nothing else is used.
 pub fn fast_requirements() -> Vec<Requirement> {
     let extension = Requirement::DeviceExtension(ash::khr::cooperative_matrix::NAME);
-    [extension].into_iter().chain(FAST_FEATURES.map(feature)).collect()
+    [extension].into_iter().chain(HALVES.into_iter().chain(MATRICES).chain(BYTES).map(feature)).collect()
 }
 
-fn feature((name, structure): (&'static CStr, &'static CStr)) -> Requirement {
-    Requirement::Feature { name, structure }
+fn feature(feature: Feature) -> Requirement {
+    Requirement::Feature { name: feature.name, structure: feature.structure }
 }
 
 /// An app's Vulkan handles. They are used, never destroyed.
@@ -129,7 +131,7 @@ mod tests {
     fn a_device_of_an_app_is_as_fast_as_the_app_says() {
         let own = Device::open(&DeviceOptions::default()).expect("a device");
         let shared = &own.0;
-        let devices = shared.instance.devices().expect("listed before");
+        let devices = crate::probe::devices(&shared.instance).expect("listed before");
         let mut found = devices.iter().filter(|(_, info)| info.limits.identity == own.limits().identity);
         let (physical, _) = found.next().expect("it was opened");
         // SAFETY: the device has this queue.

@@ -1,6 +1,11 @@
 //! One memory for plans that take turns.
 
-use super::{Device, Plan, commands::driver, device::lock, lost::is_under_way, memory::Memory};
+use super::{
+    Device, Plan,
+    failure::{driver, is_under_way},
+    lock::lock,
+    memory::Memory,
+};
 use crate::Result;
 use ash::vk;
 use std::sync::{

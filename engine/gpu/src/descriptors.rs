@@ -2,7 +2,8 @@
 
 use super::{
     Device,
-    commands::{Bound, driver},
+    bound::Bound,
+    failure::driver,
     plan::{Command, Dispatch, Operation},
 };
 use crate::Result;
@@ -43,7 +44,7 @@ impl Descriptors {
 
     fn set(&self, bound: &Bound<'_>, dispatch: &Dispatch) -> Result<vk::DescriptorSet> {
         let raw = &self.device.0.raw;
-        let layouts = [self.device.0.set_layout(dispatch.module)?];
+        let layouts = [self.device.0.pipelines.set_layout(dispatch.module)?];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.pool).set_layouts(&layouts);
         // SAFETY: the pool has room for a set and its descriptors for each dispatch, and nobody else uses it.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }.map_err(|e| driver("vkAllocateDescriptorSets", e))?[0];

@@ -2,9 +2,12 @@
 
 use super::{
     bfloat16,
+    features::{BYTES, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
-    limits::{Limits, Matrices, probe},
+    limits::{Limits, Matrices},
+    lock::lock,
     pipelines::Pipelines,
+    probe::{devices, probe},
     queue::Queue,
 };
 use crate::{Error, Result};
@@ -49,7 +52,6 @@ pub struct Device(pub(super) Arc<Shared>);
 /// What every run on a device shares.
 pub(super) struct Shared {
     pub raw: ash::Device,
-    pub debug: Option<ext::debug_utils::Device>,
     pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
@@ -65,8 +67,6 @@ pub(super) struct Shared {
     passed_over: Vec<String>,
     /// See [`super::lost`].
     pub lost: AtomicBool,
-    /// Whether the size of subgroups can be chosen.
-    pub subgroup_control: bool,
     pub pipelines: Pipelines,
     allocator: Mutex<Option<Allocator>>,
     /// Whether device and instance are ours to destroy.
@@ -95,7 +95,7 @@ impl Device {
     /// [`Error::NoDevice`] where no driver is installed, none matches or none can do what the kernels need.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
-        let devices = instance.devices()?;
+        let devices = devices(&instance)?;
         let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
         let matching: Vec<_> = devices
             .iter()
@@ -169,23 +169,17 @@ impl Shared {
         }
         let matrices = limits.matrices != Matrices::default();
         let (bf16, i8) = (limits.matrices.bf16.is_some(), limits.matrices.i8.is_some());
-        let mut v11 = vk::PhysicalDeviceVulkan11Features::default().storage_buffer16_bit_access(limits.half_storage);
-        let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
-            .timeline_semaphore(true)
-            .scalar_block_layout(true)
-            .shader_float16(matrices)
-            .shader_int8(i8)
-            .vulkan_memory_model(matrices)
-            // Else atomics would be restricted to workgroups, also in kernels without that model.
-            .vulkan_memory_model_device_scope(matrices);
-        let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
-            .synchronization2(true)
-            .maintenance4(true)
-            .subgroup_size_control(true)
-            .compute_full_subgroups(true);
-        let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default().cooperative_matrix(true);
+        let mut enabled = Features::default();
+        enabled.enable(&REQUIRED);
+        if limits.half_storage {
+            enabled.enable(&HALVES);
+        }
         if matrices {
             extensions.push(khr::cooperative_matrix::NAME.as_ptr());
+            enabled.enable(&MATRICES);
+        }
+        if i8 {
+            enabled.enable(&BYTES);
         }
         let mut bf16_features = bfloat16::Features::matrices();
         if bf16 {
@@ -194,11 +188,11 @@ impl Shared {
         let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
             .enabled_extension_names(&extensions)
-            .push_next(&mut v11)
-            .push_next(&mut v12)
-            .push_next(&mut v13);
+            .push_next(&mut enabled.v11)
+            .push_next(&mut enabled.v12)
+            .push_next(&mut enabled.v13);
         if matrices {
-            info = info.push_next(&mut cooperative);
+            info = info.push_next(&mut enabled.matrix);
         }
         if bf16 {
             info = info.push_next(&mut bf16_features);
@@ -225,8 +219,8 @@ impl Shared {
             allocation_sizes: Default::default(),
         })
         .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
+        let debug = instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw));
         Ok(Self {
-            debug: instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw)),
             queue,
             family,
             allocated: AtomicU64::new(0),
@@ -235,8 +229,7 @@ impl Shared {
             index,
             passed_over,
             lost: AtomicBool::new(false),
-            subgroup_control,
-            pipelines: Pipelines::default(),
+            pipelines: Pipelines::new(raw.clone(), debug, limits.subgroup_size, subgroup_control),
             allocator: Mutex::new(Some(allocator)),
             owned,
             raw,
@@ -267,7 +260,7 @@ impl Drop for Shared {
     fn drop(&mut self) {
         // SAFETY: the last user is gone, who waited for all submissions, so nothing else holds these handles.
         unsafe {
-            self.pipelines.destroy(&self.raw);
+            self.pipelines.destroy();
             drop(lock(&self.allocator).take());
             if self.owned {
                 self.raw.destroy_device(None);
@@ -290,9 +283,4 @@ impl std::ops::DerefMut for AllocatorGuard<'_> {
     fn deref_mut(&mut self) -> &mut Allocator {
         self.0.as_mut().expect("taken only when the device is dropped")
     }
-}
-
-/// Locks even where a panicking thread held the lock: the data are plain tables.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(|e| e.into_inner())
 }

@@ -1,6 +1,6 @@
-//! Vulkan instance, validation, and the devices that can be had.
+//! The Vulkan instance, and validation.
 
-use super::limits::{Limits, missing_features, probe};
+use super::failure::driver;
 use crate::{Error, Result};
 use ash::{ext, khr, vk};
 use std::{
@@ -21,41 +21,6 @@ pub(super) struct Instance {
     /// Whether it is ours to destroy.
     owned: bool,
     pub entry: ash::Entry,
-}
-
-/// One Vulkan device of this machine.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct DeviceInfo {
-    /// Its number, as `--device` takes it.
-    pub index: usize,
-    /// Why it cannot be used; empty where it can.
-    pub missing: Vec<String>,
-    /// Name, driver and what it can do.
-    pub limits: Limits,
-}
-
-impl DeviceInfo {
-    /// Whether a selector means it, one of `count`: the number of one is nothing else, all others are a part of a name.
-    pub(super) fn is_selected(&self, selector: &str, count: usize) -> bool {
-        match selector.parse::<usize>() {
-            Ok(index) if index < count => self.index == index,
-            _ => self.limits.name.to_lowercase().contains(&selector.to_lowercase()),
-        }
-    }
-
-    /// Why it cannot be used.
-    pub(super) fn lacks(&self) -> String {
-        format!("{} lacks {}", self.limits.name, self.missing.join(", "))
-    }
-}
-
-/// Every Vulkan device, usable or not.
-///
-/// # Errors
-/// Where there is no Vulkan loader or no driver.
-pub fn list_devices() -> Result<Vec<DeviceInfo>> {
-    let instance = Instance::new(false)?;
-    Ok(instance.devices()?.into_iter().map(|(_, info)| info).collect())
 }
 
 impl Instance {
@@ -148,23 +113,9 @@ impl Instance {
             .user_data((&raw const *self.messages).cast_mut().cast());
         // SAFETY: the user data is boxed and dropped after the messenger.
         self.messenger = unsafe { debug.create_debug_utils_messenger(&info, None) }
-            .map_err(|e| Error::Driver { call: "vkCreateDebugUtilsMessengerEXT", result: e.to_string() })?;
+            .map_err(|e| driver("vkCreateDebugUtilsMessengerEXT", e))?;
         self.debug = Some(debug);
         Ok(())
-    }
-
-    pub fn devices(&self) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
-        // SAFETY: the instance is alive.
-        let physical = unsafe { self.raw.enumerate_physical_devices() }
-            .map_err(|e| Error::NoDevice(format!("vkEnumeratePhysicalDevices: {e}")))?;
-        if physical.is_empty() {
-            return Err(Error::NoDevice("no Vulkan driver is installed".into()));
-        }
-        let info = |(index, device): (usize, vk::PhysicalDevice)| {
-            let (limits, found) = probe(self, device);
-            (device, DeviceInfo { index, missing: missing_features(&limits, &found), limits })
-        };
-        Ok(physical.into_iter().enumerate().map(info).collect())
     }
 }
 
@@ -220,28 +171,4 @@ unsafe extern "system" fn on_message(
     log::error!("{text}");
     messages.lock().unwrap_or_else(|e| e.into_inner()).push(text);
     vk::FALSE
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_number_is_a_device_and_nothing_else() {
-        let names = ["NVIDIA H100 80GB HBM3", "NVIDIA GeForce RTX 4090", "llvmpipe"];
-        let device = |(index, name): (usize, &&str)| {
-            let limits = Limits { name: name.to_string(), ..Limits::default() };
-            DeviceInfo { index, missing: Vec::new(), limits }
-        };
-        let devices: Vec<_> = names.iter().enumerate().map(device).collect();
-        let selected = |selector: &str| {
-            let found = devices.iter().filter(|d| d.is_selected(selector, devices.len()));
-            found.map(|d| d.index).collect::<Vec<_>>()
-        };
-        assert_eq!([selected("0"), selected("1"), selected("2")], [vec![0], vec![1], vec![2]]);
-        assert_eq!(
-            [selected("3"), selected("4090"), selected("nvidia"), selected("none")],
-            [vec![0], vec![1], vec![0, 1], vec![]]
-        );
-    }
 }

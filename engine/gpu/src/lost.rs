@@ -1,6 +1,6 @@
 //! Devices that are lost: once one is, it stays so, and every call that works with it says so.
 
-use super::{commands::driver, device::Shared};
+use super::{device::Shared, failure::driver};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;
@@ -22,10 +22,4 @@ impl Shared {
     pub fn check_lost(&self) -> Result<()> {
         if self.lost.load(Ordering::Relaxed) { Err(Error::DeviceLost) } else { Ok(()) }
     }
-}
-
-/// Whether what was submitted counts as under way. The specification has it so where the device is lost, too ("Lost Device"):
-/// it has to be waited for, which ends with the same error, before anything that it uses is destroyed.
-pub(super) fn is_under_way<T>(submitted: &Result<T>) -> bool {
-    matches!(submitted, Ok(_) | Err(Error::DeviceLost))
 }

@@ -1,11 +1,6 @@
 //! Blocks of device memory, and how bytes get in and out.
 
-use super::{
-    Device, Tensor,
-    device::{Shared, lock},
-    layout::ALIGNMENT,
-    plan::Home,
-};
+use super::{Device, Tensor, device::Shared, layout::ALIGNMENT, lock::lock, tensor::Home};
 use crate::{Error, Result};
 use ash::vk;
 use bytemuck::Pod;
@@ -131,7 +126,7 @@ impl Memory {
     fn transfer(&self, from: vk::Buffer, from_at: u64, to: vk::Buffer, to_at: u64, bytes: u64) -> Result<()> {
         let size = bytes.next_multiple_of(4);
         let region = vk::BufferCopy { src_offset: from_at, dst_offset: to_at, size };
-        super::commands::copy_now(&self.shared, from, to, region)
+        super::copy::copy_now(&self.shared, from, to, region)
     }
 }
 
@@ -183,7 +178,7 @@ impl Block {
         block.allocation = Some(allocation);
         if let Err(e) = bound {
             block.free(shared);
-            return Err(super::commands::driver("vkBindBufferMemory", e));
+            return Err(super::failure::driver("vkBindBufferMemory", e));
         }
         Ok(block)
     }

@@ -1,26 +1,41 @@
 //! Pipelines of kernels, compiled once for each set of specialisation constants.
 
 use super::{
-    LocalSize, Module,
-    device::{Shared, lock},
+    kernel::{LocalSize, Module},
+    lock::lock,
 };
 use crate::{Error, Result};
-use ash::vk;
+use ash::{ext, vk};
 use std::{
     collections::{HashMap, hash_map::Entry},
     sync::Mutex,
 };
 
 /// What was made on a device so far.
-#[derive(Default)]
 pub(super) struct Pipelines {
+    raw: ash::Device,
+    debug: Option<ext::debug_utils::Device>,
+    /// Invocations in a subgroup, and whether that can be asked for.
+    subgroup: u32,
+    subgroup_control: bool,
     made: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
     layouts: Mutex<HashMap<&'static str, Layout>>,
 }
 
 impl Pipelines {
+    /// None so far.
+    pub fn new(
+        raw: ash::Device,
+        debug: Option<ext::debug_utils::Device>,
+        subgroup: u32,
+        subgroup_control: bool,
+    ) -> Self {
+        Self { raw, debug, subgroup, subgroup_control, made: Mutex::default(), layouts: Mutex::default() }
+    }
+
     /// Destroys all of them, which are in no use any more.
-    pub fn destroy(&self, raw: &ash::Device) {
+    pub fn destroy(&self) {
+        let raw = &self.raw;
         for pipeline in lock(&self.made).values() {
             // SAFETY: made on this device, and in no use.
             unsafe { raw.destroy_pipeline(pipeline.raw, None) };
@@ -29,42 +44,15 @@ impl Pipelines {
             layout.destroy(raw);
         }
     }
-}
 
-#[derive(Clone, Copy)]
-pub(super) struct Pipeline {
-    pub raw: vk::Pipeline,
-    pub layout: vk::PipelineLayout,
-}
-
-/// Null where it was not made.
-#[derive(Clone, Copy, Default)]
-struct Layout {
-    set: vk::DescriptorSetLayout,
-    pipeline: vk::PipelineLayout,
-    module: vk::ShaderModule,
-}
-
-impl Layout {
-    fn destroy(&self, raw: &ash::Device) {
-        // SAFETY: made on this device, and in no use any more.
-        unsafe {
-            raw.destroy_shader_module(self.module, None);
-            raw.destroy_pipeline_layout(self.pipeline, None);
-            raw.destroy_descriptor_set_layout(self.set, None);
-        }
-    }
-}
-
-impl Shared {
     /// The pipeline of a module with these specialisation constants, compiled once.
-    pub fn pipeline(&self, module: &'static Module, constants: &[u32]) -> Result<Pipeline> {
+    pub fn get(&self, module: &'static Module, constants: &[u32]) -> Result<Pipeline> {
         let key = (module.name, constants.to_vec());
-        if let Some(found) = lock(&self.pipelines.made).get(&key) {
+        if let Some(found) = lock(&self.made).get(&key) {
             return Ok(*found);
         }
         let layout = self.layout(module)?;
-        let subgroup = self.limits.subgroup_size;
+        let subgroup = self.subgroup;
         let mut values = constants.to_vec();
         let mut ids = module.constant_ids.to_vec();
         let whole_subgroups = !matches!(module.local_size, LocalSize::Fixed(_));
@@ -100,7 +88,7 @@ impl Shared {
             |(_, e)| Error::Driver { call: "vkCreateComputePipelines", result: format!("{}: {e}", module.name) },
         )?[0];
         self.label(raw, module.name);
-        match lock(&self.pipelines.made).entry(key) {
+        match lock(&self.made).entry(key) {
             // Another thread was faster.
             Entry::Occupied(known) => {
                 // SAFETY: made above, and in no use.
@@ -117,7 +105,7 @@ impl Shared {
     }
 
     fn layout(&self, module: &'static Module) -> Result<Layout> {
-        let mut layouts = lock(&self.pipelines.layouts);
+        let mut layouts = lock(&self.layouts);
         if let Some(known) = layouts.get(module.name) {
             return Ok(*known);
         }
@@ -172,5 +160,30 @@ impl Shared {
         let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(pipeline).object_name(&name);
         // SAFETY: the pipeline is alive. A label that cannot be set is no reason to stop.
         let _ = unsafe { debug.set_debug_utils_object_name(&info) };
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct Pipeline {
+    pub raw: vk::Pipeline,
+    pub layout: vk::PipelineLayout,
+}
+
+/// Null where it was not made.
+#[derive(Clone, Copy, Default)]
+struct Layout {
+    set: vk::DescriptorSetLayout,
+    pipeline: vk::PipelineLayout,
+    module: vk::ShaderModule,
+}
+
+impl Layout {
+    fn destroy(&self, raw: &ash::Device) {
+        // SAFETY: made on this device, and in no use any more.
+        unsafe {
+            raw.destroy_shader_module(self.module, None);
+            raw.destroy_pipeline_layout(self.pipeline, None);
+            raw.destroy_descriptor_set_layout(self.set, None);
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     Run,
-    commands::driver,
+    failure::driver,
     plan::{Command, Operation, Plan},
     schedule::{Cursor, MAX_PIECES},
 };

@@ -1,6 +1,6 @@
 //! The queue that everything is submitted to, which an app may share.
 
-use super::device::lock;
+use super::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;
 

@@ -3,7 +3,8 @@
 use super::{
     Element, Kernel, Limits, Needs, Plan, Tensor,
     layout::{self, Lifetime},
-    plan::{Allocation, Command, Dispatch, Groups, Home, Operation, Role},
+    plan::{Allocation, Command, Dispatch, Groups, Operation, Role},
+    tensor::Home,
 };
 use crate::{Error, Result};
 

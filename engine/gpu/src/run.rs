@@ -2,19 +2,21 @@
 
 mod bind;
 mod present;
-mod submit;
 
 pub use present::{ImagePlace, Point, Target};
 
 use super::{
     Device, Plan, Resident, Tensor,
     arena::{Arena, Lane},
-    commands::{Bound, Encoder, driver},
+    bound::Bound,
+    commands::Encoder,
     descriptors::Descriptors,
-    device::lock,
+    failure::{driver, is_under_way},
+    lock::lock,
     memory::Memory,
-    plan::{Command, Home, Role},
+    plan::{Command, Role},
     schedule::{Cursor, Piece, SUBMISSION, first_guess, learned},
+    times::StageTimes,
     twins::Twins,
 };
 use crate::{Error, Result};
@@ -72,24 +74,6 @@ pub(super) struct Batch {
     pub commands: vk::CommandBuffer,
     cost: u64,
     first_command: usize,
-}
-
-/// Time of each stage of a run, as the host saw its submissions end.
-#[derive(Clone, Debug, Default, serde::Serialize)]
-pub struct StageTimes(pub Vec<(String, Duration)>);
-
-impl StageTimes {
-    /// All stages together.
-    pub fn total(&self) -> Duration {
-        self.0.iter().map(|s| s.1).sum()
-    }
-
-    fn add(&mut self, stage: &str, took: Duration) {
-        match self.0.iter_mut().find(|s| s.0 == stage) {
-            Some(known) => known.1 += took,
-            None => self.0.push((stage.to_owned(), took)),
-        }
-    }
 }
 
 /// Bookkeeping of one execution.
@@ -190,7 +174,7 @@ impl Run {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
         self.bind()?;
-        let id = arena_id(tensor);
+        let id = tensor.allocation();
         self.written[id] = true;
         if self.twins.as_ref().map_or(Ok(false), |twins| twins.write(id, tensor.offset, bytes))? {
             return Ok(());
@@ -207,7 +191,7 @@ impl Run {
     /// # Panics
     /// Where the tensor is not an output of this plan, or what was started was not waited for.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
-        let id = arena_id(tensor);
+        let id = tensor.allocation();
         assert!(!self.under_way, "read before finish");
         assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
         assert!(self.lane.holds(self.id), "read after another run of the lane");
@@ -351,6 +335,39 @@ impl Run {
         encoder.end()
     }
 
+    /// Submits; the timeline's value that says that it is done.
+    pub(crate) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
+        self.device.0.check_lost()?;
+        let value = self.lane.next_value()?;
+        let submitted = self.submit_as(commands, value);
+        if is_under_way(&submitted) {
+            self.signalled = value;
+        }
+        submitted.map(|()| value)
+    }
+
+    pub(crate) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let signals = [vk::SemaphoreSubmitInfo::default()
+            .semaphore(self.lane.timeline())
+            .value(value)
+            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
+        let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
+        // SAFETY: the command buffer is recorded and not under way.
+        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
+            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
+        self.lane.submitted(value, &submitted);
+        submitted
+    }
+
+    pub(crate) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
+        let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
+        // SAFETY: the pool is used by this run only, which is borrowed by one thread at a time.
+        unsafe { self.device.0.raw.allocate_command_buffers(&info) }
+            .map(|buffers| buffers[0])
+            .map_err(|e| driver("vkAllocateCommandBuffers", e))
+    }
+
     /// Cost of a submission that begins with a command.
     pub(super) fn budget(&self, command: usize) -> u64 {
         self.speed(self.plan.stage(command)) * SUBMISSION.as_millis() as u64
@@ -376,12 +393,5 @@ impl Drop for Run {
         let raw = &self.device.0.raw;
         // SAFETY: nothing is under way.
         unsafe { raw.destroy_command_pool(self.pool, None) };
-    }
-}
-
-fn arena_id(tensor: Tensor) -> usize {
-    match tensor.home {
-        Home::Arena(id) => id as usize,
-        Home::Resident { .. } => panic!("resident tensors are written through their own memory"),
     }
 }

@@ -3,7 +3,7 @@
 
 use super::{
     Device, Plan,
-    commands::record_copies,
+    copy::record_copies,
     layout::ALIGNMENT,
     memory::Memory,
     plan::{Allocation, Role},

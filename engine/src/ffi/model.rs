@@ -9,12 +9,7 @@ use super::{
     scene::LatestScene,
     status::{Failure, guard, zs_status},
 };
-use crate::{
-    Error,
-    ops::{Chosen, Precision},
-    reconstruct::Model,
-    weights::Checkpoint,
-};
+use crate::{Error, ops::Precision, reconstruct::Model, tune::Chosen, weights::Checkpoint};
 use std::{
     ffi::{CString, c_char, c_void},
     ops::ControlFlow,

@@ -5,7 +5,7 @@
  *
  *     zs_context    a device at work; creates
  *     zs_model      a network with its weights on the device; makes
- *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; is drawn by
+ *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; zs_refine makes them sharp; is drawn by
  *     zs_renderer   a scene on the device
  *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
  *     zs_bytes      a scene's file in memory
@@ -15,8 +15,8 @@
  * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
  * host has no memory left at all.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory or zs_reconstruct hands out is yours; give it back
- * to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
+ * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory, zs_reconstruct or zs_refine hands out is yours; give
+ * it back to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
  * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
  * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
  * get from functions returning const char * are never yours to free.

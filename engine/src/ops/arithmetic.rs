@@ -20,6 +20,12 @@ impl Precision {
     /// All, the slowest first.
     pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
 
+    /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
+    /// which convert f16 slowly.
+    pub fn best(limits: &Limits) -> Self {
+        if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
+    }
+
     /// As on the command line.
     pub fn name(self) -> &'static str {
         match self {

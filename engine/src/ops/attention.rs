@@ -1,8 +1,8 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{Norm, Units, attention_tile::AttentionTile};
+use super::{Columns, Norm, Rows, Tile, Units};
 use crate::{
-    gpu::{Element, Kernel, Recorder, Tensor},
+    gpu::{Element, Kernel, Limits, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
@@ -27,11 +27,9 @@ impl Heads {
     }
 }
 
-/// Queries, keys or values: which columns of a projection they are and what happens to them on the way.
+/// Queries, keys or values: what happens to them on the way from a projection.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part {
-    /// First column.
-    pub column: usize,
     /// Norm over a head's channels.
     pub norm: Option<Norm>,
     /// Rotary table `[tokens, dim / 2, 2]` f32 and its tokens.
@@ -85,7 +83,9 @@ impl Attention {
             AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
             // The last workgroup reads queries beyond the end.
             AttentionKernel::Matrix(units) => {
-                (queries + AttentionTile::most_rows(rec.limits(), units) * self.channels(), keys, keys)
+                let tiles = Tile::attention(rec.limits(), units, 8);
+                let most_rows = tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0);
+                (queries + most_rows * self.channels(), keys, keys)
             }
         };
         let element = self.kernel.element();
@@ -102,22 +102,16 @@ impl Attention {
         }
     }
 
-    /// Takes a part of `projection` `[rows, stride]`, whose first row is row `first_row` of all, into `out`.
-    pub fn split(
-        &self,
-        rec: &mut Recorder,
-        projection: (Tensor, usize),
-        first_row: usize,
-        rows: usize,
-        part: Part,
-        out: Tensor,
-    ) {
+    /// Takes a part out of columns of a projection, whose first row is row `first_row` of all, into `out`.
+    pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
         let sequence = if part.keys || part.scale == 0.0 { self.keys } else { self.queries };
+        let Columns { of: Rows { tensor: projection, count: rows, width: stride, .. }, first: column, .. } =
+            projection.into();
         let (norm_weight, norm_bias, eps) =
-            part.norm.map_or((projection.0, projection.0, 0.0), |n| (n.weight, n.bias, n.eps));
-        let (rotary, tokens) = part.rotary.unwrap_or((projection.0, 1));
+            part.norm.map_or((projection, projection, 0.0), |n| (n.weight, n.bias, n.eps));
+        let (rotary, tokens) = part.rotary.unwrap_or((projection, 1));
         let kernel = ops::SplitHeads {
-            projection: projection.0,
+            projection,
             weight: norm_weight,
             bias: norm_bias,
             rotary,
@@ -126,8 +120,8 @@ impl Attention {
             heads: self.heads.count as u32,
             dim: self.heads.dim as u32,
             out_dim: self.channels() as u32,
-            stride: projection.1 as u32,
-            column: part.column as u32,
+            stride: stride as u32,
+            column: column as u32,
             first_row: first_row as u32,
             out_rows: (self.sequences * sequence) as u32,
             sequence: sequence as u32,
@@ -148,12 +142,12 @@ impl Attention {
     }
 
     /// softmax(q k) v of every head, `[sequences * queries, width]`.
-    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 3]) -> Tensor {
-        let len = self.sequences * self.queries * self.heads.width();
-        let out = rec.tensor_of(self.kernel.element(), "attended", len);
+    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 3]) -> Rows {
+        let rows = self.sequences * self.queries;
+        let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
         match self.kernel {
-            AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out),
-            AttentionKernel::Matrix(units) => self.matrix(rec, units, tensors, out),
+            AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out.tensor),
+            AttentionKernel::Matrix(units) => self.matrix(rec, units, tensors, out.tensor),
         }
         out
     }
@@ -179,8 +173,7 @@ impl Attention {
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v]: [Tensor; 3], out: Tensor) {
-        let heads = self.heads.count * self.sequences;
-        let tile = AttentionTile::choose(rec.limits(), units, self.channels(), self.queries, heads);
+        let tile = self.tile(rec.limits(), units);
         let Units { factor, shape, .. } = units;
         let kernel = ops::AttentionMatrix {
             q,
@@ -192,16 +185,27 @@ impl Attention {
             sequences: self.sequences as u32,
             heads: self.heads.count as u32,
             dim: self.heads.dim as u32,
-            subgroups: tile.subgroups,
+            subgroups: tile.subgroups[0],
             matrix_m: shape.m,
             matrix_n: shape.n,
             matrix_k: shape.k,
-            repeat_m: tile.repeat,
-            tile: tile.keys,
+            repeat_m: tile.repeats[0],
+            tile: tile.k,
             channels: self.channels() as u32,
             factor,
         };
-        self.dispatch(rec, kernel, tile.rows(shape));
+        self.dispatch(rec, kernel, tile.sides(units)[0]);
+    }
+
+    fn tile(&self, limits: &Limits, units: Units) -> Tile {
+        let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
+        let candidates = Tile::attention(limits, units, channels);
+        // Wide heads do not fit every tile.
+        let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
+        let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
+        let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));
+        let by_rule = candidates.iter().take_while(|tile| tile.repeats == candidates[0].repeats).count();
+        Tile::choose(&candidates, measured, by_rule, |tile| self.queries.div_ceil(tile.sides(units)[0]) * heads)
     }
 
     /// Workgroups of `rows` queries.
@@ -212,5 +216,30 @@ impl Attention {
 
     fn flops(&self) -> u64 {
         (4 * self.sequences * self.queries * self.keys * self.heads.width()) as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::Tiles;
+
+    #[test]
+    fn few_queries_get_small_tiles_and_only_measuring_gets_several_matrices_a_subgroup() {
+        let limits = Limits::default();
+        let units = Units::of(Element::F16, &limits).expect("an ordinary device has matrix units");
+        let choose = |units, queries, count, dim| {
+            let kernel = AttentionKernel::Matrix(units);
+            Attention { heads: Heads { count, dim }, sequences: 1, queries, keys: 1, kernel }.tile(&limits, units)
+        };
+        let tiles = Tile::attention(&limits, units, Tile::TUNED_CHANNELS);
+        assert_eq!([(1, 1), (60_000, 24)].map(|(q, h)| choose(units, q, h, 64).subgroups), [[1, 1], [4, 1]]);
+        assert!([(1, 1), (300, 16), (60_000, 24)].iter().all(|&(q, h)| choose(units, q, h, 64).repeats == [1, 1]));
+        assert!(tiles.iter().any(|tile| tile.repeats == [2, 1]));
+        for (index, tile) in tiles.iter().enumerate() {
+            let units = Units { tiles: Tiles::always(index), ..units };
+            // Also for heads of other sizes, as far as it fits them.
+            assert_eq!([16, 64].map(|channels| choose(units, 300, 16, channels)), [*tile; 2]);
+        }
     }
 }

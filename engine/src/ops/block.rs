@@ -1,10 +1,20 @@
 //! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
 
-use super::{Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, row_chunks};
-use crate::{
-    gpu::{Recorder, Tensor},
-    weights::Ffn,
+use super::{
+    Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Rows, row_chunks,
 };
+use crate::gpu::{Recorder, Tensor};
+use serde::{Deserialize, Serialize};
+
+/// The feed-forward network of a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ffn {
+    /// `fc2(gelu(fc1(x)))`, the exact (erf) GELU.
+    Gelu,
+    /// `w3(silu(gate) * value)` with `w12(x)` = [gate | value].
+    SwiGlu,
+}
 
 /// A block's parameters.
 pub struct Block {
@@ -53,50 +63,40 @@ impl Block {
             qkv: p.block_linear(&format!("{name}.attn.qkv"), width, 3 * width),
             qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),
             proj: p.block_linear(&format!("{name}.attn.proj"), width, width),
-            gamma1: p.vector(format!("{name}.ls1.gamma"), width),
+            gamma1: p.vector(&format!("{name}.ls1.gamma"), &[width]),
             mlp: Mlp::new(p, name, width, ffn, eps),
         }
     }
 
-    /// Runs the block on `x` `[count * tokens, width]` in place.
-    pub fn record(&self, rec: &mut Recorder, x: Tensor, sequences: Sequences) {
-        let width = self.heads.width();
-        let rows = sequences.count * sequences.tokens;
-        let attention = Attention {
-            heads: self.heads,
-            sequences: sequences.count,
-            queries: sequences.tokens,
-            keys: sequences.tokens,
-            kernel: self.attention,
-        };
+    /// Runs the block on `x`, the rows of all sequences, in place.
+    pub fn record(&self, rec: &mut Recorder, x: Rows, sequences: Sequences) {
+        let Sequences { count, tokens, rotary } = sequences;
+        let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), x.width);
+        let attention = Attention { heads, sequences: count, queries: tokens, keys: tokens, kernel };
         let [q, k, v] = attention.tensors(rec);
-        let output = self.attention.element();
-        for part in row_chunks(rec, rows, &[4 * width, output.bytes() * 3 * width]) {
-            let rows_of_x = x.slice::<f32>(part.start * width, part.len() * width);
-            let normed = self.norm1.apply(rec, rows_of_x, part.len(), self.qkv.element());
-            let qkv = self.qkv.apply(rec, "qkv", normed, part.len(), Epilogue { output, ..Epilogue::default() });
+        for part in row_chunks(rec, x.count, &[x.row_bytes(), output.bytes() * 3 * width]) {
+            let normed = self.norm1.apply(rec, x.part(part.clone()), self.qkv.element());
+            let qkv = self.qkv.apply(rec, "qkv", normed, output, Epilogue::default());
             let [q_norm, k_norm] = self.qk_norm.map_or([None; 2], |n| n.map(Some));
-            let rotary = sequences.rotary;
             let parts = [
-                (Part { column: 0, norm: q_norm, rotary, keys: false, scale: attention.scale() }, q),
-                (Part { column: width, norm: k_norm, rotary, keys: true, scale: 0.0 }, k),
-                (Part { column: 2 * width, ..Part::default() }, v),
+                (Part { norm: q_norm, rotary, keys: false, scale: attention.scale() }, q),
+                (Part { norm: k_norm, rotary, keys: true, scale: 0.0 }, k),
+                (Part::default(), v),
             ];
-            for (what, out) in parts {
-                attention.split(rec, (qkv, 3 * width), part.start, part.len(), what, out);
+            for (i, (what, out)) in parts.into_iter().enumerate() {
+                attention.split(rec, qkv.columns(i * width, width), part.start, what, out);
             }
         }
         let attended = attention.record(rec, [q, k, v]);
         let epilogue = Epilogue { gamma: Some(self.gamma1), residual: Some(x), ..Epilogue::default() };
-        self.proj.record(rec, attended, rows, x, epilogue);
-        self.mlp.record(rec, x, None, x, rows);
+        self.proj.record(rec, attended, x, epilogue);
+        self.mlp.record(rec, x, None, x);
     }
 }
 
 impl Mlp {
     pub fn new(p: &mut ParameterLayout, name: &str, width: usize, (ffn, hidden): (Ffn, usize), eps: f32) -> Self {
         let norm = p.norm(&format!("{name}.norm2"), width, eps);
-        let gamma = p.vector(format!("{name}.ls2.gamma"), width);
         let (fc1, fc2, activation) = match ffn {
             Ffn::Gelu => (
                 p.block_linear(&format!("{name}.mlp.fc1"), width, hidden),
@@ -109,21 +109,19 @@ impl Mlp {
                 Activation::SwiGlu,
             ),
         };
-        Self { norm, fc1, fc2, gamma, activation }
+        Self { norm, fc1, fc2, gamma: p.vector(&format!("{name}.ls2.gamma"), &[width]), activation }
     }
 
-    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all `[rows, width]`.
-    pub fn record(&self, rec: &mut Recorder, residual: Tensor, addend: Option<Tensor>, out: Tensor, rows: usize) {
-        let width = self.norm.width;
+    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all of the same shape.
+    pub fn record(&self, rec: &mut Recorder, residual: Rows, addend: Option<Rows>, out: Rows) {
         let output = self.fc2.element();
-        for part in row_chunks(rec, rows, &[4 * width, output.bytes() * self.fc1.columns]) {
-            let rows_of = |t: Tensor| t.slice::<f32>(part.start * width, part.len() * width);
-            let (residual_rows, addend) = (rows_of(residual), addend.map(rows_of));
-            let normed = self.norm.apply_to_sum(rec, residual_rows, addend, part.len(), self.fc1.element());
-            let activation = Epilogue { activation: self.activation, output, ..Epilogue::default() };
-            let hidden = self.fc1.apply(rec, "hidden", normed, part.len(), activation);
-            let epilogue = Epilogue { gamma: Some(self.gamma), residual: Some(residual_rows), ..Epilogue::default() };
-            self.fc2.record(rec, hidden, part.len(), rows_of(out), epilogue);
+        for part in row_chunks(rec, out.count, &[out.row_bytes(), output.bytes() * self.fc1.columns]) {
+            let (residual, addend) = (residual.part(part.clone()), addend.map(|addend| addend.part(part.clone())));
+            let normed = self.norm.apply_to_sum(rec, residual, addend, self.fc1.element());
+            let activation = Epilogue { activation: self.activation, ..Epilogue::default() };
+            let hidden = self.fc1.apply(rec, "hidden", normed, output, activation);
+            let epilogue = Epilogue { gamma: Some(self.gamma), residual: Some(residual), ..Epilogue::default() };
+            self.fc2.record(rec, hidden, out.part(part), epilogue);
         }
     }
 }

@@ -2,11 +2,11 @@
 
 use super::{
     Units,
-    rows::{SCRATCH_BYTES, quantise_rows, row_chunks},
-    tile::LinearTile,
+    rows::{Rows, SCRATCH_BYTES, quantise_rows, row_chunks},
+    tile::Tile,
 };
 use crate::{
-    gpu::{Element, Recorder, Tensor},
+    gpu::{Element, Limits, Recorder, Tensor},
     kernels::{limits::LINEAR_ROWS, ops},
 };
 
@@ -58,10 +58,8 @@ pub struct Epilogue {
     pub activation: Activation,
     /// LayerScale, `[columns]` f32.
     pub gamma: Option<Tensor>,
-    /// `[rows, columns]` f32; may be the output itself.
-    pub residual: Option<Tensor>,
-    /// Type of the output.
-    pub output: Element,
+    /// f32, as many as there are results; may be the output itself.
+    pub residual: Option<Rows>,
 }
 
 impl LinearKernel {
@@ -102,79 +100,75 @@ impl Linear {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Applies the layer to `input` `[rows, inner]` into a new tensor.
-    pub fn apply(&self, rec: &mut Recorder, name: &str, input: Tensor, rows: usize, epilogue: Epilogue) -> Tensor {
-        let out = rec.tensor_of(epilogue.output, name, rows * self.out_columns(epilogue.activation));
-        self.record(rec, input, rows, out, epilogue);
+    /// Applies the layer to rows of `inner` values into new ones of type `output`.
+    pub fn apply(&self, rec: &mut Recorder, name: &str, input: Rows, output: Element, epilogue: Epilogue) -> Rows {
+        let out = Rows::scratch(rec, name, input.count, self.out_columns(epilogue.activation), output);
+        self.record(rec, input, out, epilogue);
         out
     }
 
-    /// Applies the layer to `input` `[rows, inner]` into `out` `[rows, columns]`.
-    pub fn record(&self, rec: &mut Recorder, input: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
+    /// Applies the layer to rows of `inner` values into `out`.
+    pub fn record(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let alone = epilogue.gamma.is_none() && epilogue.residual.is_none() && self.columns.is_multiple_of(4);
         assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");
-        let out_columns = self.out_columns(epilogue.activation);
-        let added = if epilogue.residual.is_some() { 4 * out_columns } else { 0 };
-        let widths = [self.element().bytes() * self.inner, epilogue.output.bytes() * out_columns, added, NARROWEST];
-        for part in row_chunks(rec, rows, &widths) {
-            let rows_of = |t: Tensor, e: Element, width: usize| t.slice_of(e, part.start * width, part.len() * width);
-            let input = rows_of(input, self.element(), self.inner);
-            let out = rows_of(out, epilogue.output, out_columns);
-            let residual = epilogue.residual.map(|t| rows_of(t, Element::F32, out_columns));
+        let added = epilogue.residual.map_or(0, |residual| residual.row_bytes());
+        for part in row_chunks(rec, input.count, &[input.row_bytes(), out.row_bytes(), added, NARROWEST]) {
+            let (input, out) = (input.part(part.clone()), out.part(part.clone()));
+            let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
             match self.kernel {
-                LinearKernel::Panels(element) => self.panels(rec, element, input, part.len(), out, epilogue),
-                LinearKernel::Matrix(units) => self.matrix(rec, units, input, part.len(), out, epilogue),
+                LinearKernel::Panels(_) => self.panels(rec, input, out, epilogue),
+                LinearKernel::Matrix(units) => self.matrix(rec, units, input, out, epilogue),
             }
         }
     }
 
-    fn panels(&self, rec: &mut Recorder, input: Element, a: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
-        let lanes = rec.limits().subgroup_size as usize;
+    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
+        let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
         let kernel = ops::Linear {
-            a,
+            a: input.tensor,
             weight: self.weight,
             bias: self.bias,
             gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.unwrap_or(self.bias),
-            out,
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
             rows: rows as u32,
             inner: self.inner as u32,
             columns: self.columns as u32,
             activation: epilogue.activation as u32,
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
-            input,
-            output: epilogue.output,
+            input: input.element,
+            output: out.element,
         };
         let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, input: Tensor, rows: usize, out: Tensor, epilogue: Epilogue) {
-        let chosen = LinearTile::choose(rec.limits(), units, rows, self.columns);
-        let (tile, Units { factor, shape, .. }) = (chosen.0, units);
-        let (columns, inner) = (self.columns, self.inner);
+    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue) {
+        let Units { factor, shape, .. } = units;
+        let (columns, inner, rows) = (self.columns, self.inner, input.count);
+        let tile = self.tile(rec.limits(), units, rows);
         let (a, row_scales, column_scales) = match factor {
             Element::I8 => {
-                let (a, scales) = quantise_rows(rec, input, rows, inner);
+                let (a, scales) = quantise_rows(rec, input);
                 (a, scales, self.weight.slice::<f32>(scales_at(columns, inner) / 4, columns))
             }
             _ => (input, self.bias, self.bias),
         };
         let kernel = ops::LinearMatrix {
-            a,
+            a: a.tensor,
             weight: self.weight.slice_of(factor, 0, columns * inner),
             bias: self.bias,
             gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.unwrap_or(self.bias),
-            out,
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
             row_scales,
             column_scales,
             rows: rows as u32,
             inner: inner as u32,
             columns: columns as u32,
-            subgroups: tile.subgroups[0] * tile.subgroups[1],
+            subgroups: tile.all_subgroups(),
             subgroups_n: tile.subgroups[1],
             matrix_m: shape.m,
             matrix_n: shape.n,
@@ -186,12 +180,21 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             factor,
-            output: epilogue.output,
+            output: out.element,
         };
-        let [tile_rows, tile_columns] = chosen.sides(shape);
+        let [tile_rows, tile_columns] = tile.sides(units);
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    fn tile(&self, limits: &Limits, units: Units, rows: usize) -> Tile {
+        let candidates = Tile::linear(limits, units);
+        let workgroups = |tile: &Tile| {
+            let [tile_rows, tile_columns] = tile.sides(units);
+            rows.div_ceil(tile_rows) * self.columns.div_ceil(tile_columns)
+        };
+        Tile::choose(&candidates, units.tiles.of(rows * self.columns), if limits.cpu { 1 } else { 2 }, workgroups)
     }
 
     fn flops(&self, rows: usize) -> u64 {

@@ -1,6 +1,6 @@
 //! The nearest of some rows for each of others, without a matrix of distances.
 
-use super::{NearestTile, Units};
+use super::{Rows, Tile, Units};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{cluster as kernels, limits::NEAREST_ROWS},
@@ -10,7 +10,7 @@ use crate::{
 const ORIGIN_ROWS: usize = 256;
 
 /// Parts of the targets that different workgroups go through, so that there are enough workgroups.
-pub(super) const SHARES: usize = 8;
+const SHARES: usize = 8;
 
 /// What finds nearest rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,12 +53,13 @@ impl Nearest {
     /// the rounding of a sum does to it.
     pub const TIE: f32 = 1.0 / 65536.0;
 
-    /// For rows of `width`, a multiple of 4, that lie among those of `sample` `[count, width]` f32.
-    pub fn among(rec: &mut Recorder, kernel: NearestKernel, (sample, count): (Tensor, usize), width: usize) -> Self {
+    /// For rows as wide as `sample`, a multiple of 4, that lie among those, f32.
+    pub fn among(rec: &mut Recorder, kernel: NearestKernel, sample: Rows) -> Self {
+        let Rows { tensor: source, count, width, .. } = sample;
         let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
         let origin = rec.tensor::<f32>("origin", width);
         let kernel = kernels::Origin {
-            source: sample,
+            source,
             out: origin,
             rows: count as u32,
             width: width as u32,
@@ -81,8 +82,8 @@ impl Nearest {
         }
     }
 
-    /// `rows` `[count, width]` f32 as they are now.
-    pub fn rows(&self, rec: &mut Recorder, (rows, count): (Tensor, usize)) -> NearestRows {
+    /// f32 rows as they are now.
+    pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
             return NearestRows { rows, values: rows, scales: rows, norms: rows, count };
         };
@@ -133,8 +134,14 @@ impl Nearest {
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, points: NearestRows, targets: NearestRows, out: Tensor) {
-        let tile = NearestTile::choose(rec.limits(), units, points.count, targets.count);
-        let ([tile_points, tile_targets], NearestTile(part)) = (tile.sides(units.shape), tile);
+        let candidates = Tile::nearest(rec.limits(), units);
+        let workgroups = |tile: &Tile| {
+            let [tile_points, tile_targets] = tile.sides(units);
+            points.count.div_ceil(tile_points) * targets.count.div_ceil(tile_targets).min(SHARES)
+        };
+        let measured = units.tiles.of(points.count * targets.count);
+        let tile = Tile::choose(&candidates, measured, candidates.len(), workgroups);
+        let [tile_points, tile_targets] = tile.sides(units);
         let share = targets.count.div_ceil(SHARES).next_multiple_of(tile_targets);
         let shares = targets.count.div_ceil(share);
         let candidates = rec.tensor::<[u32; 4]>("candidates", shares * points.count);
@@ -149,14 +156,14 @@ impl Nearest {
             column_count: targets.count as u32,
             pieces: self.width.div_ceil(8) as u32,
             share: share as u32,
-            subgroups: part.subgroups[0] * part.subgroups[1],
-            subgroups_n: part.subgroups[1],
+            subgroups: tile.all_subgroups(),
+            subgroups_n: tile.subgroups[1],
             matrix_m: units.shape.m,
             matrix_n: units.shape.n,
             matrix_k: units.shape.k,
-            repeat_m: part.repeats[0],
-            repeat_n: part.repeats[1],
-            tile_k: part.k,
+            repeat_m: tile.repeats[0],
+            repeat_n: tile.repeats[1],
+            tile_k: tile.k,
             factor: units.factor,
         };
         // Shares run fastest: workgroups that run at once have the same few points, which so stay in the cache.

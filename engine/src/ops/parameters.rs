@@ -5,22 +5,50 @@ use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Resident, ResidentLayout, Tensor},
     kernels::limits::PANEL_COLUMNS,
-    weights::Checkpoint,
 };
 use rayon::prelude::*;
-use std::ops::ControlFlow;
+use std::{
+    ops::{ControlFlow, Index},
+    sync::Arc,
+};
 
-/// Where every parameter goes, and how it is packed there.
+/// The parameters of a network: name, shape, where each goes and how it is packed there. What declares a parameter here is the
+/// only place that names it: checkpoints are checked against what was declared.
 pub struct ParameterLayout {
     layout: ResidentLayout,
-    uploads: Vec<Upload>,
+    declared: Vec<Declared>,
     arithmetic: Arithmetic,
 }
 
-struct Upload {
+struct Declared {
     name: String,
-    tensor: Tensor,
-    packing: Packing,
+    shape: Vec<usize>,
+    place: Place,
+}
+
+enum Place {
+    Device(Tensor, Packing),
+    Host,
+}
+
+/// A parameter that the host keeps.
+#[derive(Clone, Copy, Debug)]
+pub struct HostParameter(usize);
+
+/// The values of all parameters.
+pub struct Parameters {
+    /// Those on the device.
+    pub resident: Arc<Resident>,
+    /// The values of each that was declared for the host; nothing of the others.
+    host: Vec<Vec<f32>>,
+}
+
+impl Index<HostParameter> for Parameters {
+    type Output = [f32];
+
+    fn index(&self, parameter: HostParameter) -> &[f32] {
+        &self.host[parameter.0]
+    }
 }
 
 /// How a checkpoint's values become what kernels read.
@@ -46,7 +74,7 @@ fn source_row(column: usize, columns: usize, gated: bool) -> usize {
 impl ParameterLayout {
     /// An empty layout for devices of these limits.
     pub fn new(limits: &Limits, arithmetic: Arithmetic) -> Self {
-        Self { layout: ResidentLayout::new(limits), uploads: Vec::new(), arithmetic }
+        Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic }
     }
 
     /// The kernel of attention.
@@ -62,34 +90,51 @@ impl ParameterLayout {
         self.arithmetic.nearest.map_or(NearestKernel::Lanes, NearestKernel::Matrix)
     }
 
-    /// A parameter of `len` values as it is.
-    pub fn vector(&mut self, name: String, len: usize) -> Tensor {
-        self.add::<f32>(name, len, Packing::Vector)
+    /// Name and shape of every parameter, in the order in which they were declared.
+    pub fn names_and_shapes(self) -> Vec<(String, Vec<usize>)> {
+        self.declared.into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
     }
 
-    /// `NAME.weight` `[columns, inner]` (a convolution's kernel counts as one row an output) and `NAME.bias`.
+    /// A parameter that the host reads; it takes no memory on the device.
+    pub fn host(&mut self, name: &str, shape: &[usize]) -> HostParameter {
+        self.declared.push(Declared { name: name.into(), shape: shape.into(), place: Place::Host });
+        HostParameter(self.declared.len() - 1)
+    }
+
+    /// A parameter as it is.
+    pub fn vector(&mut self, name: &str, shape: &[usize]) -> Tensor {
+        self.add::<f32>(name, shape, shape.iter().product(), Packing::Vector)
+    }
+
+    /// `NAME.weight` `[columns, inner]` and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, inner, columns, false, Arithmetic { quantised: None, ..self.arithmetic })
+        self.convolution(name, &[inner], columns)
+    }
+
+    /// As [`ParameterLayout::linear`], for a convolution whose kernel is a row of the weight.
+    pub fn convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
+        self.matrix(name, kernel, columns, false, Arithmetic { quantised: None, ..self.arithmetic })
     }
 
     /// As [`ParameterLayout::linear`], within a block, whose errors the residual stream outweighs: 8-bit integers where the
     /// arithmetic has them.
     pub fn block_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, inner, columns, false, self.arithmetic)
+        self.matrix(name, &[inner], columns, false, self.arithmetic)
     }
 
     /// As [`ParameterLayout::linear`], in f32 whatever the arithmetic: for what f16 cannot hold and costs nothing.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, inner, columns, false, Arithmetic::EXACT)
+        self.matrix(name, &[inner], columns, false, Arithmetic::EXACT)
     }
 
     /// The layer from gradients by the results of the layer `name`, `[rows, columns]`, to those by its inputs, `[rows, inner]`:
     /// its weight transposed, without bias, in f32 whatever the arithmetic.
     pub fn transposed_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        let (inner, columns, kernel) = (columns, inner, LinearKernel::Panels(Element::F32));
+        let (shape, kernel) = ([columns, inner], LinearKernel::Panels(Element::F32));
+        let [inner, columns] = shape;
         let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
         let packing = Packing::Transposed { inner, columns, kernel };
-        let both = self.add::<u8>(format!("{name}.weight"), bias_at + size_of::<f32>() * columns, packing);
+        let both = self.add::<u8>(&format!("{name}.weight"), &shape, bias_at + size_of::<f32>() * columns, packing);
         Linear {
             weight: both.slice::<u8>(0, bias_at),
             bias: both.slice::<f32>(bias_at / size_of::<f32>(), columns),
@@ -101,14 +146,14 @@ impl ParameterLayout {
 
     /// As [`ParameterLayout::block_linear`] for a layer whose output is [gate | value].
     pub fn gated_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, inner, columns, true, self.arithmetic)
+        self.matrix(name, &[inner], columns, true, self.arithmetic)
     }
 
     /// `NAME.weight` and `NAME.bias` of a layer norm.
     pub fn norm(&mut self, name: &str, width: usize, eps: f32) -> Norm {
         Norm {
-            weight: self.vector(format!("{name}.weight"), width),
-            bias: self.vector(format!("{name}.bias"), width),
+            weight: self.vector(&format!("{name}.weight"), &[width]),
+            bias: self.vector(&format!("{name}.bias"), &[width]),
             width,
             eps,
         }
@@ -119,57 +164,62 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done and may stop it.
+    /// Allocates the parameters and loads them one by one. `read` fills in the values of a name, in C order; `progress` gets the
+    /// share that is done and may stop it.
     ///
     /// # Errors
-    /// Where the device has too little memory, or the checkpoint cannot be read; [`Error::Cancelled`].
+    /// Where the device has too little memory, or a parameter cannot be read; [`Error::Cancelled`].
     pub fn load(
         &self,
         device: &Device,
-        checkpoint: &Checkpoint,
+        mut read: impl FnMut(&str, &mut [f32]) -> Result<()>,
         mut progress: impl FnMut(f64) -> ControlFlow<()>,
-    ) -> Result<Resident> {
-        let resident = Resident::new(device, &self.layout)?;
+    ) -> Result<Parameters> {
+        let resident = Arc::new(Resident::new(device, &self.layout)?);
+        let mut host = vec![Vec::new(); self.declared.len()];
         let (mut source, mut packed) = (Vec::new(), Vec::new());
         let mut done = 0;
-        for upload in &self.uploads {
-            let len = checkpoint.shape(&upload.name)?.iter().product();
-            source.resize(len, 0.0);
-            checkpoint.read_f32(&upload.name, &mut source)?;
-            upload.packing.pack(&source, &mut packed);
-            resident.write(upload.tensor, &packed)?;
-            done += upload.tensor.bytes();
+        for (Declared { name, shape, place }, host) in self.declared.iter().zip(&mut host) {
+            source.resize(shape.iter().product(), 0.0);
+            read(name, &mut source)?;
+            match place {
+                Place::Host => *host = source.clone(),
+                Place::Device(tensor, packing) => {
+                    packing.pack(&source, &mut packed);
+                    resident.write(*tensor, &packed)?;
+                    done += tensor.bytes();
+                }
+            }
             if progress(done as f64 / self.bytes() as f64).is_break() {
                 return Err(Error::Cancelled);
             }
         }
-        Ok(resident)
+        Ok(Parameters { resident, host })
     }
 
-    fn matrix(&mut self, name: &str, inner: usize, columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
+    fn matrix(&mut self, name: &str, row: &[usize], columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
         // The matrix kernel writes whole vectors.
         let Arithmetic { element, linear, quantised, .. } = arithmetic;
         let kernel = match quantised.or(linear) {
             Some(units) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(units),
             _ => LinearKernel::Panels(element),
         };
-        let packing = Packing::Matrix { inner, columns, gated, kernel };
+        let inner = row.iter().product::<usize>();
+        let (packing, shape) = (Packing::Matrix { inner, columns, gated, kernel }, [&[columns], row].concat());
+        let bias = if gated { Packing::GatedVector } else { Packing::Vector };
         Linear {
-            weight: self.add::<u8>(format!("{name}.weight"), packed_bytes(inner, columns, kernel), packing),
-            bias: self.add::<f32>(
-                format!("{name}.bias"),
-                columns,
-                if gated { Packing::GatedVector } else { Packing::Vector },
-            ),
+            weight: self.add::<u8>(&format!("{name}.weight"), &shape, packed_bytes(inner, columns, kernel), packing),
+            bias: self.add::<f32>(&format!("{name}.bias"), &[columns], columns, bias),
             inner: inner.next_multiple_of(kernel.vector()),
             columns,
             kernel,
         }
     }
 
-    fn add<T>(&mut self, name: String, len: usize, packing: Packing) -> Tensor {
+    fn add<T>(&mut self, name: &str, shape: &[usize], len: usize, packing: Packing) -> Tensor {
         let tensor = self.layout.add::<T>(len);
-        self.uploads.push(Upload { name, tensor, packing });
+        let place = Place::Device(tensor, packing);
+        self.declared.push(Declared { name: name.into(), shape: shape.into(), place });
         tensor
     }
 }

@@ -1,10 +1,73 @@
-//! Row-wise odds and ends, and how long arrays are cut to what a device binds at once.
+//! Rows, what is done to them one by one, and how long arrays are cut to what a device binds at once.
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::ops,
 };
 use std::ops::Range;
+
+/// Rows of values on the device, `[count, width]`.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows {
+    /// The values.
+    pub tensor: Tensor,
+    /// Number of rows.
+    pub count: usize,
+    /// Values of a row.
+    pub width: usize,
+    /// Type of a value.
+    pub element: Element,
+}
+
+/// Some neighbouring columns of rows.
+#[derive(Clone, Copy, Debug)]
+pub struct Columns {
+    /// The whole rows.
+    pub of: Rows,
+    /// The first of the columns.
+    pub first: usize,
+    /// Number of columns.
+    pub width: usize,
+}
+
+impl Rows {
+    /// Rows of f32 in a tensor.
+    pub fn new(tensor: Tensor, count: usize, width: usize) -> Self {
+        Self { tensor, count, width, element: Element::F32 }
+    }
+
+    /// New rows in scratch memory.
+    pub fn scratch(rec: &mut Recorder, name: &str, count: usize, width: usize, element: Element) -> Self {
+        Self { tensor: rec.tensor_of(element, name, count * width), count, width, element }
+    }
+
+    /// The rows with these indices.
+    pub fn part(&self, rows: Range<usize>) -> Self {
+        let tensor = self.tensor.slice_of(self.element, rows.start * self.width, rows.len() * self.width);
+        Self { tensor, count: rows.len(), ..*self }
+    }
+
+    /// `width` columns of every row, from `first` on.
+    pub fn columns(&self, first: usize, width: usize) -> Columns {
+        Columns { of: *self, first, width }
+    }
+
+    /// Values of all rows.
+    pub fn values(&self) -> usize {
+        self.count * self.width
+    }
+
+    /// Bytes of a row.
+    pub fn row_bytes(&self) -> usize {
+        self.element.bytes() * self.width
+    }
+}
+
+impl From<Rows> for Columns {
+    fn from(rows: Rows) -> Self {
+        rows.columns(0, rows.width)
+    }
+}
 
 /// Bytes between the places where a slice of a tensor may start.
 const SLICE: usize = 256;
@@ -24,65 +87,59 @@ pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl 
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))
 }
 
-/// `target` `[len]` += `other` `[len]`.
-pub fn add(rec: &mut Recorder, target: Tensor, other: Tensor, len: usize) {
-    for part in row_chunks(rec, len, &[4]) {
-        let left = target.slice::<f32>(part.start, part.len());
-        let right = other.slice::<f32>(part.start, part.len());
+/// `target` += `other`, f32 of the same shape.
+pub fn add(rec: &mut Recorder, target: Rows, other: Rows) {
+    for part in row_chunks(rec, target.values(), &[size_of::<f32>()]) {
+        let [left, right] = [target, other].map(|rows| rows.tensor.slice::<f32>(part.start, part.len()));
         rec.dispatch(ops::Add { left, right, out: left, count: part.len() as u32 }, part.len());
     }
 }
 
-/// `out[i] = source[rows_from_out[i]]` for `count` rows of `width` f32; the source has `source_rows`.
-pub fn gather_rows(
-    rec: &mut Recorder,
-    source: Tensor,
-    source_rows: usize,
-    rows_from_out: Tensor,
-    count: usize,
-    width: usize,
-) -> Tensor {
-    let out = rec.tensor::<f32>("gathered", count * width);
-    for part in row_chunks(rec, source_rows, &[4 * width]) {
+/// The `count` rows `source[rows_from_out[i]]`, f32.
+pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, count: usize) -> Rows {
+    let out = Rows::scratch(rec, "gathered", count, source.width, Element::F32);
+    for part in row_chunks(rec, source.count, &[source.row_bytes()]) {
         let kernel = ops::GatherRows {
-            source: source.slice::<f32>(part.start * width, part.len() * width),
+            source: source.part(part.clone()).tensor,
             rows_from_out,
-            out,
+            out: out.tensor,
             count: count as u32,
-            width: width as u32,
+            width: source.width as u32,
             first_row: part.start as u32,
             source_rows: part.len() as u32,
         };
-        rec.dispatch(kernel, count * width);
+        rec.dispatch(kernel, out.values());
     }
     out
 }
 
-/// `source` `[rows, width]` f16 as 8-bit integers, and `[rows]` f32 that 1 stands for in each row.
-pub fn quantise_rows(rec: &mut Recorder, source: Tensor, rows: usize, width: usize) -> (Tensor, Tensor) {
-    let (out, scales) = (rec.tensor::<u8>("quantised", rows * width), rec.tensor::<f32>("row_scales", rows));
-    let kernel = ops::QuantiseRows { source, out, scales, rows: rows as u32, width: width as u32 };
-    rec.dispatch_groups(kernel, rows);
+/// f16 rows as 8-bit integers, and `[rows]` f32 that 1 stands for in each row.
+pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
+    let Rows { count, width, .. } = source;
+    let out = Rows::scratch(rec, "quantised", count, width, Element::I8);
+    let scales = rec.tensor::<f32>("row_scales", count);
+    let (rows, width) = (count as u32, width as u32);
+    rec.dispatch_groups(ops::QuantiseRows { source: source.tensor, out: out.tensor, scales, rows, width }, count);
     (out, scales)
 }
 
-/// `[rows, a]` and `[rows, b]` side by side as `[rows, a + b]` of type `output`.
-pub fn join_columns(rec: &mut Recorder, rows: usize, parts: [(Tensor, usize); 2], output: Element) -> Tensor {
-    let out_width = parts[0].1 + parts[1].1;
-    let out = rec.tensor_of(output, "joined", rows * out_width);
-    for part in row_chunks(rec, rows, &[4 * parts[0].1, 4 * parts[1].1, output.bytes() * out_width]) {
-        let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
-        for ((source, width), out_column) in parts.into_iter().zip([0, parts[0].1]) {
+/// f32 rows side by side, as rows of type `output`.
+pub fn join_columns(rec: &mut Recorder, [left, right]: [Rows; 2], output: Element) -> Rows {
+    let out = Rows::scratch(rec, "joined", left.count, left.width + right.width, output);
+    for part in row_chunks(rec, out.count, &[left, right, out].map(|rows| rows.row_bytes())) {
+        let out = out.part(part.clone());
+        for (source, out_column) in [(left, 0), (right, left.width)] {
+            let source = source.part(part.clone());
             let kernel = ops::PlaceColumns {
-                source: rows_of(source, width),
-                out: out.slice_of(output, part.start * out_width, part.len() * out_width),
-                count: (part.len() * width) as u32,
-                width: width as u32,
-                out_width: out_width as u32,
+                source: source.tensor,
+                out: out.tensor,
+                count: source.values() as u32,
+                width: source.width as u32,
+                out_width: out.width as u32,
                 out_column: out_column as u32,
                 output,
             };
-            rec.dispatch(kernel, part.len() * width);
+            rec.dispatch(kernel, source.values());
         }
     }
     out

@@ -1,11 +1,11 @@
 //! How matrix kernels cut their work into workgroups.
 
-use super::{Units, nearest::SHARES};
-use crate::gpu::{Limits, MatrixShape};
+use super::Units;
+use crate::gpu::Limits;
 use std::fmt;
 
-/// Which of its candidates a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on,
-/// four times apart. The default takes them by rule; [`Tuning`](super::Tuning) measures.
+/// The candidate that a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on, four times
+/// apart. The default takes candidates by rule; `tune` measures them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 
@@ -18,13 +18,13 @@ impl Tiles {
         Self([Some(index as u8); Self::CLASSES])
     }
 
-    /// The candidate at an index for one class of sizes and those above.
-    pub(super) fn set_from(&mut self, class: usize, index: usize) {
+    /// Takes the candidate at an index for one class of sizes and those above.
+    pub(crate) fn set_from(&mut self, class: usize, index: usize) {
         self.0[class..].fill(Some(index as u8));
     }
 
     /// Values of a result in the middle of a class.
-    pub(super) fn values(class: usize) -> usize {
+    pub(crate) fn values(class: usize) -> usize {
         1 << (14 + 2 * class)
     }
 
@@ -35,163 +35,140 @@ impl Tiles {
     }
 }
 
-/// The share of a linear layer that a workgroup of ops/linear_matrix owns.
+/// The share of a matrix kernel's work that a workgroup owns. Rows and columns are those of a linear layer; or points and
+/// targets, of which the nearest are sought; or an attention's queries, each with all channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LinearTile(pub(super) SubgroupTile);
-
-/// The matrices that the subgroups of a workgroup own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct SubgroupTile {
+pub struct Tile {
     /// Subgroups along rows and columns.
     pub subgroups: [u32; 2],
     /// Matrices of a subgroup along rows and columns.
     pub repeats: [u32; 2],
-    /// Terms of the sums that pass through shared memory at a time.
+    /// Terms of the sums, or keys of an attention, that pass through shared memory at a time.
     pub k: u32,
 }
 
-/// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
-pub(super) const TILES: usize = 256;
+/// Subgroups along rows and columns, and rows and columns of each.
+type Layout = ([u32; 2], [u32; 2]);
 
-impl LinearTile {
-    /// Shapes to choose from, the first two by rule, the larger first: what a subgroup owns is 64 x 64, where every matrix
-    /// that is loaded is multiplied four times, or 32 x 32.
-    pub fn candidates(limits: &Limits, units: Units) -> Vec<Self> {
-        SubgroupTile::candidates(limits, units).map(Self).collect()
+/// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
+const BUSY: usize = 256;
+
+impl Tile {
+    /// Channels of the heads that attention's tiles are measured with: those of every DA3 network.
+    pub const TUNED_CHANNELS: usize = 64;
+
+    /// Candidates of ops/linear_matrix, the first two by rule, the larger first: what a subgroup owns is 64 x 64, where every
+    /// matrix that is loaded is multiplied four times, or 32 x 32.
+    pub fn linear(limits: &Limits, units: Units) -> Vec<Self> {
+        // With the bytes of a row that pass through shared memory.
+        const GPU: &[(Layout, u32)] = &[
+            (([2, 2], [64, 64]), 64),
+            (([2, 2], [32, 32]), 64),
+            (([2, 2], [32, 32]), 128),
+            (([2, 2], [64, 32]), 64),
+            (([4, 2], [32, 64]), 64),
+            (([2, 4], [64, 32]), 64),
+        ];
+        // On a CPU matrices are loops that take long to compile.
+        const CPU: &[(Layout, u32)] = &[(([2, 2], [16, 16]), 16), (([1, 1], [16, 16]), 16)];
+        let (shape, factor_bytes) = (units.shape, units.factor.bytes() as u32);
+        let tile = |&(layout, bytes): &(Layout, u32)| {
+            let k = if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / factor_bytes) };
+            Self::of(layout, units, k)
+        };
+        // As kernels/ops/linear_matrix.comp lays shared memory out.
+        let shared_bytes = |tile: &Self| {
+            let [rows, columns] = tile.sides(units);
+            let stages = 2 * (rows + columns) as u32 * (tile.k * factor_bytes + 16);
+            stages.max(tile.all_subgroups() * shape.m * (tile.repeats[1] * shape.n * 4 + 16))
+        };
+        let tiles = if limits.cpu { CPU } else { GPU }.iter().map(tile);
+        tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// The tile that was measured to be fastest; by rule the larger of the first two if it leaves enough of them to keep the
-    /// device busy.
+    /// Candidates of ops/attention_matrix for heads of `channels`, those by rule first, the larger first. A subgroup has 16 or 32
+    /// queries: every matrix of keys and values that is loaded is multiplied once or twice. Once is the rule, since twice leaves
+    /// an H100 too few registers and takes 1.6 times as long there.
+    pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
+        let shape = units.shape;
+        let queries: &[u32] = if limits.cpu { &[8] } else { &[16, 32] };
+        let tiles = queries.iter().flat_map(|queries| {
+            let repeat = queries.div_ceil(shape.m);
+            // Every lane turns 8 scores of a row, or more, into 16 bytes of weights.
+            let row_lanes = (limits.subgroup_size / (repeat * shape.m)).max(1);
+            let k = (2 * shape.n.max(shape.k)).max(8 * row_lanes);
+            [4, 2, 1].map(|subgroups| Self { subgroups: [subgroups, 1], repeats: [repeat, 1], k })
+        });
+        // As kernels/ops/attention_matrix.comp lays shared memory out.
+        let shared_bytes = |tile: &Self| {
+            let values = 2 * tile.k * (channels as u32 / 8 + 1);
+            16 * (values + tile.sides(units)[0] as u32 * (tile.k / 4 + 1))
+        };
+        tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
+    }
+
+    /// Candidates of cluster/nearest_matrix, the larger first. A subgroup has two sets of sums, and so half as many as in a linear
+    /// layer.
+    pub fn nearest(limits: &Limits, units: Units) -> Vec<Self> {
+        const GPU: &[Layout] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
+        const CPU: &[Layout] = &[([2, 2], [16, 8])];
+        let shape = units.shape;
+        // As kernels/cluster/nearest_matrix.comp lays shared memory out.
+        let shared_bytes = |tile: &Self| {
+            let [points, targets] = tile.sides(units).map(|side| side as u32);
+            let stages = 2 * (points + targets) * (2 * tile.k / 8 + 1);
+            let strips = tile.all_subgroups() * shape.m * (tile.repeats[1] * shape.n / 4 + 1);
+            let ends = points * tile.subgroups[1] * (limits.subgroup_size / shape.m).max(1);
+            16 * stages.max(strips).max(ends)
+        };
+        let layouts = if limits.cpu { CPU } else { GPU };
+        let tiles = layouts.iter().map(|layout| Self::of(*layout, units, shape.k.next_multiple_of(16)));
+        tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
+    }
+
+    fn of((subgroups, [rows, columns]): Layout, units: Units, k: u32) -> Self {
+        Self { subgroups, repeats: [rows.div_ceil(units.shape.m), columns.div_ceil(units.shape.n)], k }
+    }
+
+    /// The candidate that was measured to be fastest; else of those `by_rule`, which come first, the first that leaves enough
+    /// workgroups to keep the device busy, else the last.
     ///
     /// # Panics
-    /// Where none fits; [`LinearTile::candidates`] says so.
-    pub(super) fn choose(limits: &Limits, units: Units, rows: usize, columns: usize) -> Self {
-        let candidates = Self::candidates(limits, units);
-        let busy = |tile: &&Self| {
-            let [tile_rows, tile_columns] = tile.sides(units.shape);
-            limits.cpu || rows.div_ceil(tile_rows) * columns.div_ceil(tile_columns) >= TILES
-        };
-        let measured = units.tiles.of(rows * columns).and_then(|index| candidates.get(index));
-        let ruled = &candidates[..candidates.len().min(2)];
-        let tile = measured.or(ruled.iter().find(busy)).or(ruled.last());
-        *tile.expect("matrix units are used where a tile fits")
+    /// Where there is no candidate: matrix units are used where one fits.
+    pub(super) fn choose(
+        candidates: &[Self],
+        measured: Option<usize>,
+        by_rule: usize,
+        workgroups: impl Fn(&Self) -> usize,
+    ) -> Self {
+        let ruled = &candidates[..by_rule.min(candidates.len())];
+        let busy = ruled.iter().find(|tile| workgroups(tile) >= BUSY);
+        let measured = measured.and_then(|index| candidates.get(index));
+        *measured.or(busy).or(ruled.last()).expect("matrix units are used where a tile fits")
     }
 
     /// Rows and columns of a workgroup.
-    pub fn sides(&self, shape: MatrixShape) -> [usize; 2] {
-        self.0.sides(shape)
+    pub fn sides(&self, units: Units) -> [usize; 2] {
+        let matrix = [units.shape.m, units.shape.n];
+        [0, 1].map(|axis| (self.subgroups[axis] * self.repeats[axis] * matrix[axis]) as usize)
+    }
+
+    /// Subgroups of a workgroup.
+    pub(super) fn all_subgroups(&self) -> u32 {
+        self.subgroups[0] * self.subgroups[1]
+    }
+
+    /// Whether a workgroup with so much shared memory is within the device's limits.
+    fn fits(&self, limits: &Limits, shared_bytes: u32) -> bool {
+        shared_bytes <= limits.shared_bytes && self.all_subgroups() * limits.subgroup_size <= limits.max_invocations
     }
 }
 
-impl SubgroupTile {
-    fn candidates(limits: &Limits, units: Units) -> impl Iterator<Item = Self> {
-        let (shape, factor_bytes, cpu) = (units.shape, units.factor.bytes() as u32, limits.cpu);
-        // Subgroups along rows and columns; rows and columns of each; bytes of a row that pass through shared memory.
-        const GPU: &[([u32; 2], [u32; 2], u32)] = &[
-            ([2, 2], [64, 64], 64),
-            ([2, 2], [32, 32], 64),
-            ([2, 2], [32, 32], 128),
-            ([2, 2], [64, 32], 64),
-            ([4, 2], [32, 64], 64),
-            ([2, 4], [64, 32], 64),
-        ];
-        // There matrices are loops that take long to compile.
-        const CPU: &[([u32; 2], [u32; 2], u32)] = &[([2, 2], [16, 16], 16), ([1, 1], [16, 16], 16)];
-        let tile = move |&(subgroups, [rows, columns], bytes): &([u32; 2], [u32; 2], u32)| Self {
-            subgroups,
-            repeats: [rows.div_ceil(shape.m), columns.div_ceil(shape.n)],
-            k: if cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / factor_bytes) },
-        };
-        let layouts = if cpu { CPU } else { GPU };
-        layouts.iter().map(tile).filter(move |tile| tile.fits(limits, units))
-    }
-
-    fn sides(&self, shape: MatrixShape) -> [usize; 2] {
-        let side = |axis: usize, matrix: u32| (self.subgroups[axis] * self.repeats[axis] * matrix) as usize;
-        [side(0, shape.m), side(1, shape.n)]
-    }
-
-    /// Whether a workgroup is within the device's limits, its shared memory as kernels/ops/linear_matrix.comp lays it out.
-    fn fits(&self, limits: &Limits, units: Units) -> bool {
-        let subgroups = self.subgroups[0] * self.subgroups[1];
-        let [rows, columns] = self.sides(units.shape);
-        let stages = 2 * (rows + columns) as u32 * (self.k * units.factor.bytes() as u32 + 16);
-        let strips = subgroups * units.shape.m * (self.repeats[1] * units.shape.n * 4 + 16);
-        stages.max(strips) <= limits.shared_bytes && subgroups * limits.subgroup_size <= limits.max_invocations
-    }
-}
-
-/// What a workgroup of cluster/nearest_matrix owns: points are rows, targets columns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NearestTile(pub(super) SubgroupTile);
-
-impl NearestTile {
-    /// Shapes to choose from, the larger first. A subgroup has two sets of sums, and so half as many as in a linear layer.
-    pub fn candidates(limits: &Limits, units: Units) -> Vec<Self> {
-        // Subgroups along points and targets; points and targets of each.
-        const GPU: &[([u32; 2], [u32; 2])] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
-        const CPU: &[([u32; 2], [u32; 2])] = &[([2, 2], [16, 8])];
-        let shape = units.shape;
-        let tile = |&(subgroups, [points, targets]): &([u32; 2], [u32; 2])| SubgroupTile {
-            subgroups,
-            repeats: [points.div_ceil(shape.m), targets.div_ceil(shape.n)],
-            k: shape.k.next_multiple_of(16),
-        };
-        let layouts = if limits.cpu { CPU } else { GPU };
-        layouts.iter().map(tile).map(Self).filter(|tile| tile.fits(limits, shape)).collect()
-    }
-
-    /// The one asked for; by rule the largest that leaves enough workgroups to keep the device busy, else the smallest.
-    ///
-    /// # Panics
-    /// Where none fits; [`NearestTile::candidates`] says so.
-    pub(super) fn choose(limits: &Limits, units: Units, points: usize, targets: usize) -> Self {
-        let candidates = Self::candidates(limits, units);
-        let busy = |tile: &&Self| {
-            let [tile_points, tile_targets] = tile.sides(units.shape);
-            points.div_ceil(tile_points) * targets.div_ceil(tile_targets).min(SHARES) >= TILES
-        };
-        let given = units.tiles.of(points * targets).and_then(|index| candidates.get(index));
-        let tile = given.or(candidates.iter().find(busy)).or(candidates.last());
-        *tile.expect("matrix units are used where a tile fits")
-    }
-
-    /// Points and targets of a workgroup.
-    pub fn sides(&self, shape: MatrixShape) -> [usize; 2] {
-        self.0.sides(shape)
-    }
-
-    /// Whether a workgroup is within the device's limits, its shared memory as kernels/cluster/nearest_matrix.comp lays it
-    /// out.
-    fn fits(&self, limits: &Limits, shape: MatrixShape) -> bool {
-        let SubgroupTile { subgroups: [along_points, along_targets], repeats: [m, n], k } = self.0;
-        let subgroups = along_points * along_targets;
-        let [points, targets] = self.sides(shape).map(|side| side as u32);
-        let stages = 2 * (points + targets) * (2 * k / 8 + 1);
-        let strips = subgroups * shape.m * (n * shape.n / 4 + 1);
-        let ends = along_points * m * shape.m * along_targets * (limits.subgroup_size / shape.m).max(1);
-        16 * stages.max(strips).max(ends) <= limits.shared_bytes
-            && subgroups * limits.subgroup_size <= limits.max_invocations
-    }
-}
-
-impl fmt::Display for SubgroupTile {
+impl fmt::Display for Tile {
     /// Subgroups, matrices of each, depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { subgroups: [rows, columns], repeats: [m, n], k } = self;
         write!(f, "{rows}x{columns} of {m}x{n}, k {k}")
-    }
-}
-
-impl fmt::Display for NearestTile {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl fmt::Display for LinearTile {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
     }
 }
 

@@ -81,7 +81,7 @@ impl Model {
         let inputs = self.network.record_features(&mut rec, shape, &tensors);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
         let (arena, _claim) = self.claimed();
-        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.resident.clone(), memory.clone()])?;
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, request)?;
         let times = run.execute_with(progress)?;
         Ok(Features { shape, tensors, memory, unit: request.unit, times })
@@ -108,7 +108,7 @@ impl Model {
         let choice = self.network.record_decoding(&mut rec, shape, &features.tensors, &into);
         let (arena, _claim) = self.claimed();
         let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(&arena);
-        let memories = [self.resident.clone(), features.memory.clone(), scene.resident().clone()];
+        let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &request)?;
         let times = run.execute_with(progress)?;
@@ -142,7 +142,7 @@ impl Model {
         let choice = self.network.record_tokens(&mut rec, shape, &features.tensors, tensor);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
         let (arena, _claim) = self.claimed();
-        let memories = [self.resident.clone(), features.memory.clone(), memory.clone()];
+        let memories = [self.parameters.resident.clone(), features.memory.clone(), memory.clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, request)?;
         run.execute_with(progress)?;

@@ -4,34 +4,33 @@ use super::{Kept, Shape};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout},
-    stages::{
-        ViewGrid,
-        backbone::{Backbone, BackboneInputs, POSE_VALUES},
-        cluster,
-        fuse::Fuse,
-        gaussians::{Gaussians, HeadTokens},
-        render::SceneTensors,
-    },
+    ops::{Arithmetic, ParameterLayout, Rows, join_columns},
+    stages::{Architecture, Stages, ViewGrid, cluster, render::SceneTensors},
     types::Scene,
-    weights::Architecture,
 };
 
 /// A network's parameters, laid out for a device.
 pub struct Network {
     pub(super) architecture: Architecture,
     pub(super) parameters: ParameterLayout,
-    backbone: Backbone,
-    fuse: Fuse,
-    gaussians: Gaussians,
+    pub(super) stages: Stages,
 }
 
 /// The tensors that go in and out of a plan.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Tensors {
-    pub(super) inputs: BackboneInputs,
+    pub(super) inputs: Inputs,
     pub(super) choice: Choice,
     scene: SceneTensors,
+}
+
+/// What the host says of the photos.
+#[derive(Clone, Debug)]
+pub(super) struct Inputs {
+    /// `[views, 3, height, width]` f32, RGB in 0..1.
+    pub images: Tensor,
+    /// See [`Backbone::inputs`](crate::stages::backbone::Backbone::inputs).
+    pub backbone: Vec<Tensor>,
 }
 
 /// What the host says of the scene that is made of features.
@@ -48,14 +47,15 @@ pub(super) struct Choice {
 pub(super) struct FeatureTensors {
     /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
     pub images: Tensor,
-    /// `[tokens, width]` f32 each, deepest first.
-    pub layers: Vec<Tensor>,
+    /// All tokens of each, f32, deepest first.
+    pub layers: Vec<Rows>,
 }
 
 impl FeatureTensors {
     /// The features of a shape, laid out to be kept.
     pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
-        let mut layer = |_| layout.add::<f32>(grid.tokens() * architecture.width);
+        let (tokens, width) = (grid.tokens(), architecture.width);
+        let mut layer = |_| Rows::new(layout.add::<f32>(tokens * width), tokens, width);
         let layers = architecture.out_layers.iter().map(&mut layer).collect();
         Self { images: layout.add::<f32>(grid.values()), layers }
     }
@@ -82,13 +82,8 @@ impl Network {
     /// Lays out a network; needs no device.
     pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
         let mut parameters = ParameterLayout::new(limits, arithmetic);
-        Self {
-            backbone: Backbone::new(&mut parameters, architecture),
-            fuse: Fuse::new(&mut parameters, architecture),
-            gaussians: Gaussians::new(&mut parameters, architecture),
-            architecture: architecture.clone(),
-            parameters,
-        }
+        let stages = Stages::new(&mut parameters, architecture);
+        Self { architecture: architecture.clone(), parameters, stages }
     }
 
     /// Bytes of the weights on the device.
@@ -121,17 +116,17 @@ impl Network {
 
     fn record_into(&self, rec: &mut Recorder, shape: Shape, scene: SceneTensors) -> Tensors {
         let inputs = self.inputs(rec, shape);
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
+        let layers = self.features(rec, shape, &inputs);
         let choice = self.record_decoding(rec, shape, &FeatureTensors { images: inputs.images, layers }, &scene);
         Tensors { inputs, choice, scene }
     }
 
     /// Records the first half, up to features that stay on the device in `into`.
-    pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> BackboneInputs {
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> Inputs {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
-        let layers = rec.scope("backbone", |rec| self.backbone.record(rec, inputs, shape.grid));
-        layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer, *kept));
+        let layers = self.features(rec, shape, &inputs);
+        layers.into_iter().zip(&into.layers).for_each(|(layer, kept)| rec.copy(layer.tensor, kept.tensor));
         inputs
     }
 
@@ -145,7 +140,7 @@ impl Network {
     ) -> Choice {
         let unit = rec.input::<f32>("unit", 1);
         let (indices, tokens) = self.head_tokens(rec, shape, features);
-        rec.scope("gaussians", |rec| self.gaussians.record(rec, tokens, unit, scene));
+        rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, unit, scene));
         Choice { unit: Some(unit), indices }
     }
 
@@ -158,37 +153,36 @@ impl Network {
         into: Tensor,
     ) -> Choice {
         let (indices, tokens) = self.head_tokens(rec, shape, features);
-        let joined = tokens.joined(rec, Element::F32);
-        rec.copy(joined, into);
+        let joined = join_columns(rec, tokens, Element::F32);
+        rec.copy(joined.tensor, into);
         Choice { unit: None, indices }
     }
 
-    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, HeadTokens) {
+    /// What says which tokens are kept, and what the head reads of those: scene tokens and their colours.
+    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
         let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
-                let sizes = [grid.tokens(), tokens, self.architecture.width];
-                Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, sizes, rounds))
+                Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, tokens, rounds))
             }
             (given, _) => given,
         });
         let chosen = chosen.map(|indices| (indices, tokens));
-        let tokens = rec.scope("fuse", |rec| self.fuse.record(rec, layers, grid.tokens(), chosen));
-        (indices, rec.scope("gaussians", |rec| self.gaussians.tokens(rec, tokens, *images, grid, chosen)))
+        let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
+        let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
+        (indices, [scene, colors])
     }
 
-    fn inputs(&self, rec: &mut Recorder, shape: Shape) -> BackboneInputs {
-        let (a, grid) = (&self.architecture, shape.grid);
-        let tokens = 1 + grid.patches();
-        let rotary = ["local", "global"].map(|kind| rec.input::<f32>(&format!("rotary_{kind}"), tokens * a.head_dim()));
-        BackboneInputs {
-            images: rec.input::<f32>("images", grid.values()),
-            positions: rec.input::<f32>("positions", tokens * a.width),
-            rotary,
-            poses: shape.cameras.then(|| rec.input::<[f32; POSE_VALUES]>("poses", grid.views)),
-        }
+    fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {
+        let images = rec.input::<f32>("images", shape.grid.values());
+        Inputs { images, backbone: self.stages.backbone.inputs(rec, shape.grid, shape.cameras) }
+    }
+
+    fn features(&self, rec: &mut Recorder, shape: Shape, inputs: &Inputs) -> Vec<Rows> {
+        let Inputs { images, backbone } = inputs;
+        rec.scope("backbone", |rec| self.stages.backbone.record(rec, *images, backbone, shape.grid))
     }
 }
 

@@ -3,11 +3,10 @@
 use crate::{
     Error, Result,
     stages::{
-        ViewGrid,
+        Architecture, ViewGrid,
         cluster::{ROUNDS, auto_ratio, cluster_count},
     },
     types::{Camera, Image, LeftOut},
-    weights::Architecture,
 };
 
 /// Most views of one reconstruction.

@@ -127,7 +127,7 @@ impl Gaussians {
             steps: 0,
             plans: Vec::new(),
             together: request.together.unwrap_or(at_once).max(1),
-            capacity: first_capacity(scene.len),
+            capacity: request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1),
         })
     }
 
@@ -213,8 +213,13 @@ impl Gaussians {
         Ok(Some(self.plans.len() - 1))
     }
 
+    /// The device that they are on.
+    pub fn device(&self) -> &Device {
+        self.arena.device()
+    }
+
     fn limits(&self) -> &Limits {
-        self.arena.device().limits()
+        self.device().limits()
     }
 
     fn plan(&mut self, shape: FrameShape, learns: bool) -> Result<Planned> {

@@ -67,6 +67,9 @@ pub struct Refine {
     pub coarse: bool,
     /// Photos of one size whose gradients are computed at once, at most. `None`: all of a step on a GPU, 1 on a CPU.
     pub together: Option<usize>,
+    /// Intersections of Gaussians with tiles of a photo that there is room for at first; it grows with what is drawn. `None`: by the
+    /// number of Gaussians.
+    pub room: Option<usize>,
     /// Seed of the photos' order.
     pub seed: u64,
     /// Whether a step is timed by kernel.
@@ -89,6 +92,7 @@ impl Default for Refine {
             scale_penalty: 0.1,
             coarse: true,
             together: None,
+            room: None,
             seed: 0,
             profile: false,
         }
@@ -169,8 +173,14 @@ pub struct Refined {
     pub best_step: usize,
     /// Steps, and the PSNR of the held-out photos after them, in dB; empty without such photos.
     pub held_out: Vec<(usize, f64)>,
+    /// Photos that were held out.
+    pub held: Vec<usize>,
+    /// Steps, counted from 0, and the pixels along x and y of the largest photo from each of them on.
+    pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
     pub took: Duration,
+    /// Most bytes that the device had allocated, whatever else is on it included.
+    pub peak_bytes: u64,
     /// Why it ended early, where it did.
     pub stopped: Option<Stopped>,
     /// Device time of a step by kernel, where it was asked for.

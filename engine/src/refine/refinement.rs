@@ -37,6 +37,8 @@ pub(super) struct Refinement<'a> {
     /// How many times shorter their sides are than at last.
     shrink: u32,
     tested: Vec<View>,
+    held: Vec<usize>,
+    sizes: Vec<(usize, [u32; 2])>,
     losses: Vec<f32>,
     held_out: Vec<(usize, f64)>,
     /// The step after which they were looked at last.
@@ -91,6 +93,8 @@ impl<'a> Refinement<'a> {
             views: Vec::new(),
             shrink: 0,
             tested,
+            held,
+            sizes: Vec::new(),
             losses: Vec::new(),
             held_out: Vec::new(),
             looked: None,
@@ -109,9 +113,11 @@ impl<'a> Refinement<'a> {
     pub fn finish(mut self, progress: &mut dyn FnMut(Refining) -> ControlFlow<()>, begin: Instant) -> Result<Refined> {
         let stopped = self.run(progress, begin)?;
         let profile = self.request.profile.then(|| self.profile()).transpose()?;
-        let Self { losses, kept, held_out, .. } = self;
+        let peak_bytes = self.gaussians.device().allocated_bytes();
+        let Self { losses, kept, held_out, held, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras } = kept;
-        Ok(Refined { scene, cameras, losses, best_step, held_out, took: begin.elapsed(), stopped, profile })
+        let took = begin.elapsed();
+        Ok(Refined { scene, cameras, losses, best_step, held_out, held, sizes, took, peak_bytes, stopped, profile })
     }
 
     fn run(
@@ -175,6 +181,8 @@ impl<'a> Refinement<'a> {
             let view = |i: &usize| View::new(*i, &self.photos[*i], &cameras[*i], self.request.size, shrink);
             self.views = self.learnt.par_iter().map(view).collect::<Result<Vec<_>>>()?;
             (self.shrink, self.began, self.least, self.latest) = (shrink, step, f32::INFINITY, 0.0);
+            let largest = self.views.iter().map(|view| view.size).max_by_key(|[width, height]| width * height);
+            self.sizes.extend(largest.map(|size| (step, size)));
         }
         Ok(())
     }

@@ -35,7 +35,8 @@ impl FrozenHead {
         let architecture = checkpoint.architecture().clone();
         let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
         let head = Head::new(&mut parameters, &architecture);
-        let memory = Arc::new(parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?);
+        let read = |name: &str, out: &mut [f32]| checkpoint.read_f32(name, out);
+        let memory = parameters.load(device, read, |_| ControlFlow::Continue(()))?.resident;
         Ok(Self { device: device.clone(), head, architecture, memory })
     }
 }

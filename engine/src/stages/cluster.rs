@@ -6,7 +6,7 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::cluster as kernels,
     ops::{
-        Nearest, NearestKernel, gather_rows,
+        Nearest, NearestKernel, Rows, gather_rows,
         scan::exclusive_scan,
         sort::{key_bits, key_starts, sort_pairs},
     },
@@ -62,33 +62,32 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     chosen
 }
 
-/// Records k-means on `tokens` `[count, width]`. `initial` `[clusters]` holds the first centroids' tokens
-/// ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
+/// Records k-means on `tokens`. `initial` `[clusters]` holds the first centroids' tokens ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
 ///
 /// The mean of a cluster of two lies midway between both, and up to half of all clusters have two: of tokens that tie
 /// ([`Nearest::record`]) the first is taken, so that the order of a sum does not choose what is reconstructed.
 pub fn record(
     rec: &mut Recorder,
     kernel: NearestKernel,
-    tokens: Tensor,
+    tokens: Rows,
     initial: Tensor,
-    [count, clusters, width]: [usize; 3],
+    clusters: usize,
     rounds: usize,
 ) -> Tensor {
-    let nearest = Nearest::among(rec, kernel, (tokens, count), width);
-    let token_rows = nearest.rows(rec, (tokens, count));
-    let centroids = gather_rows(rec, tokens, count, initial, clusters, width);
-    let means = Means::new(rec, [count, clusters, width]);
+    let nearest = Nearest::among(rec, kernel, tokens);
+    let token_rows = nearest.rows(rec, tokens);
+    let centroids = gather_rows(rec, tokens, initial, clusters);
+    let means = Means::new(rec, tokens.count);
     for round in 0..rounds {
-        let centroid_rows = nearest.rows(rec, (centroids, clusters));
+        let centroid_rows = nearest.rows(rec, centroids);
         let cluster_of_point = nearest.record(rec, token_rows, centroid_rows);
         means.record(rec, tokens, cluster_of_point, centroids);
         if round + 1 == rounds {
             rec.observe("assign", cluster_of_point);
         }
     }
-    rec.observe("centroids", centroids);
-    let centroid_rows = nearest.rows(rec, (centroids, clusters));
+    rec.observe("centroids", centroids.tensor);
+    let centroid_rows = nearest.rows(rec, centroids);
     let chosen = nearest.record(rec, centroid_rows, token_rows);
     rec.observe("nearest", chosen);
     chosen
@@ -100,29 +99,34 @@ pub struct Means {
     /// `[count]` 0, 1, 2 ...
     points: Tensor,
     point_count: Tensor,
-    shape: [usize; 3],
 }
 
 impl Means {
-    /// For `[count, clusters, width]`, the last a multiple of 4.
-    pub fn new(rec: &mut Recorder, shape: [usize; 3]) -> Self {
-        let points = rec.tensor::<u32>("points", shape[0]);
+    /// For `count` points.
+    pub fn new(rec: &mut Recorder, count: usize) -> Self {
+        let points = rec.tensor::<u32>("points", count);
         rec.fill(points, 1);
-        exclusive_scan(rec, points, shape[0]);
+        exclusive_scan(rec, points, count);
         let point_count = rec.tensor::<u32>("point_count", 1);
-        rec.fill(point_count, shape[0] as u32);
-        Self { points, point_count, shape }
+        rec.fill(point_count, count as u32);
+        Self { points, point_count }
     }
 
-    /// Writes `centroids` `[clusters, width]`: means of those of `points` `[count, width]` whose `cluster_of_point` is theirs,
-    /// added in their order; zero where there is none.
-    pub fn record(&self, rec: &mut Recorder, points: Tensor, cluster_of_point: Tensor, centroids: Tensor) {
-        let [count, clusters, width] = self.shape;
+    /// Writes `centroids`: means of those of `points` whose `cluster_of_point` is theirs, added in their order; zero where there
+    /// is none. Rows are f32, their width is a multiple of 4.
+    pub fn record(&self, rec: &mut Recorder, points: Rows, cluster_of_point: Tensor, centroids: Rows) {
+        let Rows { count: clusters, width, .. } = centroids;
         let (sorted, members) =
-            sort_pairs(rec, cluster_of_point, self.points, self.point_count, count, key_bits(clusters));
+            sort_pairs(rec, cluster_of_point, self.points, self.point_count, points.count, key_bits(clusters));
         let starts = key_starts(rec, sorted, self.point_count, clusters);
-        let kernel =
-            kernels::Mean { points, members, starts, centroids, cluster_count: clusters as u32, width: width as u32 };
+        let kernel = kernels::Mean {
+            points: points.tensor,
+            members,
+            starts,
+            centroids: centroids.tensor,
+            cluster_count: clusters as u32,
+            width: width as u32,
+        };
         rec.dispatch(kernel, clusters * width / 4);
     }
 }

@@ -3,58 +3,51 @@
 //! Source: ZipSplat, section 3.1, "Token refinement".
 
 use crate::{
-    gpu::{Recorder, Tensor},
-    ops::{Block, CrossBlock, Heads, ParameterLayout, Sequences, add, gather_rows},
-    weights::{Architecture, Ffn},
+    gpu::{Element, Recorder, Tensor},
+    ops::{Block, CrossBlock, Ffn, Heads, ParameterLayout, Rows, Sequences, add, gather_rows},
+    stages::Architecture,
 };
 
 const EPS: f32 = 1e-5;
 
 /// The fusion's parameters: one cross- and one self-attention block for each layer.
 pub struct Fuse {
-    width: usize,
-    layers: Vec<(CrossBlock, Block)>,
+    cross: Vec<CrossBlock>,
+    own: Vec<Block>,
 }
 
 impl Fuse {
     /// Lays out the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.fusion_heads, a.width);
-        let layer = |l: usize| {
-            let cross = CrossBlock::new(p, &format!("cross_attention.{l}"), heads, a.fusion_hidden, EPS);
-            let own = Block::new(p, &format!("self_attention.{l}"), heads, true, (Ffn::Gelu, a.fusion_hidden), EPS);
-            (cross, own)
-        };
-        Self { width: a.width, layers: (0..a.out_layers.len()).map(layer).collect() }
+        let (layers, ffn) = (0..a.out_layers.len(), (Ffn::Gelu, a.fusion_hidden));
+        let name = |kind: &str, layer: usize| format!("{kind}_attention.{layer}");
+        let cross =
+            layers.clone().map(|l| CrossBlock::new(p, &name("cross", l), heads, a.fusion_hidden, EPS)).collect();
+        let own = layers.map(|l| Block::new(p, &name("self", l), heads, true, ffn, EPS)).collect();
+        Self { cross, own }
     }
 
-    /// Records the fusion of `layers` (`[tokens, width]` each, deepest first) for the `count` tokens `chosen`, or for all
-    /// of them. Returns the scene tokens `[count, width]`.
-    pub fn record(
-        &self,
-        rec: &mut Recorder,
-        layers: &[Tensor],
-        tokens: usize,
-        chosen: Option<(Tensor, usize)>,
-    ) -> Tensor {
-        let count = chosen.map_or(tokens, |c| c.1);
-        let pick = |rec: &mut Recorder, layer: Tensor| match chosen {
-            Some((indices, count)) => gather_rows(rec, layer, tokens, indices, count, self.width),
+    /// Records the fusion of `layers`, all tokens of each, deepest first, for the `count` tokens `chosen`, or for all of them.
+    /// Returns the scene tokens.
+    pub fn record(&self, rec: &mut Recorder, layers: &[Rows], chosen: Option<(Tensor, usize)>) -> Rows {
+        let pick = |rec: &mut Recorder, layer: Rows| match chosen {
+            Some((indices, count)) => gather_rows(rec, layer, indices, count),
             None => layer,
         };
         let first = pick(rec, layers[0]);
-        let scene = rec.tensor::<f32>("scene", count * self.width);
-        rec.copy(first, scene);
-        rec.observe("scene_init", scene);
-        for (l, ((cross, own), layer)) in self.layers.iter().zip(layers).enumerate() {
+        let scene = Rows::scratch(rec, "scene", first.count, first.width, Element::F32);
+        rec.copy(first.tensor, scene.tensor);
+        rec.observe("scene_init", scene.tensor);
+        for (l, ((cross, own), layer)) in self.cross.iter().zip(&self.own).zip(layers).enumerate() {
             let queries = if l == 0 { first } else { pick(rec, *layer) };
-            let delta = rec.scope("cross", |rec| cross.record(rec, (queries, count), (*layer, tokens)));
-            rec.observe(&format!("ca{l}_delta"), delta);
-            add(rec, scene, delta, count * self.width);
-            rec.observe(&format!("scene_ca{l}"), scene);
-            let sequences = Sequences { count: 1, tokens: count, rotary: None };
+            let delta = rec.scope("cross", |rec| cross.record(rec, queries, *layer));
+            rec.observe(&format!("ca{l}_delta"), delta.tensor);
+            add(rec, scene, delta);
+            rec.observe(&format!("scene_ca{l}"), scene.tensor);
+            let sequences = Sequences { count: 1, tokens: scene.count, rotary: None };
             rec.scope("self", |rec| own.record(rec, scene, sequences));
-            rec.observe(&format!("scene_sa{l}"), scene);
+            rec.observe(&format!("scene_sa{l}"), scene.tensor);
         }
         scene
     }

@@ -1,5 +1,6 @@
 //! The stages, in the order of the data, which is the alphabet's: each records its dispatches and knows no other.
 
+mod architecture;
 pub mod backbone;
 pub mod cluster;
 pub mod fuse;
@@ -7,11 +8,36 @@ pub mod gaussians;
 pub mod loss;
 pub mod render;
 
+pub use architecture::{Architecture, RECIPES, VARIANTS};
+pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
+
 use crate::{
     Result,
-    gpu::{Recorder, Resident, ResidentLayout, Tensor},
+    gpu::{Element, Recorder, Resident, ResidentLayout, Tensor},
+    kernels::backbone::Patchify,
+    ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
+use backbone::{Backbone, backbone};
+use fuse::Fuse;
+use gaussians::Gaussians;
+
+/// The stages that have parameters.
+pub struct Stages {
+    /// From pixels to tokens.
+    pub backbone: Box<dyn Backbone>,
+    /// From tokens to scene tokens.
+    pub fuse: Fuse,
+    /// From scene tokens to Gaussians.
+    pub gaussians: Gaussians,
+}
+
+impl Stages {
+    /// Declares the parameters, in the order and with the names of the reference's `state_dict`.
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        Self { backbone: backbone(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
+    }
+}
 
 /// Shape of the input: `views` pictures of `rows` x `columns` patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,29 +165,25 @@ fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }
 
-/// Every patch embedded by a convolution whose stride is its size: `[tokens, width]`.
-fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &crate::ops::Linear) -> Tensor {
-    let values = 3 * grid.patch * grid.patch;
-    let out = rec.tensor::<f32>("embedded", grid.tokens() * linear.columns);
-    let (view, row) = (values * grid.patches(), linear.inner);
-    let widths = [4 * view, linear.element().bytes() * grid.patches() * row, 4 * grid.patches() * linear.columns];
-    for part in crate::ops::row_chunks(rec, grid.views, &widths) {
-        let tokens = part.len() * grid.patches();
-        let patches = rec.tensor_of(linear.element(), "patches", tokens * row);
-        let kernel = crate::kernels::backbone::Patchify {
+/// Every patch embedded by a convolution whose stride is its size: a row a token.
+fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
+    let (view, patches) = (3 * grid.patch * grid.patch * grid.patches(), grid.patches());
+    let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);
+    let widths = [4 * view, linear.element().bytes() * patches * linear.inner, patches * out.row_bytes()];
+    for part in row_chunks(rec, grid.views, &widths) {
+        let rows = Rows::scratch(rec, "patches", part.len() * patches, linear.inner, linear.element());
+        let kernel = Patchify {
             images: images.slice::<f32>(part.start * view, part.len() * view),
-            out: patches,
+            out: rows.tensor,
             views: part.len() as u32,
             height: (grid.rows * grid.patch) as u32,
             width: (grid.columns * grid.patch) as u32,
             patch_size: grid.patch as u32,
-            stride: row as u32,
-            output: linear.element(),
+            stride: rows.width as u32,
+            output: rows.element,
         };
-        rec.dispatch(kernel, tokens * row);
-        let first = part.start * grid.patches() * linear.columns;
-        let out = out.slice::<f32>(first, tokens * linear.columns);
-        linear.record(rec, patches, tokens, out, crate::ops::Epilogue::default());
+        rec.dispatch(kernel, rows.values());
+        linear.record(rec, rows, out.part(part.start * patches..part.end * patches), Epilogue::default());
     }
     out
 }

@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
-use super::architecture::{MAX_DEPTH, MAX_SIZE};
 use super::contents::{Conf, Contents};
 use super::variant::Variant;
 use super::{Architecture, Ffn, RECIPES, VARIANTS};
-use crate::{Error, Result};
+use crate::{
+    Error, Result,
+    stages::{MAX_DEPTH, MAX_SIZE},
+};
 
 const BACKBONE: &str = "backbone.backbone";
 /// Longest name of a network that is taken from a file.

@@ -3,7 +3,6 @@
 //! [`Architecture`] says which tensors a model has; [`Checkpoint`] has exactly those, or could not be made.
 //! Read are safetensors and the zip archives of `torch.save`; written are safetensors that name their architecture.
 
-mod architecture;
 mod checkpoint;
 mod contents;
 mod inference;
@@ -16,11 +15,14 @@ mod variant;
 
 use std::path::Path;
 
-pub use architecture::{Architecture, Ffn, RECIPES, VARIANTS};
 pub use checkpoint::Checkpoint;
 pub use tensor::Dtype;
 
 use crate::Result;
+pub use crate::{
+    ops::Ffn,
+    stages::{Architecture, RECIPES, VARIANTS},
+};
 
 /// Writes the checkpoint `input` (PyTorch or safetensors) as safetensors of one type with its architecture as metadata.
 ///

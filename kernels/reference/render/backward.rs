@@ -1,8 +1,10 @@
-//! Gradients of pictures by central differences of the pictures: no derivative is written down.
+//! Gradients of pictures by central differences of the pictures: no derivative is written down but that of blending, which
+//! has thresholds.
 
 use super::{
-    project::{Camera, Gaussians},
-    rasterise::render,
+    project::{Camera, Gaussians, MIN_ALPHA, project},
+    rasterise::{MAX_ALPHA, MIN_TRANSMITTANCE, render},
+    sh,
 };
 use glam::{DMat3, DVec3};
 
@@ -108,4 +110,149 @@ fn moved_camera(camera: &Camera, direction: &[f64; 10], by: f64) -> Camera {
         intrinsics: std::array::from_fn(|i| camera.intrinsics[i] + d[6 + i]),
         size: camera.size,
     }
+}
+
+/// A splat as render/rasterise_backward reads it: its conic is A (dx - k dy)^2 + P dy^2, where dx - k dy counts from `ridge`.
+#[derive(Clone, Copy, Debug)]
+pub struct Ellipse {
+    /// Centre, or the ridge's x and the centre's y.
+    pub place: [f64; 2],
+    /// The row in which the ridge has the x of `place`.
+    pub ridge: f64,
+    /// A, k, P.
+    pub conic: [f64; 3],
+    /// Peak alpha.
+    pub opacity: f64,
+    /// RGB.
+    pub colour: [f64; 3],
+    /// Camera z.
+    pub depth: f64,
+}
+
+/// Gradients of splats through one pixel, nearest first, for a loss with these gradients by the pixel's red, green, blue, alpha
+/// and depth. Of each splat: g (1, e, y, e e, e y, y y), where g is the gradient of ln alpha, e = dx - k dy and y = dy; then of
+/// red, green, blue and depth. What lies behind a splat is added up from the farthest.
+pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], background: [f64; 3]) -> Vec<[f64; 10]> {
+    let mut left = 1.0;
+    let mut seen = Vec::new();
+    for (n, splat) in splats.iter().enumerate() {
+        let dy = y - splat.place[1];
+        let e = x - splat.place[0] - splat.conic[1] * (y - splat.ridge);
+        let full = splat.opacity * (-0.5 * (splat.conic[0] * e * e + splat.conic[2] * dy * dy)).exp();
+        let alpha = full.min(MAX_ALPHA);
+        if alpha < MIN_ALPHA {
+            continue;
+        }
+        if left * (1.0 - alpha) <= MIN_TRANSMITTANCE {
+            break;
+        }
+        let value = (0..3).map(|c| d[c] * splat.colour[c]).sum::<f64>() + d[3] + d[4] * splat.depth;
+        seen.push((n, alpha, full > MAX_ALPHA, left, value, e, dy));
+        left *= 1.0 - alpha;
+    }
+    let mut gradients = vec![[0.0; 10]; splats.len()];
+    let mut behind = left * (0..3).map(|c| d[c] * background[c]).sum::<f64>();
+    for (n, alpha, clamped, left, value, e, y) in seen.into_iter().rev() {
+        let weight = alpha * left;
+        let g = if clamped { 0.0 } else { weight * value - behind * alpha / (1.0 - alpha) };
+        gradients[n] = [
+            g,
+            g * e,
+            g * y,
+            g * e * e,
+            g * e * y,
+            g * y * y,
+            weight * d[0],
+            weight * d[1],
+            weight * d[2],
+            weight * d[4],
+        ];
+        behind += weight * value;
+    }
+    gradients
+}
+
+/// Gradients of one Gaussian and its camera.
+#[derive(Clone, Copy, Debug)]
+pub struct OneGradient {
+    /// Centre.
+    pub mean: [f64; 3],
+    /// Standard deviations.
+    pub scale: [f64; 3],
+    /// wxyz.
+    pub quat: [f64; 4],
+    /// Opacity.
+    pub opacity: f64,
+    /// As [`Direction::cameras`].
+    pub camera: [f64; 10],
+}
+
+/// What a splat's gradient makes of those of its Gaussian and camera: `pair` is the sum over pixels of what [`through_pixel`] has
+/// of moments, then the gradient of the offset of centre and camera through colour, and that of depth. By differences of fourth
+/// order of what `pair` is the gradient of. `gaussian` is one that is seen and stays so.
+pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: &[f64; 10]) -> OneGradient {
+    let splat = |gaussian: &Gaussians, camera: &Camera| project(gaussian, camera, antialiased)[0].expect("it is seen");
+    let [xx, xy, yy] = splat(gaussian, camera).conic;
+    let k = -xy / xx;
+    let [g, ge, gy, gee, gey, gyy] = std::array::from_fn(|i| pair[i]);
+    let (dx, dy) = (ge + k * gy, gy);
+    let moments = [gee + 2.0 * k * gey + k * k * gyy, gey + k * gyy, gyy];
+    let centre = [xx * dx + xy * dy, xy * dx + yy * dy];
+    let loss = |gaussian: &Gaussians, camera: &Camera| {
+        let splat = splat(gaussian, camera);
+        let offset = DVec3::from(gaussian.means[0]) - camera.centre();
+        let [xx, xy, yy] = splat.conic;
+        g * splat.opacity.ln() + centre[0] * splat.mean[0] + centre[1] * splat.mean[1]
+            - 0.5 * (moments[0] * xx + 2.0 * moments[1] * xy + moments[2] * yy)
+            + DVec3::new(pair[6], pair[7], pair[8]).dot(offset)
+            + pair[9] * splat.depth
+    };
+    let of_gaussian = |step: f64, change: &dyn Fn(&mut Gaussians, f64)| {
+        let moved = |by: f64| {
+            let mut moved = gaussian.clone();
+            change(&mut moved, by);
+            loss(&moved, camera)
+        };
+        difference(moved, step)
+    };
+    let depth = splat(gaussian, camera).depth;
+    let length = gaussian.quats[0].iter().map(|q| q * q).sum::<f64>().sqrt();
+    // Of what is far thinner than a pixel the splat depends on squares: its own size would be too small a step.
+    let thin = 0.05 * depth / camera.intrinsics[0];
+    let of_camera = |i: usize| {
+        let step = [1e-6, 1e-6 * depth, 1e-4 * camera.intrinsics[0], 1e-3][[0, 0, 0, 1, 1, 1, 2, 2, 3, 3][i]];
+        let mut direction = [0.0; 10];
+        direction[i] = 1.0;
+        difference(|by| loss(gaussian, &moved_camera(camera, &direction, by)), step)
+    };
+    OneGradient {
+        mean: std::array::from_fn(|i| of_gaussian(1e-6 * depth, &|moved, by| moved.means[0][i] += by)),
+        scale: std::array::from_fn(|i| {
+            of_gaussian(1e-3 * gaussian.scales[0][i].max(thin), &|moved, by| moved.scales[0][i] += by)
+        }),
+        quat: std::array::from_fn(|i| of_gaussian(1e-6 * length, &|moved, by| moved.quats[0][i] += by)),
+        opacity: of_gaussian(1e-4 * gaussian.opacities[0], &|moved, by| moved.opacities[0] += by),
+        camera: std::array::from_fn(of_camera),
+    }
+}
+
+/// What a colour's gradient `d` makes of those of the coefficients `[K, 3]` and of the offset from camera to Gaussian, for a colour
+/// that is not held at 0.
+pub fn of_colour(coeffs: &[f64], offset: DVec3, d: [f64; 3]) -> (Vec<f64>, [f64; 3]) {
+    let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
+    let basis = sh::basis(degree, offset.normalize());
+    let of_coeffs = basis.iter().flat_map(|b| d.map(|d| b * d)).collect();
+    let loss = |offset: DVec3| {
+        let basis = sh::basis(degree, offset.normalize());
+        let terms = basis.iter().zip(coeffs.chunks(3)).map(|(b, k)| b * (0..3).map(|c| k[c] * d[c]).sum::<f64>());
+        terms.sum::<f64>()
+    };
+    let along = |axis: usize| difference(|by| loss(offset + DVec3::AXES[axis] * by), 1e-3 * offset.length());
+    (of_coeffs, std::array::from_fn(along))
+}
+
+/// The derivative at 0, exact for polynomials of degree 4.
+fn difference(value: impl Fn(f64) -> f64, step: f64) -> f64 {
+    let apart = |by: f64| value(by) - value(-by);
+    (8.0 * apart(step) - apart(2.0 * step)) / (12.0 * step)
 }

@@ -5,9 +5,9 @@ use rayon::prelude::*;
 use super::project::{Camera, Gaussians, MIN_ALPHA, Splat, project};
 
 /// No splat hides more than this of what is behind it.
-const MAX_ALPHA: f64 = 0.999;
+pub const MAX_ALPHA: f64 = 0.999;
 /// A pixel is finished before its transmittance would fall to this.
-const MIN_TRANSMITTANCE: f64 = 1e-4;
+pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
 /// What a camera sees, row-major.
 #[derive(Clone, Debug, Default)]

@@ -1,7 +1,7 @@
 //! Means of clusters against sums in f64, and the whole clustering against the goldens.
 
 use crate::case::{Case, nearest_kernels, random, random_below};
-use zipsplat::ops::NearestKernel;
+use zipsplat::ops::{NearestKernel, Rows};
 use zipsplat::stages::cluster::{self, Means};
 use zipsplat_tests::compare::{Tolerance, assert_as_near, assert_close, assert_same};
 use zipsplat_tests::golden::Golden;
@@ -10,9 +10,10 @@ use zipsplat_tests::reference::{cluster::mean::mean, widen};
 fn centroids(points: &[f32], cluster_of_point: &[u32], clusters: usize, width: usize) -> Vec<f32> {
     let mut case = Case::new();
     let out = case.output::<f32>(clusters * width);
-    let (points, assigned) = (case.input(points), case.input(cluster_of_point));
-    let means = Means::new(&mut case.rec, [cluster_of_point.len(), clusters, width]);
-    means.record(&mut case.rec, points, assigned, out);
+    let (count, assigned) = (cluster_of_point.len(), case.input(cluster_of_point));
+    let points = Rows::new(case.input(points), count, width);
+    let means = Means::new(&mut case.rec, count);
+    means.record(&mut case.rec, points, assigned, Rows::new(out, clusters, width));
     case.result(out)
 }
 
@@ -76,8 +77,9 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     let count = x.len() / width;
     let mut case = Case::new();
     case.rec = case.rec.observing();
-    let (tokens, initial) = (case.input(&x), case.input(&cluster::even_indices(count, clusters)));
-    let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, [count, clusters, width], cluster::ROUNDS);
+    let (tokens, initial) =
+        (Rows::new(case.input(&x), count, width), case.input(&cluster::even_indices(count, clusters)));
+    let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, clusters, cluster::ROUNDS);
     case.rec.output(nearest);
     let run = case.run();
     let observed = |what: &str| run.observed().iter().find(|(name, _)| name == what).expect(what).1;
@@ -101,8 +103,9 @@ fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) ->
     let count = x.len() / width;
     let mut case = Case::new();
     case.rec = case.rec.observing();
-    let (tokens, initial) = (case.input(x), case.input(&cluster::even_indices(count, clusters)));
-    let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, [count, clusters, width], cluster::ROUNDS);
+    let (tokens, initial) =
+        (Rows::new(case.input(x), count, width), case.input(&cluster::even_indices(count, clusters)));
+    let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, clusters, cluster::ROUNDS);
     case.rec.output(nearest);
     let run = case.run();
     let assigned = run.observed().iter().find(|(name, _)| name == "assign").expect("it is observed").1;

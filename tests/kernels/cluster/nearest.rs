@@ -7,7 +7,7 @@ use crate::case::{Case, nearest_kernels, random, random_below};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
-    ops::{Nearest, NearestKernel, NearestTile, Tiles, Units},
+    ops::{Nearest, NearestKernel, Rows, Tile, Tiles, Units},
 };
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
@@ -25,13 +25,13 @@ fn find(
     about: Option<f32>,
 ) -> (Vec<u32>, Vec<f32>) {
     let mut case = Case::within(limits);
-    let [points, targets] = [points, targets].map(|rows| (case.input(rows), rows.len() / width));
+    let [points, targets] = [points, targets].map(|rows| Rows::new(case.input(rows), rows.len() / width, width));
     let nearest = match (kernel, about) {
         (NearestKernel::Matrix(units), Some(x)) => Nearest::about(case.input(&vec![x; width]), units, width),
-        _ => Nearest::among(&mut case.rec, kernel, targets, width),
+        _ => Nearest::among(&mut case.rec, kernel, targets),
     };
     let rows = [points, targets].map(|rows| nearest.rows(&mut case.rec, rows));
-    let out = case.output::<u32>(points.1);
+    let out = case.output::<u32>(points.count);
     nearest.record_into(&mut case.rec, rows[0], rows[1], out);
     nearest.origin().into_iter().for_each(|origin| case.rec.output(origin));
     let run = case.run();
@@ -251,7 +251,7 @@ fn tiles_of_gpus() {
     let [points, targets] = [(16, 150), (17, 700)].map(|(seed, rows)| random(seed, rows * 100));
     for kernel in nearest_kernels() {
         let NearestKernel::Matrix(units) = kernel else { continue };
-        let tiles = NearestTile::candidates(&limits, units);
+        let tiles = Tile::nearest(&limits, units);
         assert!(!tiles.is_empty());
         for (index, tile) in tiles.iter().enumerate() {
             let kernel = NearestKernel::Matrix(Units { tiles: Tiles::always(index), ..units });

@@ -1,7 +1,10 @@
 //! Sums, exactly: an f32 sum is the f64 sum rounded once.
 
 use crate::case::{Case, random, rounded};
-use zipsplat::{kernels::ops::Add, ops};
+use zipsplat::{
+    kernels::ops::Add,
+    ops::{self, Rows},
+};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{ops::add::add, widen};
 
@@ -32,7 +35,8 @@ fn adds_in_place_and_in_parts() {
         let max_binding_bytes = limits.max_binding_bytes.min(binding);
         let mut case = Case::within(&zipsplat::gpu::Limits { max_binding_bytes, ..limits.clone() });
         let (target, other) = (case.input(&left), case.input(&right));
-        ops::add(&mut case.rec, target, other, left.len());
+        let rows = |tensor| Rows::new(tensor, left.len() / 8, 8);
+        ops::add(&mut case.rec, rows(target), rows(other));
         case.rec.output(target);
         assert_same(&format!("bindings of {max_binding_bytes}"), &case.result::<f32>(target), &truth(&left, &right));
     }

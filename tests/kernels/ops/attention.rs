@@ -3,7 +3,7 @@
 use crate::case::{Case, attention_kernels, random, stored};
 use zipsplat::gpu::{Element, Limits};
 use zipsplat::kernels::limits::{ATTENTION_ROWS, GROUP_FOLD};
-use zipsplat::ops::{Attention, AttentionKernel, Heads, Part};
+use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Rows};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{ops::attention::attention, widen};
@@ -58,10 +58,11 @@ impl Problem {
         for (tensor, (values, tokens, part)) in tensors.into_iter().zip(parts) {
             // NaN as f32, and as two f16.
             case.rec.fill(tensor, u32::MAX);
-            let projection = (case.input_of(element, values), shape.heads.width());
-            shape.split(&mut case.rec, projection, 0, shape.sequences * tokens, part, tensor);
+            let (count, width) = (shape.sequences * tokens, shape.heads.width());
+            let projection = Rows { tensor: case.input_of(element, values), count, width, element };
+            shape.split(&mut case.rec, projection, 0, part, tensor);
         }
-        let out = shape.record(&mut case.rec, tensors);
+        let out = shape.record(&mut case.rec, tensors).tensor;
         case.rec.output(out);
         case.result_of(element, out)
     }

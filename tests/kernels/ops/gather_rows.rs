@@ -1,7 +1,11 @@
 //! Rows by index, exactly.
 
 use crate::case::{Case, random, random_below, rounded};
-use zipsplat::{gpu::Limits, kernels::ops::GatherRows, ops};
+use zipsplat::{
+    gpu::Limits,
+    kernels::ops::GatherRows,
+    ops::{self, Rows},
+};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{ops::gather_rows::gather_rows, widen};
@@ -56,8 +60,8 @@ fn gathers_from_a_source_that_is_bound_in_parts() {
     let (rows, count, width) = (1000, 77, 12);
     let (source, indices) = (random(3, rows * width), random_below(4, count, rows as u32));
     let mut case = Case::within(&Limits { max_binding_bytes: 16 << 10, ..device().limits().clone() });
-    let (tensor, rows_from_out) = (case.input(&source), case.input(&indices));
-    let out = ops::gather_rows(&mut case.rec, tensor, rows, rows_from_out, count, width);
+    let (rows, rows_from_out) = (Rows::new(case.input(&source), rows, width), case.input(&indices));
+    let out = ops::gather_rows(&mut case.rec, rows, rows_from_out, count).tensor;
     case.rec.output(out);
     let truth = rounded(&gather_rows(&widen(&source), width, &indices));
     assert_same("in parts", &case.result::<f32>(out), &truth);

@@ -3,7 +3,7 @@
 use crate::case::{Case, elements, random};
 use zipsplat::{
     gpu::{Element, Limits},
-    ops::{Norm, NormRows},
+    ops::{Norm, Rows},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -31,9 +31,9 @@ fn check(name: &str, x: &[f32], addend: Option<&[f32]>, width: usize, eps: f32, 
         let mut case = Case::new();
         let norm = norm(&mut case, &weight, &bias, eps);
         let out = case.output_of(output, x.len());
-        let (source, addend_tensor) = (case.input(x), addend.map(|a| case.input(a)));
-        let rows = NormRows { output, ..NormRows::packed(x.len() / width, width) };
-        norm.record(&mut case.rec, source, addend_tensor, out, rows);
+        let rows = |tensor| Rows::new(tensor, x.len() / width, width);
+        let (source, addend) = (rows(case.input(x)), addend.map(|a| rows(case.input(a))));
+        norm.record(&mut case.rec, source, addend, Rows { element: output, ..rows(out) }, 0);
         assert_close(&format!("{name} {output:?}"), &case.result_of(output, out), &truth, tolerance.stored_in(output));
     }
 }
@@ -94,8 +94,8 @@ fn equals_the_goldens() {
     for (eps, key) in [(1e-5, "ops/ln_1e-05"), (1e-6, "ops/ln_1e-06")] {
         let mut case = Case::new();
         let norm = norm(&mut case, &weight, &bias, eps);
-        let input = case.input(&x);
-        let out = norm.apply(&mut case.rec, input, x.len() / width, Element::F32);
+        let input = Rows::new(case.input(&x), x.len() / width, width);
+        let out = norm.apply(&mut case.rec, input, Element::F32).tensor;
         case.rec.output(out);
         assert_close(key, &case.result::<f32>(out), &golden.f32(key), tolerance(width));
     }
@@ -113,9 +113,9 @@ fn skips_camera_tokens_and_writes_between_other_columns() {
         let mut case = Case::within(&Limits { max_binding_bytes, ..limits.clone() });
         let norm = norm(&mut case, &weight, &bias, 1e-5);
         let rows = views * patches;
-        let (input, out) = (case.input(&x), case.output::<f32>(rows * stride));
-        let target = NormRows { rows, out_stride: stride, out_column: column, output: Element::F32, patches };
-        norm.record(&mut case.rec, input, None, out, target);
+        let input = Rows::new(case.input(&x), views * (1 + patches), width);
+        let out = case.output::<f32>(rows * stride);
+        norm.record(&mut case.rec, input, None, Rows::new(out, rows, stride).columns(column, width), patches);
         let got: Vec<f32> = case.result(out);
 
         let tokens = x.chunks(width).enumerate().filter(|(row, _)| row % (1 + patches) != 0);

@@ -2,9 +2,9 @@
 
 use crate::case::{Case, elements, linear_kernels, random, stored};
 use zipsplat::{
-    gpu::{Element, Limits, Tensor},
+    gpu::{Element, Limits},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel, LinearTile, Tiles, Units, pack_matrix},
+    ops::{Activation, Epilogue, Linear, LinearKernel, Rows, Tile, Tiles, Units, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -60,10 +60,12 @@ impl Layer {
     }
 
     /// Rows as a kernel reads them, padded with zeros.
-    fn rows(&self, case: &mut Case, kernel: LinearKernel, x: &[f32]) -> Tensor {
-        let padding = self.inner.next_multiple_of(kernel.vector()) - self.inner;
-        let padded: Vec<f32> = x.chunks(self.inner).flat_map(|row| [row, &vec![0.0; padding]].concat()).collect();
-        case.input_of(kernel.element(), &padded)
+    fn rows(&self, case: &mut Case, kernel: LinearKernel, x: &[f32]) -> Rows {
+        let width = self.inner.next_multiple_of(kernel.vector());
+        let padding = vec![0.0; width - self.inner];
+        let padded: Vec<f32> = x.chunks(self.inner).flat_map(|row| [row, &padding].concat()).collect();
+        let element = kernel.element();
+        Rows { tensor: case.input_of(element, &padded), count: x.len() / self.inner, width, element }
     }
 
     /// Of factors as `factor` stores them.
@@ -146,10 +148,10 @@ fn check_kernel(
     let epilogue = Epilogue {
         activation,
         gamma: gamma.as_ref().map(|g| case.input(g)),
-        residual: residual.as_ref().map(|r| case.input(r)),
-        output,
+        residual: residual.as_ref().map(|r| Rows::new(case.input(r), rows, out_columns)),
     };
-    device_layer.record(&mut case.rec, input, rows, out, epilogue);
+    let out_rows = Rows { tensor: out, count: rows, width: out_columns, element: output };
+    device_layer.record(&mut case.rec, input, out_rows, epilogue);
     let name = format!("{kernel:?} {rows} x {} -> {} {activation:?} {scaled} {added}", layer.inner, layer.columns);
     let product = layer.truth(kernel.factor(), &x, activation, gamma.as_deref());
     let truth = residual.map_or(product.clone(), |residual| add(&product, &widen(&residual)));
@@ -208,9 +210,10 @@ fn adds_to_its_own_output() {
         let x = holdable(kernel.factor(), &random(6, rows * 40), 40);
         let mut case = Case::new();
         let (input, residual) = (layer.rows(&mut case, kernel, &x), case.input(&stream));
-        let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(residual), ..Epilogue::default() };
+        let target = Rows::new(residual, rows, 52);
+        let epilogue = Epilogue { gamma: Some(case.input(&gamma)), residual: Some(target), ..Epilogue::default() };
         let device_layer = layer.input(&mut case, kernel, Activation::None);
-        device_layer.record(&mut case.rec, input, rows, residual, epilogue);
+        device_layer.record(&mut case.rec, input, target, epilogue);
         case.rec.output(residual);
         let product = layer.truth(kernel.factor(), &x, Activation::None, Some(&gamma));
         let truth = add(&product, &widen(&stream));
@@ -228,8 +231,8 @@ fn what_f16_cannot_hold_saturates() {
             let mut case = Case::new();
             let input = layer.rows(&mut case, kernel, &[100.0 * sign; 8]);
             let device_layer = layer.input(&mut case, kernel, activation);
-            let epilogue = Epilogue { activation, output: Element::F16, ..Epilogue::default() };
-            let out = device_layer.apply(&mut case.rec, "out", input, 1, epilogue);
+            let epilogue = Epilogue { activation, ..Epilogue::default() };
+            let out = device_layer.apply(&mut case.rec, "out", input, Element::F16, epilogue).tensor;
             case.rec.output(out);
             let values = case.result_of(Element::F16, out);
             assert!(values.iter().all(|x| *x == 65504.0 * sign), "{kernel:?} {activation:?}: {values:?}");
@@ -257,7 +260,7 @@ fn tiles_of_gpus() {
     let limits = Limits { cpu: false, ..device().limits().clone() };
     let layer = Layer::random(72, 260);
     for units in [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, &limits)) {
-        for (index, tile) in LinearTile::candidates(&limits, units).iter().enumerate() {
+        for (index, tile) in Tile::linear(&limits, units).iter().enumerate() {
             let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
             println!("{tile}");
             check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);

@@ -1,7 +1,11 @@
 //! Arrays side by side, exactly.
 
 use crate::case::{Case, elements, random, rounded, stored};
-use zipsplat::{gpu::Element, kernels::ops::PlaceColumns, ops};
+use zipsplat::{
+    gpu::Element,
+    kernels::ops::PlaceColumns,
+    ops::{self, Rows},
+};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{ops::place_columns::join_columns, widen};
 
@@ -13,8 +17,9 @@ fn equals_joined_rows() {
         let truth = rounded(&join_columns(&widen(&left), left_width, &widen(&right), right_width));
         for output in elements() {
             let mut case = Case::new();
-            let parts = [(case.input(&left), left_width), (case.input(&right), right_width)];
-            let out = ops::join_columns(&mut case.rec, rows, parts, output);
+            let parts = [(&left, left_width), (&right, right_width)];
+            let parts = parts.map(|(values, width)| Rows::new(case.input(values), rows, width));
+            let out = ops::join_columns(&mut case.rec, parts, output).tensor;
             case.rec.output(out);
             let name = format!("{rows} rows of {left_width} + {right_width} {output:?}");
             assert_same(&name, &case.result_of(output, out), &stored(output, truth.clone()));
@@ -27,8 +32,8 @@ fn what_a_type_cannot_hold_saturates() {
     let values = [f32::MAX, -f32::MAX, 3.39e38, -7e4, 65519.0, 1e-3];
     for output in elements() {
         let mut case = Case::new();
-        let parts = [(case.input(&values[..3]), 3), (case.input(&values[3..]), 3)];
-        let out = ops::join_columns(&mut case.rec, 1, parts, output);
+        let parts = [&values[..3], &values[3..]].map(|values| Rows::new(case.input(values), 1, 3));
+        let out = ops::join_columns(&mut case.rec, parts, output).tensor;
         case.rec.output(out);
         let got = case.result_of(output, out);
         assert_same(&format!("{output:?}"), &got, &stored(output, values.to_vec()));

@@ -1,15 +1,19 @@
 //! Rows as 8-bit integers: the nearest ones, or either where rounding of f32 decides between two.
 
 use crate::case::{Case, elements, random, stored};
-use zipsplat::{gpu::Element, ops::quantise_rows};
+use zipsplat::{
+    gpu::Element,
+    ops::{Rows, quantise_rows},
+};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{ops::quantise_rows::quantise_rows as reference, widen};
 
 /// What the kernel makes of `values`: integers and scales.
 fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
     let mut case = Case::new();
-    let source = case.input_of(Element::F16, values);
-    let (out, scales) = quantise_rows(&mut case.rec, source, rows, width);
+    let source = Rows { tensor: case.input_of(Element::F16, values), count: rows, width, element: Element::F16 };
+    let (out, scales) = quantise_rows(&mut case.rec, source);
+    let out = out.tensor;
     case.rec.output(out);
     case.rec.output(scales);
     let run = case.run();

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::json;
-use zipsplat::types::poses::{Frame, read_poses};
+use zipsplat::types::poses::{Frame, read_poses, write_frames};
 use zipsplat::types::{Image, Intrinsics};
 
 const SIZE: [u32; 2] = [240, 180];
@@ -144,5 +144,16 @@ fn spots_stand_where_the_pinhole_camera_of_a_transforms_file_sees_them() {
         let poses = read_poses(folder.path()).unwrap();
         assert!(poses.notes[0].contains("distortion of 1 frames is undone"), "{:?}", poses.notes);
         assert_undone(model, &poses.frames[0], folder.path(), &LENS, distort);
+        // Written again, alone and beside a frame of another lens.
+        let pinhole = Frame { name: "b.png".into(), photo: None, lens: None, ..poses.frames[0].clone() };
+        for frames in [vec![poses.frames[0].clone()], vec![poses.frames[0].clone(), pinhole]] {
+            write_frames(folder.path().join("again.json"), &frames, Some("cloud.ply")).unwrap();
+            let again = read_poses(folder.path().join("again.json")).unwrap();
+            assert_eq!((again.frames, again.points), (frames.clone(), None), "{model}");
+            fs::write(folder.path().join("cloud.ply"), "").unwrap();
+            let points = read_poses(folder.path().join("again.json")).unwrap().points;
+            assert_eq!(points, Some(folder.path().join("cloud.ply")));
+            fs::remove_file(folder.path().join("cloud.ply")).unwrap();
+        }
     }
 }

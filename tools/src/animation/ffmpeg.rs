@@ -1,14 +1,16 @@
 //! MP4 by an installed ffmpeg, which gets the pictures through a pipe.
 
 use super::Encoder;
-use crate::session::Stage;
+use crate::{
+    process::{self, Running, failure, listen},
+    session::Stage,
+};
 use std::{
     ffi::OsString,
-    io::{ErrorKind, Read, Write},
+    io::{ErrorKind, Write},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     thread::JoinHandle,
-    time::{Duration, Instant},
 };
 use zipsplat::{
     Error, Result,
@@ -18,10 +20,6 @@ use zipsplat::{
 /// H.264 as every player has it: half as many colour samples a side, for which sides have to be even.
 const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart \
                         -metadata comment=zipsplat -f mp4";
-/// Between looks at whether ffmpeg is done.
-const POLL: Duration = Duration::from_millis(10);
-/// For a process that no longer reads to say why.
-const LAST_WORDS: Duration = Duration::from_secs(2);
 
 pub struct Ffmpeg {
     program: PathBuf,
@@ -32,23 +30,12 @@ pub struct Ffmpeg {
     file: Unfinished,
 }
 
-/// A process that ends with this command's interest in it.
-struct Running(Child);
-
 /// Whether ffmpeg runs.
 ///
 /// # Errors
 /// [`Error::Argument`] where it does not.
 pub fn check(program: &Path) -> Result<()> {
-    let mut command = Command::new(program);
-    command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    let reason = match command.status() {
-        Ok(status) if status.success() => return Ok(()),
-        Ok(status) => status.to_string(),
-        Err(error) => error.to_string(),
-    };
-    let expected = "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none";
-    Err(Error::argument("ffmpeg", format!("{}: {reason}", program.display()), expected))
+    process::check(program, "ffmpeg", "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none")
 }
 
 impl Ffmpeg {
@@ -62,27 +49,15 @@ impl Ffmpeg {
         out.push(file.temporary_path());
         command.args(ENCODING.split_whitespace()).arg(out);
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
-        // Ctrl-C in a terminal goes to a whole group; this command ends ffmpeg itself.
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let mut child = command.spawn().map_err(|source| Error::io(program, source))?;
-        let said = child.stderr.take().map(|mut stderr| {
-            std::thread::spawn(move || {
-                let mut said = Vec::new();
-                // What was said until it broke off is all there is to tell.
-                let _ = stderr.read_to_end(&mut said);
-                String::from_utf8_lossy(&said).into_owned()
-            })
-        });
-        Ok(Self { program: program.into(), child: Running(child), said, file })
+        let mut child = Running::start(&mut command).map_err(|source| Error::io(program, source))?;
+        let said = child.0.stderr.take().map(listen);
+        Ok(Self { program: program.into(), child, said, file })
     }
 
     /// Ffmpeg's own words, or the reason given.
     fn failure(&mut self, reason: String) -> Error {
         let said = self.said.take().and_then(|said| said.join().ok()).unwrap_or_default();
-        let words = if said.trim().is_empty() { reason } else { said.trim().to_owned() };
-        // Not a broken pipe: that means that nobody reads our own output.
-        Error::io(&self.program, std::io::Error::other(words))
+        failure(&self.program, &said, reason)
     }
 }
 
@@ -103,37 +78,11 @@ impl Encoder for Ffmpeg {
 
     fn finish(mut self: Box<Self>, stage: &Stage<'_>) -> Result<()> {
         drop(self.child.0.stdin.take());
-        let status = loop {
-            match self.child.0.try_wait().map_err(|source| Error::io(&self.program, source))? {
-                Some(status) => break status,
-                None => stage.reach(1.0)?,
-            }
-            std::thread::sleep(POLL);
-        };
+        let status = self.child.wait(self.program.as_os_str(), stage)?;
         if !status.success() {
             return Err(self.failure(status.to_string()));
         }
         let Self { file, .. } = *self;
         file.finish()
-    }
-}
-
-impl Running {
-    /// Waits a moment for its end, then ends it.
-    fn end_soon(&mut self) {
-        let asked = Instant::now();
-        while asked.elapsed() < LAST_WORDS && matches!(self.0.try_wait(), Ok(None)) {
-            std::thread::sleep(POLL);
-        }
-        // It may have ended already.
-        let _ = self.0.kill();
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended already; a child that is not waited for stays in the system's table.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }

@@ -4,9 +4,11 @@ mod alignment;
 
 use crate::{
     align::Method,
+    cameras::{Finding, Known},
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
+    photos,
     refinement::{self, Moved, Refinable, Start, Steps},
     session::Session,
     table::Table,
@@ -47,10 +49,17 @@ const SHOWN: usize = 12;
 #[command(after_help = "Examples:
   zipsplat eval capture/ --views 8
   zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
+  zipsplat eval photos/ --views 8 --poses find --refine 100
   zipsplat eval capture/ --views 8 --targets 8 --pose-free")]
 pub struct Eval {
-    /// Folder with photos and their cameras: a transforms.json or a COLMAP model
+    /// Folder with photos and their cameras: a transforms.json or a COLMAP model; with --poses the photos alone
     folder: PathBuf,
+    /// Cameras of the photos: transforms.json, a COLMAP model's folder, or find, where COLMAP finds them [default: those in the
+    /// folder]
+    #[arg(long, value_name = "PATH|find")]
+    poses: Option<PathBuf>,
+    #[command(flatten)]
+    finding: Finding,
     /// Photos to reconstruct from, spread by farthest-point sampling of where they were taken
     #[arg(long, value_name = "N", default_value = "8", value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
@@ -118,7 +127,12 @@ impl Eval {
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
         fit.check(size, !self.pose_free)?;
         self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
-        let mut choice = Choice::new(&self.folder, self.views as usize, self.targets.map(|targets| targets as usize))?;
+        let (count, targets) = (self.views as usize, self.targets.map(|targets| targets as usize));
+        let known = self.known(session)?;
+        let mut choice = match &known {
+            Some(known) => Choice::of(known.poses.clone(), &self.folder, count, targets)?,
+            None => Choice::new(&self.folder, count, targets)?,
+        };
         choice.notes().iter().for_each(|note| session.note(note));
         choice.disturb(self.disturb, self.unit)?;
         let chosen = (self.quality.ratio, &self.quality.select);
@@ -146,7 +160,7 @@ impl Eval {
         let mut scene = result.scene()?;
         self.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
-        let mut started = "the network's tokens";
+        let mut started = refinement::TOKENS;
         let refined = match (self.refine, &tokens) {
             (Some(Steps { count, .. }), Some(tokens)) => {
                 let head = FrozenHead::load(&device, &checkpoint)?;
@@ -225,6 +239,24 @@ impl Eval {
             "mean": mean, "aligned": alignment, "views": scores,
         });
         session.report(&json, text)
+    }
+
+    /// The cameras of the folder's photos, where they are not in it.
+    fn known(&self, session: &mut Session<'_>) -> Result<Option<Known>> {
+        let Some(path) = &self.poses else { return Ok(None) };
+        let photos = photos::list(session, std::slice::from_ref(&self.folder))?;
+        let mut known = Known::of(session, path, &photos, &self.finding)?;
+        // The photos are those of the folder, wherever the file of their cameras lies.
+        for photo in photos::posed(session, photos, &known.poses)? {
+            let place = known.poses.frames_of(&[&photo])?[0].name.clone();
+            known
+                .poses
+                .frames
+                .iter_mut()
+                .filter(|frame| frame.name == place)
+                .for_each(|frame| frame.photo = Some(photo.clone()));
+        }
+        Ok(Some(known))
     }
 
     /// Refines a scene against the inputs as they are compared.

@@ -1,6 +1,7 @@
 //! The commands, one file each.
 
 mod bench;
+mod cameras;
 mod convert;
 mod doctor;
 mod eval;
@@ -20,6 +21,7 @@ use zipsplat::{Error, Result};
 #[derive(Subcommand)]
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
+    Cameras(cameras::Cameras),
     Refine(refine::Refine),
     Render(render::Render),
     Info(info::Info),
@@ -43,6 +45,7 @@ impl Command {
         }
         match self {
             Command::Reconstruct(command) => command.run(session),
+            Command::Cameras(command) => command.run(session),
             Command::Refine(command) => command.run(session),
             Command::Render(command) => command.run(session),
             Command::Info(command) => command.run(session),

@@ -2,14 +2,16 @@
 
 use super::render::Render;
 use crate::{
+    cameras::{Finding, Known, Place},
     explain::Explanation,
-    options::{Quality, Size, Weights, parse_length},
+    options::{Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
-    photos,
-    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, Steps, check_cameras_out, placed, save_cameras},
+    photos::{self, PhotoArgs},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, Steps, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
+    video::FrameFolder,
     views::{FitOption, Views},
 };
 use clap::{ArgGroup, Args, ValueEnum};
@@ -24,7 +26,7 @@ use zipsplat::{
     stages::render::Renderer,
     types::{
         Camera, PointCloud, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, read_cloud, read_poses},
+        poses::{Frame, read_cloud},
         spz_coarsening,
     },
     weights::Checkpoint,
@@ -39,15 +41,16 @@ use zipsplat::{
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --refine -o sharp.ply
+  zipsplat reconstruct photos/ --poses find --refine -o sharp.ply
+  zipsplat reconstruct clip.mp4 --views 24 --poses find --cameras-out cameras.json -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 
 seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
 pub struct Reconstruct {
-    /// Photos (PNG, JPEG, WebP), or folders of them, taken in natural order of their names
-    #[arg(required = true)]
-    photos: Vec<PathBuf>,
+    #[command(flatten)]
+    input: PhotoArgs,
     /// Scene to write: .ply, .spz, .splat, .glb or .gltf
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
@@ -59,12 +62,19 @@ pub struct Reconstruct {
     quality: Quality,
     #[command(flatten)]
     fit: FitOption,
-    /// Take at most so many of the photos, evenly spread, the first and the last among them [default: all]
+    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
+    /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
-    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
+    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, where COLMAP finds
+    /// them
+    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
     poses: Option<PathBuf>,
+    #[command(flatten)]
+    finding: Finding,
+    /// Write the cameras that were found: transforms.json, points and COLMAP's log beside it
+    #[arg(long, value_name = "FILE", requires = "poses")]
+    cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
     /// the cameras look at, else the distance between cameras]
@@ -78,7 +88,7 @@ pub struct Reconstruct {
     explain: bool,
     /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
     /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
-    /// the step that predicts it best
+    /// the step that predicts it best. Ctrl-C in between writes the best so far
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         )]
     refine: Option<Option<Steps>>,
@@ -96,7 +106,7 @@ pub struct Reconstruct {
     moved: Moved,
     /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
     #[arg(long, value_name = "FILE", requires = "refine_cameras")]
-    cameras_out: Option<PathBuf>,
+    refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -123,6 +133,7 @@ struct Made {
     started: &'static str,
     /// The cameras that it was given.
     cameras: Vec<Camera>,
+    request: Refine,
 }
 
 /// The world that a scene is in.
@@ -153,14 +164,35 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
-        self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
+        if let Some(place) = &self.cameras_out {
+            let find = self.poses.as_deref().is_some_and(Known::to_find);
+            refuse("--cameras-out", !find, "cameras that are known", "--poses find")?;
+            Place(place).check(self.overwrite)?;
+        }
+        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let drawing = self.drawing()?;
         self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
-        let mut photos = photos::list(session, &self.photos)?;
-        let poses = self.poses.as_ref().map(read_poses).transpose()?;
+        let (mut photos, mut frame_folder) = {
+            let named_in =
+                self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
+            self.input.list(session, self.views, named_in)?
+        };
+        let find = self.poses.as_deref().is_some_and(Known::to_find);
+        if let (true, Some(views)) = (find, self.views) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let of_photos = |path: &PathBuf| Known::of(session, path, &photos, &self.finding);
+        let known = self.poses.as_ref().map(of_photos).transpose()?;
+        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
+        if let (Some(place), Some(poses), Some(found)) =
+            (&self.cameras_out, &poses, found.as_ref().and_then(Option::as_ref))
+        {
+            Place(place).save(poses, found)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
         if let Some(poses) = &poses {
             poses.notes.iter().for_each(|note| session.note(note));
             photos = photos::posed(session, photos, poses)?;
@@ -175,7 +207,7 @@ impl Reconstruct {
         if self.weights.is_embedded() && self.poses.is_none() && photos.len() > 1 {
             session.note(
                 "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
-                 one photo, or known cameras, gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
+                 one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
@@ -185,7 +217,6 @@ impl Reconstruct {
         let (views, chosen) = (fit.count(&photos)?, (*ratio, select));
         let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, self.poses.is_some())?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        check_cameras_out(self.cameras_out.as_deref(), &frames)?;
         let device = session.device()?;
         let (precision, arithmetic) = arithmetic.choose(session, &device)?;
 
@@ -234,10 +265,17 @@ impl Reconstruct {
             spz_coarsening(&scene).into_iter().for_each(|note| session.note(note));
         }
         let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
+        if let Some(Made { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) = &refined {
+            save()?.into_iter().for_each(|note| session.note(note));
+            session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
+            return Err(Error::Cancelled);
+        }
         let (note, write) = session.stage("write", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
-        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.cameras_out, &refined, frames.first()) {
-            save_cameras(path, refined, &first.camera.pose, &photos)?;
+        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, frames.first())
+        {
+            save_cameras(path, refined, &first.camera.pose, &photos, &frames)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
@@ -296,8 +334,11 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some(Made { refined, started, cameras }) = &refined {
+        if let Some(Made { refined, started, cameras, request }) = &refined {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
+            if self.explain {
+                text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
+            }
             json["refined"] = refinement::as_json(refined, started, cameras);
         }
         if let Some((pictures, told)) = drawn {
@@ -329,7 +370,7 @@ impl Reconstruct {
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
         let request = self.moved.request(request);
-        let mut started = "the network's tokens";
+        let mut started = refinement::TOKENS;
         let refined = if let Some(tokens) = &from.tokens {
             let head = FrozenHead::load(from.device, from.checkpoint)?;
             refinement::refine(session, Refinable::Tokens(&head, tokens), &photos, &cameras, &request)?
@@ -341,8 +382,8 @@ impl Reconstruct {
         };
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
-            Some(Stopped::Cancelled) => Err(Error::Cancelled),
-            _ => Ok(Made { refined, started, cameras }),
+            Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
+            _ => Ok(Made { refined, started, cameras, request }),
         }
     }
 

@@ -1,12 +1,12 @@
 //! `zipsplat refine`: a scene that is made to look like photos.
 
 use crate::{
-    cameras::origin,
+    cameras::{Finding, Known, origin},
     explain::Explanation,
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, check_cameras_out, placed, save_cameras},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, placed, save_cameras},
     session::Session,
     table::counted,
 };
@@ -19,7 +19,7 @@ use zipsplat::{
     refine::{self, Refined, Stopped},
     types::{
         Camera, Image, Pose, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, Poses, read_cloud, read_poses},
+        poses::{Frame, Poses, read_cloud},
         read_world,
     },
 };
@@ -34,8 +34,9 @@ use zipsplat::{
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
   zipsplat refine photos/ --poses transforms.json --start points --steps 500 -o scene.ply
+  zipsplat refine photos/ --poses find --start points -o scene.ply
   zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply
-  zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --cameras-out exact.json -o better.ply")]
+  zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --refined-cameras exact.json -o better.ply")]
 pub struct Refine {
     /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
@@ -47,9 +48,12 @@ pub struct Refine {
     overwrite: Overwrite,
     #[command(flatten)]
     input: SceneInput,
-    /// Known cameras: transforms.json, or a COLMAP model's folder; photos are matched by file name
-    #[arg(long, visible_alias = "cameras", value_name = "PATH")]
+    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, with --start
+    /// points, where COLMAP finds them
+    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
     poses: PathBuf,
+    #[command(flatten)]
+    finding: Finding,
     /// Photo whose camera is the scene's world [default: the one that the scene's file names, else the cameras' own world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
@@ -72,11 +76,11 @@ pub struct Refine {
     moved: Moved,
     /// File for the cameras as they were refined: a transforms.json in the world of the cameras given
     #[arg(long, value_name = "FILE", requires = "refine_cameras")]
-    cameras_out: Option<PathBuf>,
+    refined_cameras: Option<PathBuf>,
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Also print the passes of a step, with time and bytes
+    /// Also print the passes of a step, with time and bytes, and what was refined and how
     #[arg(long)]
     explain: bool,
 }
@@ -97,19 +101,24 @@ impl Refine {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
-        self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
+        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
-        let poses = read_poses(&self.poses)?;
-        poses.notes.iter().for_each(|note| session.note(note));
+        if Known::to_find(&self.poses) && self.start != Start::Points {
+            let expected = "--start points: the scene is in another world than cameras that are found anew";
+            return Err(Error::argument("--poses find", "with a scene", expected));
+        }
         let photos = photos::list(session, files)?;
-        let paths = photos::posed(session, photos, &poses)?;
-        let frames = poses.frames_of(&paths)?;
-        check_cameras_out(self.cameras_out.as_deref(), &frames)?;
+        let Known { poses, found } = Known::of(session, &self.poses, &photos, &self.finding)?;
+        poses.notes.iter().for_each(|note| session.note(note));
+        let photos = photos::posed(session, photos, &poses)?;
+        let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
+        // COLMAP's points have been read.
+        drop(found);
         let device = session.device()?;
-        let (photos, _) =
-            session.stage("load photos", |stage| photos::read(&paths, &frames, stage, |_, photo| Ok(photo)))?;
-        let refined = self.refine(session, &device, &started, &photos)?;
+        let (images, _) =
+            session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
+        let (refined, request) = self.refine(session, &device, &started, &images)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         if refined.stopped == Some(Stopped::Cancelled) && refined.best_step == 0 {
             return Err(Error::Cancelled);
@@ -117,14 +126,14 @@ impl Refine {
         let options = WriteOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, Some(&started.world))?;
         note.into_iter().for_each(|note| session.note(note));
-        if let Some(path) = &self.cameras_out {
-            save_cameras(path, &refined, &started.pose, &paths)?;
+        if let Some(path) = &self.refined_cameras {
+            save_cameras(path, &refined, &started.pose, &photos, &frames)?;
         }
         if refined.stopped == Some(Stopped::Cancelled) {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
             return Err(Error::Cancelled);
         }
-        self.report(session, device.limits().name.clone(), &started.cameras, refined)
+        self.report(session, device.limits().name.clone(), (&photos, &started.cameras), refined, &request)
     }
 
     /// The scene's file, where there has to be one, and those of the photos.
@@ -170,7 +179,13 @@ impl Refine {
         Ok(Started { scene, cameras, world, pose })
     }
 
-    fn refine(&self, session: &Session<'_>, device: &Device, started: &Started, photos: &[Image]) -> Result<Refined> {
+    fn refine(
+        &self,
+        session: &Session<'_>,
+        device: &Device,
+        started: &Started,
+        photos: &[Image],
+    ) -> Result<(Refined, refine::Refine)> {
         let request = refine::Refine {
             steps: self.steps,
             views_per_step: self.batch,
@@ -182,25 +197,33 @@ impl Refine {
         };
         let request = self.moved.request(request);
         let from = Refinable::Scene(device, &started.scene);
-        refinement::refine(session, from, photos, &started.cameras, &request)
+        Ok((refinement::refine(session, from, photos, &started.cameras, &request)?, request))
     }
 
-    fn report(&self, session: &mut Session<'_>, device: String, cameras: &[Camera], refined: Refined) -> Result<()> {
-        let (count, photos) = (refined.scene.len(), cameras.len());
+    fn report(
+        &self,
+        session: &mut Session<'_>,
+        device: String,
+        (photos, cameras): (&[PathBuf], &[Camera]),
+        refined: Refined,
+        request: &refine::Refine,
+    ) -> Result<()> {
+        let start = self.start.name();
+        let count = refined.scene.len();
         let mut json = json!({
-            "output": self.output, "device": device, "photos": photos, "gaussians": count,
-            "refined": refinement::as_json(&refined, self.start.name(), cameras),
+            "output": self.output, "device": device, "photos": photos.len(), "gaussians": count,
+            "refined": refinement::as_json(&refined, start, cameras),
         });
         let mut text = format!(
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
-            counted(photos, "photo"),
-            refinement::summary(&refined, self.start.name(), cameras),
+            counted(photos.len(), "photo"),
+            refinement::summary(&refined, start, cameras),
         );
-        if let Some(profile) = refined.profile {
-            let explanation = Explanation::of_kernels(&profile, Vec::new());
-            text += &format!("\n{explanation}");
+        if let Some(profile) = &refined.profile {
+            let explanation = Explanation::of_kernels(profile, Vec::new());
+            text += &format!("\n{explanation}\n{}", refinement::explain(&refined, request, start, photos));
             json["explain"] = json!(explanation);
         }
         session.report(&json, text)

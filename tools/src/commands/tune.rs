@@ -7,7 +7,7 @@ use std::time::Instant;
 use zipsplat::{
     Error, Result,
     gpu::Matrices,
-    ops::{Measured, Tuning},
+    tune::{Measured, Tuning},
 };
 
 /// Measure which tiles of matrix kernels are fastest on this device, for all later runs
@@ -54,7 +54,7 @@ impl Tune {
             for (tile, ms) in &measured.tiles {
                 let best = if measured.best() == Some(tile) { "fastest" } else { "" };
                 table.row([
-                    measured.kernel.name().into(),
+                    measured.kernel.clone(),
                     measured.factor.name().into(),
                     tile.clone(),
                     measured.values.to_string(),

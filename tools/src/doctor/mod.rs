@@ -21,6 +21,7 @@ mod positions;
 pub mod report;
 mod sort;
 mod splatting;
+mod splatting_backward;
 mod trial;
 
 pub use bound::Worst;
@@ -196,6 +197,10 @@ pub fn catalogue() -> Vec<Area> {
         sort::area(),
         splatting::area(),
         loss::area(),
+        splatting_backward::rasterise(),
+        splatting_backward::colour(),
+        splatting_backward::project(),
+        splatting_backward::cameras(),
         head_backward::activations(),
         head_backward::gelu(),
         adam::area(),

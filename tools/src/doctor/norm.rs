@@ -11,7 +11,7 @@ use zipsplat::{
     Result,
     gpu::Device,
     kernels::limits::GROUP_FOLD,
-    ops::{Norm, NormRows},
+    ops::{Norm, Rows},
 };
 use zipsplat_reference::{ops::layer_norm::layer_norm, widen};
 
@@ -149,7 +149,8 @@ impl case::Problem for Problem {
         let (weight, bias) = (trial.input(&self.weight), trial.input(&self.bias));
         let norm = Norm { weight, bias, width: self.width, eps: EPS };
         let (input, out) = (trial.input(&self.x), trial.output::<f32>(self.x.len()));
-        norm.record(&mut trial.rec, input, None, out, NormRows::packed(self.x.len() / self.width, self.width));
+        let [rows, out_rows] = [input, out].map(|tensor| Rows::new(tensor, self.x.len() / self.width, self.width));
+        norm.record(&mut trial.rec, rows, None, out_rows, 0);
         trial.result(out)
     }
 

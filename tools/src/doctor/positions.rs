@@ -12,7 +12,7 @@ use zipsplat::{
     Result,
     gpu::{Device, Element},
     kernels::limits::GROUP_FOLD,
-    ops::{Attention, AttentionKernel, Heads, Norm, Part},
+    ops::{Attention, AttentionKernel, Heads, Norm, Part, Rows},
     stages::backbone::{interpolate_positions, rotary_tables},
 };
 use zipsplat_reference::{
@@ -133,9 +133,9 @@ impl case::Problem for Problem {
             scale: shape.scale(),
             ..Part::default()
         };
-        let input = trial.input(&inputs.projection);
+        let input = Rows::new(trial.input(&inputs.projection), tokens, width);
         let out = trial.output::<f32>(tokens * width);
-        shape.split(&mut trial.rec, (input, width), 0, tokens, part, out);
+        shape.split(&mut trial.rec, input, 0, part, out);
         let by_head: Vec<f32> = trial.result(out)?;
         // [heads, tokens, dim] to [tokens, heads, dim]
         let token = |i: usize| &by_head[(i % HEADS * tokens + i / HEADS) * dim..][..dim];

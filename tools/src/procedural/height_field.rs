@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3A, Vec3Swizzles};
 
-use super::shape::slab;
+use super::slab::slab;
 
 /// Cells along a side of a block.
 const BLOCK: usize = 8;

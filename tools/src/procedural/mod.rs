@@ -16,6 +16,7 @@ mod photos;
 mod rng;
 mod shape;
 pub mod shards;
+mod slab;
 mod splats;
 mod survey;
 mod texture;

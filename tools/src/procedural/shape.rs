@@ -6,6 +6,7 @@ use glam::{Mat3A, Vec2, Vec3A, Vec3Swizzles};
 
 use super::height_field::HeightField;
 use super::material::Material;
+use super::slab::slab;
 
 /// Sphere tracing of a torus ends here; rays that graze it need the most.
 const TORUS_STEPS: usize = 96;
@@ -162,14 +163,6 @@ fn axis_of(v: Vec3A) -> Vec3A {
 /// The first positive end of a ray's interval inside a solid.
 fn nearer(interval: Option<[f32; 2]>) -> Option<f32> {
     interval.map(|[enter, leave]| if enter > 0.0 { enter } else { leave })
-}
-
-/// Kay and Kajiya's slabs. A ray along a face may give NaN there, which min and max drop.
-pub(super) fn slab(origin: Vec3A, direction: Vec3A, half: Vec3A) -> Option<[f32; 2]> {
-    let inverse = direction.recip();
-    let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
-    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
-    (enter <= leave).then_some([enter, leave])
 }
 
 /// The unit sphere, measured from the ray's point nearest to the centre: no cancellation when the origin is far away.

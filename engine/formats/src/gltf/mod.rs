@@ -11,7 +11,7 @@ use std::path::Path;
 use glam::{DMat3, DMat4, DVec3};
 use rayon::prelude::*;
 
-use super::scene_file::Format;
+use super::format::Format;
 use super::{Pose, Scene, axes::HalfTurn::AboutZ, source::Source};
 use crate::{Error, Result};
 use buffers::Buffers;

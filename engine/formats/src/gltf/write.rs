@@ -6,7 +6,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::scene_file::{Encoder, SceneFormat, WriteOptions, write_as};
+use crate::format::{Encoder, WriteOptions};
 use crate::{Error, Result};
 use crate::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world::MADE_BY};
 
@@ -42,8 +42,8 @@ impl Attributes {
 /// [`Error::Argument`] when the scene is not valid or empty, which glTF does not know, or longer than the 4 GiB of a `.glb`;
 /// [`Error::Io`] when the file cannot be written.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
-    let format = if binary { SceneFormat::Glb } else { SceneFormat::Gltf };
-    write_as(format, path.as_ref(), scene, &WriteOptions::default(), None)
+    let format = if binary { &super::BINARY } else { &super::TEXT };
+    format.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
 }
 
 pub(super) fn binary<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::scene_file::{Encoder, Format};
+use super::format::{Encoder, Format};
 use super::{
     Scene,
     file::write_atomic,

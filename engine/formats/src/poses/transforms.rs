@@ -146,31 +146,67 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
     }
-    for (i, camera) in cameras.iter().enumerate() {
-        camera.validate(&format!("camera {i}"))?;
+    let frame = |(camera, name): (&Camera, _)| Frame { name, photo: None, camera: *camera, lens: None };
+    let names = names.iter().map(|name| name.as_ref().to_owned());
+    write_frames(path, &cameras.iter().zip(names).map(frame).collect::<Vec<_>>(), None)
+}
+
+/// Writes posed photos as [`write_transforms`] does, with the distortion of their lenses as OpenCV names it, and the path of
+/// their point cloud relative to the file.
+///
+/// # Errors
+/// [`Error::Argument`] when a camera is not valid, [`Error::Io`] when the file cannot be written.
+pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&str>) -> Result<()> {
+    for (i, frame) in frames.iter().enumerate() {
+        frame.camera.validate(&format!("camera {i}"))?;
     }
-    let shared = cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics);
-    let mut top = Map::from_iter([("camera_model".into(), json!("PINHOLE")), ("generator".into(), json!("zipsplat"))]);
-    if let (true, Some(camera)) = (shared, cameras.first()) {
-        top.extend(intrinsics_fields(&camera.intrinsics));
+    let lens = |frame: &Frame| (frame.camera.intrinsics, frame.lens);
+    let shared = frames.windows(2).all(|pair| lens(&pair[0]) == lens(&pair[1]));
+    let mut top = Map::from_iter([("generator".into(), json!("zipsplat"))]);
+    top.extend(points.map(|points| ("ply_file_path".into(), json!(points))));
+    match frames {
+        [first, ..] if shared => top.extend(lens_fields(first)),
+        [] => top.extend([("camera_model".into(), json!(PINHOLE))]),
+        _ => {}
     }
-    let frames: Vec<Value> = cameras
-        .iter()
-        .zip(names)
-        .map(|(camera, name)| {
-            let mut frame = Map::from_iter([("file_path".into(), json!(name.as_ref()))]);
-            frame.insert("transform_matrix".into(), opengl_rows(&camera.pose));
-            if !shared {
-                frame.extend(intrinsics_fields(&camera.intrinsics));
-            }
-            Value::Object(frame)
-        })
-        .collect();
-    top.insert("frames".into(), Value::Array(frames));
+    let object = |frame: &Frame| {
+        let mut object = Map::from_iter([("file_path".into(), json!(frame.name))]);
+        object.insert("transform_matrix".into(), opengl_rows(&frame.camera.pose));
+        if !shared {
+            object.extend(lens_fields(frame));
+        }
+        Value::Object(object)
+    };
+    top.insert("frames".into(), Value::Array(frames.iter().map(object).collect()));
     write_atomic(path.as_ref(), |out| {
         serde_json::to_writer_pretty(&mut *out, &top)?;
         writeln!(out)
     })
+}
+
+/// The camera model of frames without distortion.
+const PINHOLE: &str = "PINHOLE";
+
+/// A frame's model, intrinsics and coefficients, as [`Fields`] reads them; coefficients of 0 are left out.
+fn lens_fields(frame: &Frame) -> Map<String, Value> {
+    let Some(lens) = &frame.lens else {
+        let model = ("camera_model".to_owned(), json!(PINHOLE));
+        return intrinsics_fields(&frame.camera.intrinsics).into_iter().chain([model]).collect();
+    };
+    let mut fields = Map::from_iter(intrinsics_fields(&lens.intrinsics));
+    let (model, coefficients) = match lens.distortion {
+        Distortion::Fisheye([k1, k2, k3, k4]) => {
+            ("OPENCV_FISHEYE", vec![("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)])
+        }
+        Distortion::Perspective { numerator: [k1, k2, k3, above], denominator: [below, k5, k6], tangential } => {
+            let radial = [("k1", k1), ("k2", k2), ("k3", k3), ("k4", above + below), ("k5", k5), ("k6", k6)];
+            ("OPENCV", radial.into_iter().chain([("p1", tangential[0]), ("p2", tangential[1])]).collect())
+        }
+    };
+    let named = coefficients.into_iter().filter(|(_, value)| *value != 0.0);
+    fields.extend(named.map(|(name, value)| (name.to_owned(), json!(value))));
+    fields.insert("camera_model".into(), json!(model));
+    fields
 }
 
 fn intrinsics_fields(i: &Intrinsics) -> [(String, Value); 6] {

@@ -12,7 +12,7 @@ use std::path::Path;
 
 use flate2::read::GzDecoder;
 
-use super::scene_file::{Encoder, Format, SceneFormat, WriteOptions, write_as};
+use super::format::{Encoder, Format, WriteOptions};
 use super::{Scene, World, source::Source};
 use crate::{Error, Result};
 use codec::Layout;
@@ -50,7 +50,7 @@ const ALWAYS_INFLATED: u64 = 64 << 20;
 /// [`Error::Argument`] when the scene is not valid, a position is beyond 2²³ or the version is another; [`Error::Io`]
 /// when the file cannot be written.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
-    write_as(SceneFormat::Spz, path.as_ref(), scene, &WriteOptions { spz_version: version }, None)
+    FORMAT.write_file(path.as_ref(), scene, &WriteOptions { spz_version: version }, None)
 }
 
 /// The line of [`World::line`] in the comment of an SPZ's gzip stream, where it has one.

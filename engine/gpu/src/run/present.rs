@@ -1,7 +1,10 @@
 //! Results into an app's own images and buffers, without the host.
 
-use super::{Run, arena_id};
-use crate::{Error, Result, Tensor, commands::driver, lost::is_under_way};
+use super::Run;
+use crate::{
+    Error, Result, Tensor,
+    failure::{driver, is_under_way},
+};
 use ash::vk::{self, Handle};
 
 /// A place in an app's memory on the device, and what orders the engine's writing with the app's use of it.
@@ -113,7 +116,7 @@ impl Run {
     }
 
     fn record_copy(&self, commands: vk::CommandBuffer, tensor: Tensor, place: Place) -> Result<()> {
-        let id = arena_id(tensor);
+        let id = tensor.allocation();
         assert!(self.plan.allocations[id].kept, "{} is not kept", self.plan.allocations[id].name);
         let from = self.plan.placements[id];
         let (source, offset) = (self.lane.memory().buffer(from.block), from.offset + tensor.offset);

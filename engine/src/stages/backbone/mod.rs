@@ -1,143 +1,42 @@
-//! Backbone: a DA3 vision transformer over all views, from pixels to one set of tokens for each out layer.
-//!
-//! Source: ZipSplat, section 3.1; Depth Anything 3; DINOv2.
+//! Backbones: from the pixels of all views to tokens. The rest of the network knows a backbone as [`Backbone`] alone; each has a
+//! folder here, and a line in [`backbone`].
 
-mod camera_encoder;
-mod features;
-mod positions;
+mod da3;
 
-pub use camera_encoder::POSE_VALUES;
-pub use positions::{interpolate as interpolate_positions, rotary_tables};
+pub use da3::{interpolate_positions, rotary_tables};
 
-use super::{ViewGrid, embed_patches};
+use super::{Architecture, ViewGrid};
 use crate::{
-    gpu::{Recorder, Tensor},
-    kernels::backbone as kernels,
-    ops::{Block, Heads, Linear, ParameterLayout, Sequences},
-    weights::Architecture,
+    Result,
+    gpu::{Recorder, Run, Tensor},
+    ops::{ParameterLayout, Parameters, Rows},
+    types::Camera,
 };
-use camera_encoder::CameraEncoder;
-use features::Features;
 
-/// Norms of the backbone's residual stream add this to the variance; all others add 1e-5.
-const EPS: f32 = 1e-6;
+/// A network from pixels to one set of tokens for each out layer.
+pub trait Backbone: Send + Sync {
+    /// Tensors that the host writes beside the pixels, in an order of the backbone's own.
+    fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor>;
 
-/// The backbone's parameters.
-pub struct Backbone {
-    architecture: Architecture,
-    patch_embed: Linear,
-    class_token: Tensor,
-    camera_tokens: Tensor,
-    blocks: Vec<Block>,
-    camera_encoder: CameraEncoder,
-    features: Features,
+    /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns the tokens of all views for each out
+    /// layer, f32, deepest first.
+    fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Vec<Rows>;
+
+    /// Writes the inputs of a run. Cameras are given where the inputs were made for them, in the network's unit of length.
+    ///
+    /// # Errors
+    /// Where a transfer fails or a camera cannot be used.
+    fn write(
+        &self,
+        run: &mut Run,
+        inputs: &[Tensor],
+        grid: ViewGrid,
+        cameras: Option<&[Camera]>,
+        parameters: &Parameters,
+    ) -> Result<()>;
 }
 
-/// What the host hands over.
-#[derive(Clone, Copy, Debug)]
-pub struct BackboneInputs {
-    /// `[views, 3, height, width]` f32, RGB in 0..1.
-    pub images: Tensor,
-    /// `[1 + patches, width]` f32: [`interpolate_positions`].
-    pub positions: Tensor,
-    /// `[2, 1 + patches, head / 2, 2]` f32: [`rotary_tables`], for local and for global blocks.
-    pub rotary: [Tensor; 2],
-    /// `[views, POSE_VALUES]` f32 where poses are given; without, the camera encoder does not run.
-    pub poses: Option<Tensor>,
-}
-
-impl Backbone {
-    /// Lays out the parameters.
-    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        let root = "backbone.backbone";
-        let heads = Heads::new(a.heads, a.width);
-        Self {
-            patch_embed: p.linear(&format!("{root}.patch_embed.proj"), 3 * a.patch * a.patch, a.width),
-            class_token: p.vector(format!("{root}.cls_token"), a.width),
-            camera_tokens: p.vector(format!("{root}.camera_token"), 2 * a.width),
-            blocks: (0..a.depth)
-                .map(|i| {
-                    let name = format!("{root}.blocks.{i}");
-                    Block::new(p, &name, heads, i >= a.qk_norm_start, (a.ffn, a.ffn_hidden), EPS)
-                })
-                .collect(),
-            camera_encoder: CameraEncoder::new(p, a),
-            features: Features::new(p, a),
-            architecture: a.clone(),
-        }
-    }
-
-    /// Records the backbone. Returns the prepared tokens `[views * patches, width]` of each out layer, deepest first.
-    pub fn record(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Vec<Tensor> {
-        let a = &self.architecture;
-        let tokens = 1 + grid.patches();
-        let len = grid.views * tokens * a.width;
-        let camera_tokens = inputs.poses.map(|poses| self.camera_encoder.record(rec, poses, grid.views));
-        let x = self.first_tokens(rec, inputs, grid);
-        // The newest local block's output, where a global block has overwritten it.
-        let mut local = x;
-        let mut prepared = Vec::new();
-        for (i, block) in self.blocks.iter().enumerate() {
-            if i == a.alt_start {
-                self.insert_camera_tokens(rec, x, camera_tokens, grid);
-                rec.observe("bb/alt_in", x);
-            }
-            let global = a.is_global(i);
-            let out_layer = a.out_layers.contains(&i);
-            if global && out_layer {
-                local = rec.tensor::<f32>("local", len);
-                rec.copy(x, local);
-            } else if !global {
-                local = x;
-            }
-            let table = (inputs.rotary[global as usize], tokens);
-            let sequences = Sequences {
-                count: if global { 1 } else { grid.views },
-                tokens: if global { grid.views * tokens } else { tokens },
-                rotary: (i >= a.rope_start).then_some(table),
-            };
-            rec.scope("block", |rec| block.record(rec, x, sequences));
-            rec.observe(&format!("bb/block{i}"), x);
-            if out_layer {
-                let feature = a.out_layers.len() - 1 - prepared.len();
-                prepared.push(rec.scope("features", |rec| self.features.record(rec, feature, local, x, grid)));
-            }
-        }
-        prepared.reverse();
-        prepared
-    }
-
-    fn first_tokens(&self, rec: &mut Recorder, inputs: BackboneInputs, grid: ViewGrid) -> Tensor {
-        let width = self.architecture.width;
-        let tokens = 1 + grid.patches();
-        rec.scope("embed", |rec| {
-            let patches = embed_patches(rec, inputs.images, grid, &self.patch_embed);
-            let out = rec.tensor::<f32>("tokens", grid.views * tokens * width);
-            let kernel = kernels::Tokens {
-                patches,
-                class_token: self.class_token,
-                positions: inputs.positions,
-                out,
-                views: grid.views as u32,
-                tokens: tokens as u32,
-                width: width as u32,
-            };
-            rec.dispatch(kernel, grid.views * tokens * width);
-            rec.observe("bb/tokens0", out);
-            out
-        })
-    }
-
-    fn insert_camera_tokens(&self, rec: &mut Recorder, x: Tensor, encoded: Option<Tensor>, grid: ViewGrid) {
-        let width = self.architecture.width;
-        let kernel = kernels::CameraToken {
-            camera_tokens: encoded.unwrap_or(self.camera_tokens),
-            out: x,
-            views: grid.views as u32,
-            tokens: 1 + grid.patches() as u32,
-            width: width as u32,
-            encoded: encoded.is_some(),
-        };
-        rec.dispatch(kernel, grid.views * width);
-    }
+/// The backbone of an architecture, which declares its parameters.
+pub fn backbone(p: &mut ParameterLayout, a: &Architecture) -> Box<dyn Backbone> {
+    Box::new(da3::Da3::new(p, a))
 }

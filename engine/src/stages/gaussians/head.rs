@@ -4,11 +4,10 @@
 
 use super::activate;
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::{gaussians as kernels, ops::Gelu},
-    ops::{Epilogue, Linear, ParameterLayout, row_chunks},
-    stages::{SceneGradients, SceneTensors},
-    weights::Architecture,
+    ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
+    stages::{Architecture, SceneGradients, SceneTensors},
 };
 
 /// The head's parameters, forwards and transposed.
@@ -22,11 +21,10 @@ pub struct Head {
 /// What the gradient of the head needs of its forward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct HeadKept {
-    count: usize,
     /// `[count, head_hidden]` f32, before GELU.
-    hidden: Tensor,
-    /// `[count, gaussians_per_token, gaussian_width]` f32, before activation.
-    raw: Tensor,
+    hidden: Rows,
+    /// `[count, gaussians_per_token * gaussian_width]` f32, before activation.
+    raw: Rows,
     /// `[1]` f32.
     unit: Tensor,
 }
@@ -64,14 +62,15 @@ impl Head {
     ) -> HeadKept {
         rec.scope("head", |rec| {
             let [first, second, third] = &self.layers;
-            let hidden = first.apply(rec, "hidden", tokens, count, Epilogue::default());
-            let activated = rec.tensor::<f32>("activated", count * first.columns);
-            gelu(rec, hidden, None, activated, count * first.columns);
-            let narrow = second.apply(rec, "narrow", activated, count, Epilogue::default());
-            let raw = third.apply(rec, "raw", narrow, count, Epilogue::default());
-            rec.observe("raw", raw);
-            activate(rec, raw, unit, into);
-            HeadKept { count, hidden, raw, unit }
+            let tokens = Rows::new(tokens, count, first.inner);
+            let hidden = first.apply(rec, "hidden", tokens, Element::F32, Epilogue::default());
+            let activated = Rows::scratch(rec, "activated", count, hidden.width, Element::F32);
+            gelu(rec, hidden, None, activated);
+            let narrow = second.apply(rec, "narrow", activated, Element::F32, Epilogue::default());
+            let raw = third.apply(rec, "raw", narrow, Element::F32, Epilogue::default());
+            rec.observe("raw", raw.tensor);
+            activate(rec, raw.tensor, unit, into);
+            HeadKept { hidden, raw, unit }
         })
     }
 
@@ -79,39 +78,38 @@ impl Head {
     pub fn record_backward(&self, rec: &mut Recorder, kept: &HeadKept, d_gaussians: &SceneGradients) -> Tensor {
         rec.scope("head backward", |rec| {
             let [first, second, third] = &self.transposed;
-            let (count, hidden) = (kept.count, kept.hidden);
             let d_raw = self.activate_backward(rec, kept, d_gaussians, third.inner);
-            rec.observe("d_raw", d_raw);
-            let d_narrow = third.apply(rec, "d_narrow", d_raw, count, Epilogue::default());
-            let d_hidden = second.apply(rec, "d_hidden", d_narrow, count, Epilogue::default());
-            gelu(rec, hidden, Some(d_hidden), d_hidden, count * second.columns);
-            let d_tokens = first.apply(rec, "d_tokens", d_hidden, count, Epilogue::default());
+            rec.observe("d_raw", d_raw.tensor);
+            let d_narrow = third.apply(rec, "d_narrow", d_raw, Element::F32, Epilogue::default());
+            let d_hidden = second.apply(rec, "d_hidden", d_narrow, Element::F32, Epilogue::default());
+            gelu(rec, kept.hidden, Some(d_hidden), d_hidden);
+            let d_tokens = first.apply(rec, "d_tokens", d_hidden, Element::F32, Epilogue::default()).tensor;
             rec.observe("d_tokens", d_tokens);
             d_tokens
         })
     }
 
     /// The gradient by the raw Gaussians, `[count, stride]`.
-    fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneGradients, stride: usize) -> Tensor {
+    fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneGradients, stride: usize) -> Rows {
         let bases = (self.sh_degree + 1).pow(2);
         let (group, width) = (self.gaussians_per_token, 11 + 3 * bases);
-        let d_raw = rec.tensor::<f32>("d_raw", kept.count * stride);
+        let d_raw = Rows::scratch(rec, "d_raw", kept.raw.count, stride, Element::F32);
         if stride > group * width {
-            rec.fill(d_raw, 0); // what pads a row is multiplied by zeros, and so has to be a number
+            rec.fill(d_raw.tensor, 0); // what pads a row is multiplied by zeros, and so has to be a number
         }
         let widths = [width, 3, 4, 1, 3 * bases].map(|width| 4 * group * width);
-        let chunks = row_chunks(rec, kept.count, &[&widths[..], &[4 * stride]].concat());
+        let chunks = row_chunks(rec, d_raw.count, &[&widths[..], &[d_raw.row_bytes()]].concat());
         for part in chunks {
             let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
             let kernel = kernels::ActivateBackward {
-                raw: rows_of(kept.raw, group * width),
+                raw: kept.raw.part(part.clone()).tensor,
                 unit: kept.unit,
                 d_means: rows_of(d.means, group * 3),
                 d_scales: rows_of(d.scales, group * 3),
                 d_quats: rows_of(d.quats, group * 4),
                 d_opacities: rows_of(d.opacities, group),
                 d_sh_coeffs: rows_of(d.sh_coeffs, group * 3 * bases),
-                d_raw: rows_of(d_raw, stride),
+                d_raw: d_raw.part(part.clone()).tensor,
                 count: (part.len() * group) as u32,
                 bases: bases as u32,
                 group: group as u32,
@@ -123,12 +121,12 @@ impl Head {
     }
 }
 
-/// GELU of `source` `[len]`, or, where there is a `gradient`, that times GELU's derivative there. `out` may be the gradient.
-fn gelu(rec: &mut Recorder, source: Tensor, gradient: Option<Tensor>, out: Tensor, len: usize) {
+/// GELU of `source`, or, where there is a `gradient`, that times GELU's derivative there. `out` may be the gradient.
+fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let backward = gradient.is_some();
-    let tensors = [source, gradient.unwrap_or(source), out];
-    for part in row_chunks(rec, len, &[size_of::<f32>()]) {
-        let [source, gradient, out] = tensors.map(|t| t.slice::<f32>(part.start, part.len()));
+    let rows = [source, gradient.unwrap_or(source), out];
+    for part in row_chunks(rec, out.values(), &[size_of::<f32>()]) {
+        let [source, gradient, out] = rows.map(|rows| rows.tensor.slice::<f32>(part.start, part.len()));
         rec.dispatch(Gelu { source, gradient, out, count: part.len() as u32, backward }, part.len());
     }
 }

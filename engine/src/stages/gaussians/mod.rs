@@ -4,14 +4,14 @@
 
 mod head;
 
-use super::{SceneTensors, ViewGrid, embed_patches};
+use super::{Architecture, SceneTensors, ViewGrid, embed_patches};
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::gaussians as kernels,
     ops::{
-        Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, add, gather_rows, join_columns, row_chunks,
+        Activation, CrossBlock, Epilogue, Heads, Linear, ParameterLayout, Rows, add, gather_rows, join_columns,
+        row_chunks,
     },
-    weights::Architecture,
 };
 
 pub use head::{Head, HeadKept};
@@ -20,26 +20,9 @@ const EPS: f32 = 1e-5;
 
 /// The colour branch's and the head's parameters.
 pub struct Gaussians {
-    architecture: Architecture,
     color_embed: Linear,
     color_cross: CrossBlock,
     head: [Linear; 3],
-}
-
-/// What the head reads of every token: the scene token `[count, width]` and its colour `[count, color_width]`, f32.
-#[derive(Clone, Copy, Debug)]
-pub struct HeadTokens {
-    /// Tokens.
-    pub count: usize,
-    /// Both, each with its width.
-    pub parts: [(Tensor, usize); 2],
-}
-
-impl HeadTokens {
-    /// Records both side by side, `[count, width + color_width]`.
-    pub fn joined(&self, rec: &mut Recorder, element: Element) -> Tensor {
-        join_columns(rec, self.count, self.parts, element)
-    }
 }
 
 impl Gaussians {
@@ -47,65 +30,41 @@ impl Gaussians {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.color_heads, a.color_width);
         Self {
-            color_embed: p.linear("color_embed.proj", 3 * a.patch * a.patch, a.color_width),
+            color_embed: p.convolution("color_embed.proj", &[3, a.patch, a.patch], a.color_width),
             color_cross: CrossBlock::new(p, "color_cross_attention", heads, a.color_hidden, EPS),
             head: head::layers(a).map(|(name, inner, columns)| p.linear(&name, inner, columns)),
-            architecture: a.clone(),
         }
     }
 
-    /// Records the colour branch for scene tokens `[count, width]` that stand for the tokens `chosen` (all, where `None`) of
-    /// `images`.
-    pub fn tokens(
-        &self,
-        rec: &mut Recorder,
-        scene: Tensor,
-        images: Tensor,
-        grid: ViewGrid,
-        chosen: Option<(Tensor, usize)>,
-    ) -> HeadTokens {
-        let a = &self.architecture;
-        let count = chosen.map_or(grid.tokens(), |c| c.1);
-        let color = rec.scope("color", |rec| self.color(rec, images, grid, chosen, count));
-        HeadTokens { count, parts: [(scene, a.width), (color, a.color_width)] }
+    /// Records the colour branch for the tokens `chosen` (all, where `None`) of `images`: their colours, f32.
+    pub fn colors(&self, rec: &mut Recorder, images: Tensor, grid: ViewGrid, chosen: Option<(Tensor, usize)>) -> Rows {
+        rec.scope("color", |rec| {
+            let tokens = embed_patches(rec, images, grid, &self.color_embed);
+            rec.observe("color/tokens", tokens.tensor);
+            let queries = match chosen {
+                Some((indices, count)) => gather_rows(rec, tokens, indices, count),
+                None => tokens,
+            };
+            let delta = self.color_cross.record(rec, queries, tokens);
+            add(rec, delta, queries);
+            rec.observe("color_feats", delta.tensor);
+            delta
+        })
     }
 
-    /// Records the head. A token's Gaussians lie one after the other in `into`, whose lengths are `unit` (`[1]` f32) times the
-    /// network's.
-    pub fn record(&self, rec: &mut Recorder, tokens: HeadTokens, unit: Tensor, into: &SceneTensors) {
-        let count = tokens.count;
+    /// Records the head for scene tokens and their colours, f32. A token's Gaussians lie one after the other in `into`, whose
+    /// lengths are `unit` (`[1]` f32) times the network's.
+    pub fn record(&self, rec: &mut Recorder, tokens: [Rows; 2], unit: Tensor, into: &SceneTensors) {
         let raw = rec.scope("head", |rec| {
             let [first, second, third] = &self.head;
-            let joined = tokens.joined(rec, first.element());
-            let gelu = Epilogue { activation: Activation::Gelu, output: second.element(), ..Epilogue::default() };
-            let hidden = first.apply(rec, "hidden", joined, count, gelu);
-            let plain = Epilogue { output: third.element(), ..Epilogue::default() };
-            let narrow = second.apply(rec, "narrow", hidden, count, plain);
-            third.apply(rec, "raw", narrow, count, Epilogue::default())
+            let joined = join_columns(rec, tokens, first.element());
+            let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
+            let hidden = first.apply(rec, "hidden", joined, second.element(), gelu);
+            let narrow = second.apply(rec, "narrow", hidden, third.element(), Epilogue::default());
+            third.apply(rec, "raw", narrow, Element::F32, Epilogue::default()).tensor
         });
         rec.observe("raw", raw);
         activate(rec, raw, unit, into);
-    }
-
-    fn color(
-        &self,
-        rec: &mut Recorder,
-        images: Tensor,
-        grid: ViewGrid,
-        chosen: Option<(Tensor, usize)>,
-        count: usize,
-    ) -> Tensor {
-        let width = self.architecture.color_width;
-        let tokens = embed_patches(rec, images, grid, &self.color_embed);
-        rec.observe("color/tokens", tokens);
-        let queries = match chosen {
-            Some((indices, count)) => gather_rows(rec, tokens, grid.tokens(), indices, count, width),
-            None => tokens,
-        };
-        let delta = self.color_cross.record(rec, (queries, count), (tokens, grid.tokens()));
-        add(rec, delta, queries, count * width);
-        rec.observe("color_feats", delta);
-        delta
     }
 }
 

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
     gpu::{Device, Element, Recorder, Run},
-    ops::{Epilogue, Linear, LinearKernel, Units, pack_matrix},
+    ops::{Epilogue, Linear, LinearKernel, Rows, Units, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
@@ -164,7 +164,8 @@ fn on_device(
     let weight = rec.constant::<u8>("weight", packed.len());
     let bias = rec.constant::<f32>("bias", columns);
     let layer = Linear { weight, bias, inner, columns, kernel };
-    let out = layer.apply(&mut rec, "out", input, rows, Epilogue::default());
+    let a_rows = Rows { tensor: input, count: rows, width: inner, element: kernel.element() };
+    let out = layer.apply(&mut rec, "out", a_rows, Element::F32, Epilogue::default()).tensor;
     rec.output(out);
     let mut run = Run::new(device, rec.finish()?)?;
     run.write(input, &packed_input)?;

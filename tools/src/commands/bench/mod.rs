@@ -7,6 +7,7 @@ mod gsplat;
 mod peak;
 mod python;
 mod pytorch;
+mod refine;
 mod render;
 mod tradeoff;
 
@@ -19,13 +20,14 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the forward pass, of a matrix product, of drawing; a device's limits; what accuracy costs in time
+/// Times of the forward pass, of a matrix product, of drawing, of refining; a device's limits; what accuracy costs in time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
   zipsplat bench gemm
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
+  zipsplat bench refine --gaussians 102000 --size 252x252
   zipsplat bench tradeoff capture/ -o report/
 
 Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from
@@ -40,6 +42,7 @@ enum What {
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Peak(peak::Peak),
+    Refine(refine::Refine),
     Render(render::Render),
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
@@ -64,6 +67,7 @@ impl Bench {
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),
+            What::Refine(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
             What::Tradeoff(bench) => bench.run(session),
         }

@@ -1,8 +1,13 @@
-//! The forward pass in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
+//! The forward pass and a refinement's step in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
 
+use crate::options::Size;
 use serde::Deserialize;
 use std::{fs, path::Path, process::Command};
-use zipsplat::{Error, Result, weights::Architecture};
+use zipsplat::{
+    Error, Result,
+    types::{Scene, write_ply},
+    weights::Architecture,
+};
 
 /// What Python runs, under the names it imports.
 const FILES: [(&str, &str); 3] = [
@@ -11,6 +16,15 @@ const FILES: [(&str, &str); 3] = [
     ("weights.py", include_str!("../../../train/weights.py")),
 ];
 
+/// The same for a step.
+const REFINE_FILES: [(&str, &str); 4] = [
+    ("pytorch_refine.py", include_str!("../../../bench/pytorch_refine.py")),
+    ("rasterise.py", include_str!("../../../train/rasterise.py")),
+    ("rasterise_numba.py", include_str!("../../../train/rasterise_numba.py")),
+    ("rasterise_triton.py", include_str!("../../../train/rasterise_triton.py")),
+];
+
+const REFINE_NEEDED: &str = "a Python with torch, numpy and, without a CUDA GPU, numba";
 const NEEDED: &str = "a Python with torch, numpy and safetensors";
 
 /// What PyTorch needed.
@@ -53,11 +67,7 @@ pub fn forward(
     size: &str,
     [warmup, repeats]: [u32; 2],
 ) -> Result<Pytorch> {
-    let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
-    for (name, text) in FILES {
-        let path = folder.path().join(name);
-        fs::write(&path, text).map_err(|error| Error::io(path, error))?;
-    }
+    let folder = folder(&FILES)?;
     let list = |numbers: Vec<String>| numbers.join(",");
     let architecture = serde_json::to_string(architecture).expect("numbers and names are JSON");
     let mut command = Command::new(python);
@@ -68,4 +78,54 @@ pub fn forward(
     let printed = super::python::run("--pytorch", NEEDED, &mut command)?;
     serde_json::from_str(&printed)
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
+}
+
+/// A temporary folder with files.
+fn folder(files: &[(&str, &str)]) -> Result<tempfile::TempDir> {
+    let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
+    for (name, text) in files {
+        let path = folder.path().join(name);
+        fs::write(&path, text).map_err(|error| Error::io(path, error))?;
+    }
+    Ok(folder)
+}
+
+/// Times of pictures and of steps.
+#[derive(Deserialize)]
+pub struct Steps {
+    pub device: String,
+    pub torch: String,
+    pub picture_ms: Vec<f64>,
+    pub step_ms: Vec<f64>,
+}
+
+/// Holds that `python` has what a step needs.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_refine(python: &Path) -> Result<()> {
+    let mut command = Command::new(python);
+    super::python::run("--pytorch", REFINE_NEEDED, command.args(["-c", REFINE_FILES[0].1])).map(drop)
+}
+
+/// Times steps on a scene, of so many photos each.
+///
+/// # Errors
+/// As [`check`].
+pub fn refine(
+    python: &Path,
+    scene: &Scene,
+    Size(width, height): Size,
+    photos: usize,
+    [warmup, repeats]: [u32; 2],
+) -> Result<Steps> {
+    let folder = folder(&REFINE_FILES)?;
+    let file = folder.path().join("scene.ply");
+    write_ply(scene, &file)?;
+    let mut command = Command::new(python);
+    command.arg(folder.path().join(REFINE_FILES[0].0)).arg(&file);
+    command.args([width, height, photos as u32, warmup, repeats].map(|number| number.to_string()));
+    let printed = super::python::run("--pytorch", REFINE_NEEDED, &mut command)?;
+    serde_json::from_str(&printed)
+        .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), REFINE_NEEDED))
 }

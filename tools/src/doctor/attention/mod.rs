@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use zipsplat::{
     Result,
     gpu::Device,
-    ops::{Attention, AttentionKernel, Heads, Part},
+    ops::{Attention, AttentionKernel, Heads, Part, Rows},
 };
 use zipsplat_reference::ops::attention::attention;
 
@@ -92,13 +92,14 @@ impl case::Problem for Problem {
         let queries_part = Part { scale: shape.scale(), ..Part::default() };
         let keys_part = Part { keys: true, ..Part::default() };
         let parts = [(&self.q, queries, queries_part), (&self.k, keys, keys_part), (&self.v, keys, Part::default())];
-        for ((values, rows, part), tensor) in parts.into_iter().zip(tensors) {
+        for ((values, count, part), tensor) in parts.into_iter().zip(tensors) {
             // Padding holds NaN, which must reach nothing.
             trial.blank(tensor);
-            let input = trial.input(&kernel.element().encode(values));
-            shape.split(&mut trial.rec, (input, width), 0, rows, part, tensor);
+            let element = kernel.element();
+            let input = Rows { tensor: trial.input(&element.encode(values)), count, width, element };
+            shape.split(&mut trial.rec, input, 0, part, tensor);
         }
-        let out = shape.record(&mut trial.rec, tensors);
+        let out = shape.record(&mut trial.rec, tensors).tensor;
         trial.rec.output(out);
         Ok(kernel.element().decode(&trial.result::<u8>(out)?))
     }

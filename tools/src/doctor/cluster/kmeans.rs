@@ -9,7 +9,7 @@ use crate::noise::Noise;
 use zipsplat::{
     Result,
     gpu::{Device, Tensor},
-    ops::Nearest,
+    ops::{Nearest, Rows},
     stages::cluster,
 };
 use zipsplat_reference::{
@@ -67,9 +67,9 @@ impl Problem {
         let count = self.x.len() / WIDTH;
         let mut trial = Trial::new(device);
         trial.rec = trial.rec.observing();
-        let (tokens, initial) = (trial.input(&self.x), trial.input(&cluster::even_indices(count, self.k)));
-        let sizes = [count, self.k, WIDTH];
-        let nearest = cluster::record(&mut trial.rec, kernel(mode, device), tokens, initial, sizes, cluster::ROUNDS);
+        let tokens = Rows::new(trial.input(&self.x), count, WIDTH);
+        let initial = trial.input(&cluster::even_indices(count, self.k));
+        let nearest = cluster::record(&mut trial.rec, kernel(mode, device), tokens, initial, self.k, cluster::ROUNDS);
         trial.rec.output(nearest);
         let run = trial.run()?;
         let observed = |what: &str| -> Option<Tensor> {
@@ -81,8 +81,8 @@ impl Problem {
 
     fn origin(&self, device: &Device, mode: Mode) -> Result<Option<Vec<f32>>> {
         let mut trial = Trial::new(device);
-        let rows = (trial.input(&self.x), self.x.len() / WIDTH);
-        let Some(origin) = Nearest::among(&mut trial.rec, kernel(mode, device), rows, WIDTH).origin() else {
+        let rows = Rows::new(trial.input(&self.x), self.x.len() / WIDTH, WIDTH);
+        let Some(origin) = Nearest::among(&mut trial.rec, kernel(mode, device), rows).origin() else {
             return Ok(None);
         };
         trial.rec.output(origin);

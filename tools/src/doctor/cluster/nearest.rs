@@ -9,7 +9,7 @@ use zipsplat::{
     Result,
     gpu::Device,
     kernels::limits::{GROUP_FOLD, NEAREST_ROWS},
-    ops::Nearest,
+    ops::{Nearest, Rows},
 };
 use zipsplat_reference::{
     cluster::{
@@ -178,10 +178,11 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Chosen> {
         let mut trial = Trial::new(device);
-        let [from, to] = [&self.points, &self.targets].map(|rows| (trial.input(rows), rows.len() / self.width));
-        let nearest = Nearest::among(&mut trial.rec, kernel(mode, device), to, self.width);
+        let [from, to] =
+            [&self.points, &self.targets].map(|x| Rows::new(trial.input(x), x.len() / self.width, self.width));
+        let nearest = Nearest::among(&mut trial.rec, kernel(mode, device), to);
         let rows = [from, to].map(|rows| nearest.rows(&mut trial.rec, rows));
-        let out = trial.output::<u32>(from.1);
+        let out = trial.output::<u32>(from.count);
         nearest.record_into(&mut trial.rec, rows[0], rows[1], out);
         let origin = nearest.origin();
         origin.into_iter().for_each(|origin| trial.rec.output(origin));

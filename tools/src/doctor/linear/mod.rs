@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use zipsplat::{
     Result,
     gpu::{Device, Element},
-    ops::{Activation, Epilogue, Linear, LinearKernel, pack_matrix},
+    ops::{Activation, Epilogue, Linear, LinearKernel, Rows, pack_matrix},
 };
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
@@ -194,18 +194,20 @@ impl case::Problem for Problem {
         };
         let padding = vec![0.0; layer.inner - self.inner];
         let rows: Vec<f32> = self.x.chunks(self.inner).flat_map(|row| [row, &padding].concat()).collect();
-        let input = trial.input(&kernel.element().encode(&rows));
+        let element = kernel.element();
+        let input = Rows { tensor: trial.input(&element.encode(&rows)), count: self.rows, width: layer.inner, element };
+        let out_rows = |tensor| Rows::new(tensor, self.rows, self.out_columns());
         let mut epilogue = Epilogue { activation: self.activation, ..Epilogue::default() };
         let out = if self.scaled {
             let guarded = [self.stream(), vec![f32::from_bits(UNWRITTEN); self.guard()]].concat();
             let (gamma, stream) = (trial.input(&self.gamma()), trial.input(&guarded));
             trial.rec.output(stream);
-            (epilogue.gamma, epilogue.residual) = (Some(gamma), Some(stream));
+            (epilogue.gamma, epilogue.residual) = (Some(gamma), Some(out_rows(stream)));
             stream
         } else {
             trial.output::<f32>(self.rows * self.out_columns() + self.guard())
         };
-        layer.record(&mut trial.rec, input, self.rows, out, epilogue);
+        layer.record(&mut trial.rec, input, out_rows(out), epilogue);
         trial.result(out)
     }
 

@@ -1,7 +1,7 @@
 //! Projection, order and blending of Gaussians, as pictures.
 
 mod faults;
-mod picture;
+pub mod picture;
 
 use super::{Area, Case, Catches, Mode, Worst, bound::U, case};
 use crate::noise::{Noise, camera};

@@ -116,7 +116,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, colour: [f
 }
 
 /// Where the Gaussian lies from the camera's centre, which is two numbers there.
-fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
+pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let centre = camera.pose.translation[c];
         let coarse = Bounded::exact(scene.means[n][c]) - Bounded::exact(centre as f32);
@@ -149,7 +149,7 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
 }
 
 /// The Gaussian's axes in the camera: world-to-camera times its rotation.
-fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
+pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));
     let q = q.map(|x| x / largest);

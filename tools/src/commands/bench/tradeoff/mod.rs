@@ -18,8 +18,9 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::Device,
-    ops::{Arithmetic, Chosen, Precision},
+    ops::{Arithmetic, Precision},
     reconstruct::{Ratio, Selection},
+    tune::Chosen,
     types::write_atomic,
 };
 

@@ -1,4 +1,4 @@
-//! Cameras: of photos from pose files, and along paths around a scene.
+//! Cameras to draw with: of files, and along paths around a scene.
 
 use crate::options::Size;
 use clap::{ArgGroup, Args};

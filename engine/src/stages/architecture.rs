@@ -1,8 +1,12 @@
-//! The shape of a ZipSplat network, and the names and shapes of its parameters.
+//! The sizes of a ZipSplat network.
 
+use super::Stages;
+use crate::{
+    Error, Result,
+    gpu::Limits,
+    ops::{Arithmetic, Ffn, ParameterLayout},
+};
 use serde::{Deserialize, Serialize};
-
-use crate::{Error, Result};
 
 /// The networks by their backbone, with the out layers that Depth Anything 3 gives it. Weights have been released of `vitg`
 /// alone (DA3-Giant); the others are what the reference can be trained as.
@@ -12,22 +16,9 @@ pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
 pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
 
 /// Largest size of any one dimension: keeps every product of a few of them within 64 bits.
-pub(super) const MAX_SIZE: usize = 1 << 16;
-pub(super) const MAX_DEPTH: usize = 256;
+pub(crate) const MAX_SIZE: usize = 1 << 16;
+pub(crate) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
-
-/// Channels of the camera prior: translation 3, quaternion 4, vertical and horizontal field of view.
-const POSE_ENCODING: usize = 9;
-
-/// The feed-forward network of a backbone block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Ffn {
-    /// `fc2(gelu(fc1(x)))`, the exact (erf) GELU.
-    Gelu,
-    /// `w3(silu(gate) * value)` with `w12(x)` = [gate | value].
-    SwiGlu,
-}
 
 /// Everything that the forward pass needs to know about a network besides its weights.
 ///
@@ -205,129 +196,10 @@ impl Architecture {
         if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
     }
 
-    /// Names and shapes of all parameters, in the order and with the names of the reference's `state_dict`.
+    /// Names and shapes of all parameters, as the stages declare them, in the order of the reference's `state_dict`.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
-        let mut list = Parameters(Vec::new());
-        self.backbone(&mut list);
-        self.camera_encoder(&mut list);
-        self.fusion(&mut list);
-        self.color_and_head(&mut list);
-        list.0
-    }
-
-    fn backbone(&self, list: &mut Parameters) {
-        let d = self.width;
-        let root = "backbone.backbone";
-        list.push(format!("{root}.cls_token"), &[1, 1, d]);
-        list.push(format!("{root}.camera_token"), &[1, 2, d]);
-        list.push(format!("{root}.pos_embed"), &[1, 1 + self.position_grid * self.position_grid, d]);
-        list.patches(&format!("{root}.patch_embed"), d, self.patch);
-        for i in 0..self.depth {
-            let qk_norm = (i >= self.qk_norm_start).then_some(self.head_dim());
-            list.block(&format!("{root}.blocks.{i}"), d, qk_norm, self.ffn, self.ffn_hidden);
-        }
-        list.norm(&format!("{root}.norm"), d);
-    }
-
-    fn camera_encoder(&self, list: &mut Parameters) {
-        let d = self.width;
-        let root = "backbone.cam_enc";
-        for i in 0..self.camera_depth {
-            list.block(&format!("{root}.trunk.{i}"), d, None, Ffn::Gelu, self.camera_hidden);
-        }
-        list.norm(&format!("{root}.token_norm"), d);
-        list.norm(&format!("{root}.trunk_norm"), d);
-        list.linear(&format!("{root}.pose_branch.fc1"), self.camera_pose_hidden, POSE_ENCODING);
-        list.linear(&format!("{root}.pose_branch.fc2"), d, self.camera_pose_hidden);
-    }
-
-    fn fusion(&self, list: &mut Parameters) {
-        let (d, layers) = (self.width, self.out_layers.len());
-        for half in ["local", "global"] {
-            for i in 0..layers {
-                list.norm(&format!("pre_norm_{half}.{i}"), d);
-            }
-        }
-        for i in 0..layers {
-            list.linear(&format!("downscale.{i}"), d, 2 * d);
-        }
-        let head_dim = d / self.fusion_heads;
-        for i in 0..layers {
-            list.cross_block(&format!("cross_attention.{i}"), d, head_dim, self.fusion_hidden);
-        }
-        for i in 0..layers {
-            list.block(&format!("self_attention.{i}"), d, Some(head_dim), Ffn::Gelu, self.fusion_hidden);
-        }
-    }
-
-    fn color_and_head(&self, list: &mut Parameters) {
-        let c = self.color_width;
-        list.patches("color_embed", c, self.patch);
-        list.cross_block("color_cross_attention", c, c / self.color_heads, self.color_hidden);
-        let (root, input) = ("gaussian_head.gaussian_head", self.width + c);
-        list.linear(&format!("{root}.0.fc1"), self.head_hidden, input);
-        list.linear(&format!("{root}.0.fc2"), input, self.head_hidden);
-        list.linear(&format!("{root}.1"), self.gaussians_per_token * self.gaussian_width(), input);
-    }
-}
-
-/// A `state_dict` in the making; `at` is the name of the module that owns the parameters.
-struct Parameters(Vec<(String, Vec<usize>)>);
-
-impl Parameters {
-    fn push(&mut self, name: String, shape: &[usize]) {
-        self.0.push((name, shape.into()));
-    }
-
-    fn norm(&mut self, at: &str, width: usize) {
-        self.push(format!("{at}.weight"), &[width]);
-        self.push(format!("{at}.bias"), &[width]);
-    }
-
-    fn linear(&mut self, at: &str, outputs: usize, inputs: usize) {
-        self.push(format!("{at}.weight"), &[outputs, inputs]);
-        self.push(format!("{at}.bias"), &[outputs]);
-    }
-
-    fn patches(&mut self, at: &str, width: usize, patch: usize) {
-        self.push(format!("{at}.proj.weight"), &[width, 3, patch, patch]);
-        self.push(format!("{at}.proj.bias"), &[width]);
-    }
-
-    fn qk_norm(&mut self, at: &str, head_dim: usize) {
-        self.norm(&format!("{at}.attn.q_norm"), head_dim);
-        self.norm(&format!("{at}.attn.k_norm"), head_dim);
-    }
-
-    /// What follows the projections of queries, keys and values in every block.
-    fn rest_of_block(&mut self, at: &str, width: usize, ffn: Ffn, hidden: usize) {
-        self.linear(&format!("{at}.attn.proj"), width, width);
-        self.push(format!("{at}.ls1.gamma"), &[width]);
-        self.norm(&format!("{at}.norm2"), width);
-        let (first, rows, second) = match ffn {
-            Ffn::Gelu => ("fc1", hidden, "fc2"),
-            Ffn::SwiGlu => ("w12", 2 * hidden, "w3"),
-        };
-        self.linear(&format!("{at}.mlp.{first}"), rows, width);
-        self.linear(&format!("{at}.mlp.{second}"), width, hidden);
-        self.push(format!("{at}.ls2.gamma"), &[width]);
-    }
-
-    fn block(&mut self, at: &str, width: usize, qk_norm: Option<usize>, ffn: Ffn, hidden: usize) {
-        self.norm(&format!("{at}.norm1"), width);
-        self.linear(&format!("{at}.attn.qkv"), 3 * width, width);
-        if let Some(head_dim) = qk_norm {
-            self.qk_norm(at, head_dim);
-        }
-        self.rest_of_block(at, width, ffn, hidden);
-    }
-
-    fn cross_block(&mut self, at: &str, width: usize, head_dim: usize, hidden: usize) {
-        self.norm(&format!("{at}.norm_q"), width);
-        self.norm(&format!("{at}.norm_kv"), width);
-        self.linear(&format!("{at}.attn.q_proj"), width, width);
-        self.linear(&format!("{at}.attn.kv_proj"), 2 * width, width);
-        self.qk_norm(at, head_dim);
-        self.rest_of_block(at, width, Ffn::Gelu, hidden);
+        let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
+        Stages::new(&mut declared, self);
+        declared.names_and_shapes()
     }
 }

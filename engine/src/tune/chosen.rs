@@ -1,21 +1,11 @@
 //! The arithmetic of a precision on a device: what was asked for, without kernels that failed their self-test.
 
-use super::{
-    Arithmetic, Precision, SelfTest, Tuning,
-    self_test::{UNFINISHED, passes, unfinished},
-};
+use super::{SelfTest, Tuning};
 use crate::{
     Error, Result,
     gpu::{Device, Limits},
+    ops::{Arithmetic, Precision},
 };
-
-impl Precision {
-    /// What a device is used with where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
-    /// which convert f16 slowly.
-    pub fn best(limits: &Limits) -> Self {
-        if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
-    }
-}
 
 /// A precision and its arithmetic on a device.
 #[derive(Clone, Debug)]
@@ -42,13 +32,7 @@ impl Chosen {
         }
         let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
         let test = SelfTest::of(device)?;
-        let failed = test.deviations.iter().filter(|(_, deviation)| !passes(**deviation));
-        let note = |(kernel, deviation): (&String, &Option<f64>)| match deviation {
-            Some(times) => format!("{kernel} deviates {times:.1} times what it may on {}: not used", limits.name),
-            None if kernel == UNFINISHED => unfinished(device),
-            None => format!("{kernel} gave no result on {}: not used", limits.name),
-        };
-        let notes: Vec<_> = failed.map(note).collect();
+        let notes = test.notes(device);
         let Some(arithmetic) = test.allowed(arithmetic) else {
             let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));
             return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };

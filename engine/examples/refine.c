@@ -1,0 +1,84 @@
+/* A scene made sharp against photos whose cameras are known:
+ *     cc refine.c $(pkg-config --cflags --libs zipsplat) -o refine
+ *     ./refine scene.ply cameras.txt sharp.ply PHOTO...
+ * cameras.txt has 16 numbers for each photo, in their order: fx fy cx cy in pixels, then the camera-to-world pose in the scene's
+ * world, its rotation row by row and the camera's centre. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <zipsplat.h>
+
+#define CHECK(call)                                                                \
+    do {                                                                           \
+        zs_status status_ = (call);                                                \
+        if (status_ != ZS_OK) {                                                    \
+            fprintf(stderr, "%s: %s\n", zs_status_name(status_), zs_last_error()); \
+            goto done;                                                             \
+        }                                                                          \
+    } while (0)
+
+enum { MAX_PHOTOS = 1000 };
+
+static int32_t show(void *user_data, const zs_refining *now) {
+    (void)user_data;
+    fprintf(stderr, "step %u of %u, loss %.4f, %.0f s left\n", now->step, now->steps, now->loss, now->seconds_left);
+    return 0; /* anything else stops: the best scene so far is handed out */
+}
+
+static int read_camera(FILE *file, const zs_image *photo, zs_camera *camera) {
+    double numbers[16];
+    for (int i = 0; i < 16; i++) {
+        if (fscanf(file, "%lf", &numbers[i]) != 1) return 0;
+    }
+    *camera = (zs_camera){.struct_size = sizeof *camera, .width = photo->width, .height = photo->height};
+    camera->fx = numbers[0], camera->fy = numbers[1], camera->cx = numbers[2], camera->cy = numbers[3];
+    for (int i = 0; i < 9; i++) camera->rotation[i] = numbers[4 + i];
+    for (int i = 0; i < 3; i++) camera->translation[i] = numbers[13 + i];
+    return 1;
+}
+
+int main(int argc, char **argv) {
+    if (argc < 5 || argc - 4 > MAX_PHOTOS) {
+        fprintf(stderr, "usage: %s scene.ply cameras.txt sharp.ply PHOTO... (at most %d)\n", argv[0], MAX_PHOTOS);
+        return 2;
+    }
+    int result = EXIT_FAILURE;
+    const size_t count = (size_t)argc - 4;
+    zs_context *context = NULL;
+    zs_scene *scene = NULL, *sharp = NULL;
+    static zs_photo *photos[MAX_PHOTOS];
+    static zs_image images[MAX_PHOTOS];
+    static zs_camera cameras[MAX_PHOTOS];
+    FILE *file = fopen(argv[2], "r");
+
+    CHECK(zs_context_create(NULL, &context));
+    CHECK(zs_scene_open(argv[1], &scene));
+    for (size_t i = 0; i < count; i++) {
+        images[i].struct_size = sizeof images[i];
+        CHECK(zs_photo_open(argv[4 + i], &photos[i]));
+        CHECK(zs_photo_get_image(photos[i], &images[i]));
+        if (!file || !read_camera(file, &images[i], &cameras[i])) {
+            fprintf(stderr, "%s: no camera for photo %s\n", argv[2], argv[4 + i]);
+            goto done;
+        }
+    }
+    zs_refine_options options;
+    CHECK(zs_refine_options_default(&options, sizeof options));
+    options.progress = show;
+    zs_refine_info info = {.struct_size = sizeof info};
+    CHECK(zs_refine(context, scene, images, cameras, count, &options, &info, &sharp));
+    CHECK(zs_scene_save(sharp, argv[3], NULL));
+    printf("%u steps in %.1f s: loss %.4f to %.4f; kept is step %u", info.steps, info.seconds, info.first_loss,
+           info.last_loss, info.best_step);
+    /* Of 9 photos or more one is held out, and the step is kept that predicts it best. */
+    if (info.psnr == info.psnr) printf("; held-out photos %.2f to %.2f dB", info.psnr_before, info.psnr);
+    printf("\n");
+    result = EXIT_SUCCESS;
+
+done:
+    for (size_t i = 0; i < count; i++) zs_photo_destroy(photos[i]);
+    zs_scene_destroy(sharp);
+    zs_scene_destroy(scene);
+    zs_context_destroy(context);
+    if (file) fclose(file);
+    return result;
+}

@@ -1,0 +1,21 @@
+//! Where the time of a run went, by stage.
+
+use std::time::Duration;
+
+/// Time of each stage of a run, as the host saw its submissions end.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct StageTimes(pub Vec<(String, Duration)>);
+
+impl StageTimes {
+    /// All stages together.
+    pub fn total(&self) -> Duration {
+        self.0.iter().map(|s| s.1).sum()
+    }
+
+    pub(super) fn add(&mut self, stage: &str, took: Duration) {
+        match self.0.iter_mut().find(|s| s.0 == stage) {
+            Some(known) => known.1 += took,
+            None => self.0.push((stage.to_owned(), took)),
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! Refinement: a scene made to look like photos.
+
+use super::{
+    context::zs_context,
+    picture::{zs_camera, zs_image},
+    pointers::{
+        POINTER, Versioned, borrow, flow, produce, read_array, read_versioned, write_defaults, write_versioned,
+    },
+    scene::zs_scene,
+    status::{Failure, zs_status},
+};
+use crate::{
+    refine::{Refine, Refined, Refining, Stopped, refine_scene},
+    types::Camera,
+};
+use std::{ffi::c_void, ops::ControlFlow};
+
+/// One photo is held out where there are 9 or more, else none.
+pub const ZS_HOLD_OUT_AUTO: i32 = -1;
+
+/// Why a refinement ended.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_refine_end {
+    /// It took all steps.
+    ZS_REFINE_FINISHED = 0,
+    /// Your progress callback asked to stop.
+    ZS_REFINE_STOPPED = 1,
+    /// The loss grew, or became NaN or infinite.
+    ZS_REFINE_DIVERGED = 2,
+}
+
+pub(super) type zs_refine_end_value = i32;
+
+/// How far a refinement is. The library fills it, and later versions may add fields at its end.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_refining {
+    /// Bytes of this structure in the library's version.
+    pub struct_size: u32,
+    /// Steps that are done.
+    pub step: u32,
+    /// All steps.
+    pub steps: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Mean loss of the photos of the last step.
+    pub loss: f64,
+    /// PSNR in dB of the held-out photos, when they were looked at last; NaN where none are held out.
+    pub psnr: f64,
+    /// Seconds that are left, as steps took so far.
+    pub seconds_left: f64,
+}
+
+/// Called after each step, on the thread that made the call; `now` is valid during the callback. Return 0 to go on. Anything else
+/// ends the refinement early and is no failure: the best scene so far is handed out. It must return: no longjmp, no C++
+/// exception. It may call zs_ functions.
+pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, now: *const zs_refining) -> i32>;
+
+/// How to refine.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_refine_options {
+    /// sizeof(zs_refine_options); zs_refine_options_default sets it.
+    pub struct_size: u32,
+    /// Steps of the optimiser. Default 100.
+    pub steps: u32,
+    /// Photos of a step, at least 1; more than there are to learn from count as all. Default 4.
+    pub views_per_step: u32,
+    /// Photos to hold out, evenly spread, fewer than there are, or ZS_HOLD_OUT_AUTO. Nothing is learnt from them: the scene that is
+    /// handed out is that of the step that predicts them best. Default ZS_HOLD_OUT_AUTO.
+    pub hold_out: i32,
+    /// Most pixels of a photo along x: a larger one is compared at the largest size that fits. 0 for photos as they are.
+    /// Default 1600.
+    pub width: u32,
+    /// Most pixels along y; 0 together with `width`. Default 1600.
+    pub height: u32,
+    /// Seed of the order of the photos: the same seed, the same scene. Default 0.
+    pub seed: u64,
+    /// Told how far it is; may stop it. Default NULL.
+    pub progress: zs_refine_progress,
+    /// Given to `progress`.
+    pub user_data: *mut c_void,
+}
+
+/// What came of a refinement.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_refine_info {
+    /// sizeof(zs_refine_info); set it before the call.
+    pub struct_size: u32,
+    /// Why it ended.
+    pub ended: zs_refine_end_value,
+    /// Steps that were taken.
+    pub steps: u32,
+    /// The step after which the scene was kept; 0 where none made it better.
+    pub best_step: u32,
+    /// Mean loss of the photos of the first step; NaN where there was none.
+    pub first_loss: f64,
+    /// Mean loss of the photos of the last step; NaN where there was none.
+    pub last_loss: f64,
+    /// PSNR in dB of the held-out photos before the first step; NaN where none are held out.
+    pub psnr_before: f64,
+    /// PSNR in dB of the held-out photos with the scene that was kept; NaN where none are held out.
+    pub psnr: f64,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+// SAFETY: repr(C), six values of four bytes, a u64 and pointers: no padding.
+unsafe impl Versioned for zs_refine_options {
+    const NAME: &str = "zs_refine_options";
+    const FIRST_SIZE: usize = 32 + 2 * POINTER;
+    fn defaults() -> Self {
+        let Refine { steps, views_per_step, seed, .. } = Refine::default();
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            steps: steps as u32,
+            views_per_step: views_per_step as u32,
+            hold_out: ZS_HOLD_OUT_AUTO,
+            width: MOST_PIXELS,
+            height: MOST_PIXELS,
+            seed,
+            progress: None,
+            user_data: std::ptr::null_mut(),
+        }
+    }
+}
+
+// SAFETY: repr(C), four values of four bytes and five f64: no padding.
+unsafe impl Versioned for zs_refine_info {
+    const NAME: &str = "zs_refine_info";
+    const FIRST_SIZE: usize = 56;
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            ended: zs_refine_end::ZS_REFINE_FINISHED as i32,
+            steps: 0,
+            best_step: 0,
+            first_loss: f64::NAN,
+            last_loss: f64::NAN,
+            psnr_before: f64::NAN,
+            psnr: f64::NAN,
+            seconds: 0.0,
+        }
+    }
+}
+
+/// Pixels of a photo along a side where nobody says.
+const MOST_PIXELS: u32 = 1600;
+
+/// Fills `options` with the defaults. `size` is sizeof(zs_refine_options).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_options, size: usize) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(options, size) }
+}
+
+/// Makes a scene sharp: moves its Gaussians until each of `count` photos is what the camera of its number sees, and hands out the
+/// result as a scene of its own. The scene may come from anywhere; `cameras` are those of the whole photos, in the scene's world.
+/// It returns when the refinement has ended: after all steps, when `progress` asked to stop, or when the loss grew. That is
+/// no failure: the scene is the best that there was. `options` may be NULL, and so may `info`, which is filled with what came
+/// of it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_refine(
+    context: *const zs_context,
+    scene: *const zs_scene,
+    images: *const zs_image,
+    cameras: *const zs_camera,
+    count: usize,
+    options: *const zs_refine_options,
+    info: *mut zs_refine_info,
+    refined: *mut *mut zs_scene,
+) -> zs_status {
+    let refine = || {
+        // SAFETY: objects or NULL; a structure or NULL; arrays of the caller's.
+        let (context, scene, options, images, cameras) = unsafe {
+            let (images, cameras) = (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?);
+            (borrow(context, "context")?, borrow(scene, "scene")?, read_versioned(options)?, images, cameras)
+        };
+        if count == 0 {
+            return Err(Failure::argument("number of images", count, "at least 1"));
+        }
+        let request = options.request()?;
+        if !info.is_null() {
+            // Refused before anything that takes time.
+            // SAFETY: the caller's structure.
+            unsafe { write_versioned(info, zs_refine_info::defaults()) }?;
+        }
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let photo = |(i, image): (usize, &zs_image)| {
+            // SAFETY: the caller's pixels.
+            unsafe { image.image(&format!("image {i}")) }
+        };
+        let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
+        let told = |now: Refining| options.tell(&now);
+        let found = refine_scene(&context.device, &scene.scene, &photos, &cameras, &request, told)?;
+        if !info.is_null() {
+            // SAFETY: as above.
+            unsafe { write_versioned(info, zs_refine_info::of(&found)) }?;
+        }
+        Ok(found.scene.into())
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(refined, refine) }
+}
+
+impl zs_refine_options {
+    fn request(&self) -> Result<Refine, Failure> {
+        let size = match (self.width, self.height) {
+            (0, 0) => None,
+            (0, _) | (_, 0) => {
+                let found = format!("{} x {}", self.width, self.height);
+                return Err(Failure::argument("width and height", found, "both 0, or both above it"));
+            }
+            (width, height) => Some([width, height]),
+        };
+        if self.views_per_step == 0 {
+            return Err(Failure::argument("views_per_step", 0, "at least 1"));
+        }
+        let hold_out = match self.hold_out {
+            ZS_HOLD_OUT_AUTO => None,
+            count => Some(
+                usize::try_from(count)
+                    .map_err(|_| Failure::argument("hold_out", count, "a number of photos, or ZS_HOLD_OUT_AUTO"))?,
+            ),
+        };
+        let (steps, views_per_step) = (self.steps as usize, self.views_per_step as usize);
+        Ok(Refine { steps, views_per_step, size, hold_out, seed: self.seed, ..Refine::default() })
+    }
+
+    /// Tells the caller how far it is.
+    fn tell(&self, now: &Refining) -> ControlFlow<()> {
+        let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
+        let now = zs_refining {
+            struct_size: size_of::<zs_refining>() as u32,
+            step: now.step as u32,
+            steps: now.steps as u32,
+            reserved: 0,
+            loss: now.loss.map_or(f64::NAN, f64::from),
+            psnr: now.psnr.unwrap_or(f64::NAN),
+            seconds_left: now.left.as_secs_f64(),
+        };
+        // SAFETY: the caller's function, with the caller's data.
+        flow(unsafe { progress(self.user_data, &now) })
+    }
+}
+
+impl zs_refine_info {
+    fn of(refined: &Refined) -> Self {
+        let loss = |loss: Option<&f32>| loss.map_or(f64::NAN, |loss| f64::from(*loss));
+        let [psnr, psnr_before] = refined.psnr().unwrap_or([f64::NAN; 2]);
+        let ended = match refined.stopped {
+            None => zs_refine_end::ZS_REFINE_FINISHED,
+            Some(Stopped::Cancelled) => zs_refine_end::ZS_REFINE_STOPPED,
+            Some(Stopped::Diverged(_)) => zs_refine_end::ZS_REFINE_DIVERGED,
+        };
+        Self {
+            ended: ended as i32,
+            steps: refined.losses.len() as u32,
+            best_step: refined.best_step as u32,
+            first_loss: loss(refined.losses.first()),
+            last_loss: loss(refined.losses.last()),
+            psnr_before,
+            psnr,
+            seconds: refined.took.as_secs_f64(),
+            ..Versioned::defaults()
+        }
+    }
+}

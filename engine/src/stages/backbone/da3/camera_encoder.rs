@@ -1,0 +1,57 @@
+//! The camera encoder: known poses and intrinsics become one token a view.
+
+use crate::{
+    gpu::{Element, Recorder, Tensor},
+    ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
+    stages::Architecture,
+};
+
+/// Values of a pose encoding (`types::prior_encoding`): translation 3, quaternion 4, vertical and horizontal field of view.
+const POSE_ENCODING: usize = 9;
+
+/// Values of a pose encoding, padded with zeros to whole vec4.
+pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
+
+const EPS: f32 = 1e-5;
+
+pub(super) struct CameraEncoder {
+    trunk: Vec<Block>,
+    token_norm: Norm,
+    trunk_norm: Norm,
+    fc1: Linear,
+    fc2: Linear,
+}
+
+impl CameraEncoder {
+    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
+        let root = "backbone.cam_enc";
+        let heads = Heads::new(a.camera_heads, a.width);
+        let block = |p: &mut ParameterLayout, i| {
+            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.camera_hidden), EPS)
+        };
+        Self {
+            trunk: (0..a.camera_depth).map(|i| block(p, i)).collect(),
+            token_norm: p.norm(&format!("{root}.token_norm"), a.width, EPS),
+            trunk_norm: p.norm(&format!("{root}.trunk_norm"), a.width, EPS),
+            // Poses are geometry, which stays in f32.
+            fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), POSE_ENCODING, a.camera_pose_hidden),
+            fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
+        }
+    }
+
+    /// One token a view of `poses` `[views, POSE_VALUES]`. The views are one sequence.
+    pub fn record(&self, rec: &mut Recorder, poses: Rows) -> Tensor {
+        rec.scope("camera_encoder", |rec| {
+            let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };
+            let hidden = self.fc1.apply(rec, "pose", poses, Element::F32, gelu);
+            let embedded = self.fc2.apply(rec, "embedded", hidden, Element::F32, Epilogue::default());
+            let x = self.token_norm.apply(rec, embedded, Element::F32);
+            for block in &self.trunk {
+                block.record(rec, x, Sequences { count: 1, tokens: x.count, rotary: None });
+            }
+            let tokens = self.trunk_norm.apply(rec, x, Element::F32).tensor;
+            rec.observe("bb/cam_token", tokens);
+            tokens
+        })
+    }
+}

@@ -1,0 +1,91 @@
+//! Attention: how it is tested and timed.
+
+use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::encoded_noise, self_test::deviation};
+use crate::{
+    Result,
+    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
+    ops::{Arithmetic, Attention, AttentionKernel, Heads, Part, Rows, Tile, Units},
+};
+
+pub(super) struct Attentions;
+
+/// The largest deviation that passes, in unit roundoffs: twins differ by the rounding of queries, weights and results.
+const LIMIT: f64 = 40.0;
+
+/// Channels of the largest heads, which take most shared memory.
+const WIDEST_HEAD: usize = 128;
+
+impl Operation for Attentions {
+    fn name(&self) -> &'static str {
+        "attention"
+    }
+
+    fn lanes(&self) -> &'static [Element] {
+        &Element::HALVES
+    }
+
+    fn factors(&self) -> &'static [Element] {
+        &Element::HALVES
+    }
+
+    fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile> {
+        let fits_all = !Tile::attention(limits, units, WIDEST_HEAD).is_empty();
+        if fits_all { Tile::attention(limits, units, Tile::TUNED_CHANNELS) } else { Vec::new() }
+    }
+
+    fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
+        vec![(kernel_name("ops/attention", on_units, factor), factor)]
+    }
+
+    fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
+        let (kernel, queries) = match candidate {
+            Candidate::Lanes(element) => (AttentionKernel::Lanes(element), 35),
+            Candidate::Units(units, tile) => (AttentionKernel::Matrix(units), tile.sides(units)[0] + 3),
+        };
+        let attended = |kernel: AttentionKernel| -> Result<Vec<f32>> {
+            let (mut run, out) = attention(device, kernel, output, queries, 100)?;
+            run.execute()?;
+            Ok(kernel.element().decode(&run.read::<u8>(out)?))
+        };
+        let (exact, fast) = (attended(AttentionKernel::Lanes(Element::F32))?, attended(kernel)?);
+        Ok(deviation(LIMIT * output.roundoff(), 0.0, &exact, &fast))
+    }
+
+    fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run> {
+        attention(device, AttentionKernel::Matrix(units), units.factor, rows, TERMS).map(|(run, _)| run)
+    }
+
+    fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
+        vec![&mut arithmetic.attention]
+    }
+}
+
+/// A run on random queries, keys and values that `factor` holds, and its result.
+fn attention(
+    device: &Device,
+    kernel: AttentionKernel,
+    factor: Element,
+    queries: usize,
+    keys: usize,
+) -> Result<(Run, Tensor)> {
+    let heads = Heads::new(COLUMNS / Tile::TUNED_CHANNELS, COLUMNS);
+    let attention = Attention { heads, sequences: 1, queries, keys, kernel };
+    let tokens = [queries, keys, keys];
+    let values = [0, 1, 2].map(|i| encoded_noise(i as u64 + 1, tokens[i], COLUMNS, factor, kernel.element()));
+    let mut rec = Recorder::new(device.limits());
+    let inputs = [0, 1, 2].map(|i: usize| rec.constant::<u8>("part", values[i].len()));
+    let tensors = attention.tensors(&mut rec);
+    let of_queries = Part { scale: attention.scale(), ..Part::default() };
+    let parts = [of_queries, Part { keys: true, ..Part::default() }, Part::default()];
+    for i in 0..3 {
+        let projection = Rows { tensor: inputs[i], count: tokens[i], width: COLUMNS, element: kernel.element() };
+        attention.split(&mut rec, projection, 0, parts[i], tensors[i]);
+    }
+    let out = attention.record(&mut rec, tensors).tensor;
+    rec.output(out);
+    let mut run = Run::new(device, rec.finish()?)?;
+    for (input, values) in inputs.into_iter().zip(&values) {
+        run.write(input, values)?;
+    }
+    Ok((run, out))
+}

@@ -1,0 +1,116 @@
+//! Linear layers: how they are tested and timed.
+
+use super::{
+    COLUMNS, Candidate, Operation, TERMS, kernel_name,
+    noise::{encoded_noise, noise},
+    self_test::{deviation, worse},
+};
+use crate::{
+    Result,
+    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
+    ops::{Activation, Arithmetic, Epilogue, Linear, LinearKernel, Rows, Tile, Units, pack_matrix},
+};
+
+pub(super) struct LinearLayers;
+
+/// The largest deviation that passes: both twins get the same factors, so they differ by the order of their sums.
+const LIMIT: f64 = 1e-3;
+
+impl Operation for LinearLayers {
+    fn name(&self) -> &'static str {
+        "linear"
+    }
+
+    fn lanes(&self) -> &'static [Element] {
+        &Element::HALVES
+    }
+
+    fn factors(&self) -> &'static [Element] {
+        &Element::FACTORS
+    }
+
+    fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile> {
+        Tile::linear(limits, units)
+    }
+
+    /// Results go on in f32, or only feed other products.
+    fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
+        let name = kernel_name("ops/linear", on_units, factor);
+        let outputs = [Element::F32, LinearKernel::Panels(factor).element()];
+        outputs.map(|output| (format!("{name}_{}", output.name()), output)).into()
+    }
+
+    fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
+        // On matrix units more than one workgroup each way, the last of them not whole.
+        let (kernel, rows, columns) = match candidate {
+            Candidate::Lanes(element) => (LinearKernel::Panels(element), 35, 40),
+            Candidate::Units(units, tile) => {
+                let [rows, columns] = tile.sides(units);
+                (LinearKernel::Matrix(units), rows + 3, columns + 8)
+            }
+        };
+        let mut activations = vec![Activation::None, Activation::Gelu];
+        activations.extend(columns.is_multiple_of(8).then_some(Activation::SwiGlu));
+        let mut worst = Some(0.0);
+        for activation in activations {
+            let product = |twin, output: Element| -> Result<Vec<f32>> {
+                let layer = Layer { kernel: twin, sizes: [rows, 72, columns], activation, output };
+                let (mut run, out) = layer.run(device, kernel.factor())?;
+                run.execute()?;
+                Ok(output.decode(&run.read::<u8>(out)?))
+            };
+            let exact = product(LinearKernel::Panels(Element::F32), Element::F32)?;
+            worst = worse(worst, deviation(LIMIT, output.roundoff(), &exact, &product(kernel, output)?));
+        }
+        Ok(worst)
+    }
+
+    fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run> {
+        let kernel = LinearKernel::Matrix(units);
+        let sizes = [rows, TERMS, COLUMNS];
+        let layer = Layer { kernel, sizes, activation: Activation::None, output: kernel.element() };
+        layer.run(device, units.factor).map(|(run, _)| run)
+    }
+
+    fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
+        vec![&mut arithmetic.linear, &mut arithmetic.quantised]
+    }
+}
+
+/// A layer and its rows.
+struct Layer {
+    kernel: LinearKernel,
+    /// Rows, terms of a sum, columns.
+    sizes: [usize; 3],
+    activation: Activation,
+    output: Element,
+}
+
+impl Layer {
+    /// A run on random numbers that `factor` holds, and its result. GELU comes with a residual and a scale.
+    fn run(&self, device: &Device, factor: Element) -> Result<(Run, Tensor)> {
+        let ([rows, inner, columns], kernel) = (self.sizes, self.kernel);
+        let packed = pack_matrix(kernel, &noise(2, columns, inner, factor), inner, columns);
+        let values = encoded_noise(1, rows, inner, factor, kernel.element());
+        let mut rec = Recorder::new(device.limits());
+        let (weight, bias) = (rec.constant::<u8>("weight", packed.len()), rec.constant::<f32>("bias", columns));
+        let tensor = rec.constant::<u8>("input", values.len());
+        let input = Rows { tensor, count: rows, width: inner, element: kernel.element() };
+        let with_residual = self.activation == Activation::Gelu;
+        let residual = with_residual.then(|| Rows::new(rec.constant::<f32>("residual", rows * columns), rows, columns));
+        // The bias scales, too.
+        let gamma = residual.map(|_| bias);
+        let epilogue = Epilogue { activation: self.activation, gamma, residual };
+        let layer = Linear { weight, bias, inner, columns, kernel };
+        let out = layer.apply(&mut rec, "out", input, self.output, epilogue).tensor;
+        rec.output(out);
+        let mut run = Run::new(device, rec.finish()?)?;
+        run.write(weight, &packed)?;
+        run.write(bias, &noise(3, 1, columns, factor))?;
+        run.write(tensor, &values)?;
+        if let Some(residual) = residual {
+            run.write(residual.tensor, &noise(4, rows, columns, Element::F32))?;
+        }
+        Ok((run, out))
+    }
+}

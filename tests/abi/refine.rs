@@ -1,0 +1,243 @@
+//! Refinement by way of C: what Rust gives, the best so far where the callback stops it, and what is refused.
+
+use crate::{
+    calls::*,
+    header::root,
+    installation::{Linking, installation, runner, success},
+};
+use std::{
+    ffi::c_void,
+    fmt::Write,
+    ops::ControlFlow,
+    ptr::{dangling_mut, null, null_mut},
+};
+use zipsplat::{
+    ffi::{zs_status::*, *},
+    refine::{Refine, Refined, refine_scene},
+    stages::render::{RenderRequest, Renderer},
+    types::{Camera, Image, Scene, read_ply, write_ply},
+};
+use zipsplat_tests::{
+    compare::assert_same,
+    device::device,
+    scenes::{camera, random_scene},
+};
+
+/// A scene, photos of it, and the scene with its Gaussians moved.
+struct Place {
+    cameras: Vec<Camera>,
+    photos: Vec<Image>,
+    moved: Scene,
+}
+
+fn place(count: usize) -> Place {
+    let at = |i: usize| {
+        let mut camera = camera(48, 36);
+        camera.pose.translation.x += 0.05 * i as f64;
+        camera
+    };
+    let cameras: Vec<Camera> = (0..count).map(at).collect();
+    let mut moved = random_scene(60, 1, 0.3);
+    let frames = Renderer::new(device()).render(&moved, &cameras, &RenderRequest::default()).expect("pictures");
+    let photo = |frame: zipsplat::stages::render::Frame| {
+        Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.expect("colour")).expect("a photo")
+    };
+    let photos = frames.into_iter().map(photo).collect();
+    moved.sh_coeffs.iter_mut().flatten().enumerate().for_each(|(i, value)| *value += 0.3 * (2.4 * i as f32).sin());
+    Place { cameras, photos, moved }
+}
+
+impl Place {
+    fn in_rust(&self, request: &Refine, stop_after: usize) -> Refined {
+        let progress = |now: zipsplat::refine::Refining| match now.step == stop_after {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        refine_scene(device(), &self.moved, &self.photos, &self.cameras, request, progress).expect("a scene")
+    }
+
+    fn c_cameras(&self) -> Vec<zs_camera> {
+        let in_c = |camera: &Camera| {
+            let rotation = camera.pose.rotation.transpose().to_cols_array();
+            camera_of(camera.intrinsics, rotation, camera.pose.translation.to_array())
+        };
+        self.cameras.iter().map(in_c).collect()
+    }
+
+    fn in_c(&self, options: &zs_refine_options) -> Result<(Scene, zs_refine_info), zs_status> {
+        let (context, scene) = (context(), scene_of(&self.moved));
+        let images: Vec<_> = self.photos.iter().map(image_of).collect();
+        let (cameras, mut info) = (self.c_cameras(), empty_info());
+        let (images, cameras, count) = (images.as_ptr(), cameras.as_ptr(), images.len());
+        // SAFETY: live objects and arrays of their lengths.
+        let refine =
+            |out| unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, &mut info, out) };
+        let refined = Object::try_new(zs_scene_destroy, refine)?;
+        Ok((read(&refined), info))
+    }
+}
+
+fn empty_info() -> zs_refine_info {
+    // SAFETY: zeroes are a value of this structure.
+    let info: zs_refine_info = unsafe { std::mem::zeroed() };
+    zs_refine_info { struct_size: size_of::<zs_refine_info>() as u32, ..info }
+}
+
+fn options() -> zs_refine_options {
+    let mut options = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the options, which are filled where it succeeds.
+    unsafe {
+        ok(zs_refine_options_default(options.as_mut_ptr(), size_of::<zs_refine_options>()));
+        options.assume_init()
+    }
+}
+
+fn bits(scene: &Scene) -> Vec<u32> {
+    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
+    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
+    fields.flatten().map(|x| x.to_bits()).collect()
+}
+
+/// What a callback was told, and after which step it stops.
+struct Told {
+    steps: Vec<zs_refining>,
+    stop_after: u32,
+}
+
+unsafe extern "C" fn listen(told: *mut c_void, now: *const zs_refining) -> i32 {
+    // SAFETY: the test's own, which waits for the call; what the library hands over.
+    let (told, now) = unsafe { (&mut *told.cast::<Told>(), *now) };
+    told.steps.push(now);
+    (now.step == told.stop_after).into()
+}
+
+#[test]
+fn a_refinement_is_rusts_and_tells_how_far_it_is() {
+    let place = place(9);
+    let mut told = Told { steps: Vec::new(), stop_after: u32::MAX };
+    let options = zs_refine_options {
+        steps: 12,
+        views_per_step: 3,
+        width: 40,
+        height: 40,
+        seed: 7,
+        progress: Some(listen),
+        user_data: (&raw mut told).cast(),
+        ..options()
+    };
+    let (scene, info) = made(place.in_c(&options));
+    let request = Refine { steps: 12, views_per_step: 3, size: Some([40, 40]), seed: 7, ..Refine::default() };
+    let expected = place.in_rust(&request, usize::MAX);
+    assert_same("scene", &bits(&scene), &bits(&expected.scene));
+    assert_ne!(bits(&scene), bits(&place.moved));
+    let [psnr, before] = expected.psnr().expect("a photo is held out of 9");
+    let found = [info.first_loss, info.last_loss, info.psnr, info.psnr_before];
+    assert_eq!(found, [f64::from(expected.losses[0]), f64::from(expected.losses[11]), psnr, before]);
+    let ended = zs_refine_end::ZS_REFINE_FINISHED as i32;
+    assert_eq!((info.ended, info.steps, info.best_step as usize), (ended, 12, expected.best_step));
+    assert!(psnr > before && info.seconds > 0.0, "{before} to {psnr} dB in {} s", info.seconds);
+    let steps: Vec<_> = told.steps.iter().map(|now| (now.step, now.steps, now.loss)).collect();
+    let losses = expected.losses.iter().zip(1..).map(|(loss, step)| (step, 12, f64::from(*loss)));
+    assert_eq!(steps, losses.collect::<Vec<_>>());
+    assert!(told.steps.iter().all(|now| now.psnr > 0.0 && now.seconds_left >= 0.0));
+    assert_eq!(told.steps[0].struct_size as usize, size_of::<zs_refining>());
+}
+
+#[test]
+fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
+    let place = place(3);
+    let mut told = Told { steps: Vec::new(), stop_after: 5 };
+    let user_data = (&raw mut told).cast();
+    let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..options() }));
+    let expected = place.in_rust(&Refine::default(), 5);
+    assert_same("scene", &bits(&scene), &bits(&expected.scene));
+    assert_eq!((info.ended, info.steps, told.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
+    // Of three photos none is held out.
+    assert!(info.psnr.is_nan() && told.steps.iter().all(|now| now.psnr.is_nan()));
+    let (scene, info) = made(place.in_c(&zs_refine_options { steps: 0, ..options() }));
+    assert_same("no step", &bits(&scene), &bits(&place.moved));
+    assert!((info.steps, info.best_step) == (0, 0) && info.first_loss.is_nan());
+}
+
+#[test]
+fn what_cannot_be_refined_is_refused() {
+    let place = place(2);
+    let (context, scene) = (context(), scene_of(&place.moved));
+    let (images, cameras): (Vec<_>, _) = (place.photos.iter().map(image_of).collect(), place.c_cameras());
+    let call = |images: *const zs_image, cameras: *const zs_camera, count, options: *const _, info| {
+        let mut refined = dangling_mut();
+        // SAFETY: live objects; arrays of their lengths, or counts that are refused before they are read.
+        let status =
+            unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, info, &mut refined) };
+        assert!(refined.is_null());
+        status
+    };
+    let refused = |options: zs_refine_options, words: &[&str]| {
+        let status = call(images.as_ptr(), cameras.as_ptr(), 2, &options, null_mut());
+        fails(status, ZS_ERROR_ARGUMENT, words);
+    };
+    refused(zs_refine_options { views_per_step: 0, ..options() }, &["views_per_step"]);
+    refused(zs_refine_options { hold_out: -2, ..options() }, &["hold_out", "-2"]);
+    refused(zs_refine_options { hold_out: 2, ..options() }, &["held-out photos", "fewer than the 2"]);
+    refused(zs_refine_options { width: 0, ..options() }, &["width and height", "0 x 1600"]);
+    for struct_size in [0, 4, 47, 1000] {
+        refused(zs_refine_options { struct_size, ..options() }, &["zs_refine_options, struct_size"]);
+    }
+    let (photos, poses) = (images.as_ptr(), cameras.as_ptr());
+    let argument = |status, words: &[&str]| fails(status, ZS_ERROR_ARGUMENT, words);
+    argument(call(photos, poses, 0, null(), null_mut()), &["number of images"]);
+    argument(call(null(), poses, 2, null(), null_mut()), &["images", "NULL"]);
+    argument(call(photos, null(), 2, null(), null_mut()), &["cameras", "NULL"]);
+    argument(call(photos, poses, usize::MAX, null(), null_mut()), &["number of images"]);
+    let wrong = [cameras[0], zs_camera { fx: f64::NAN, ..cameras[1] }];
+    argument(call(photos, wrong.as_ptr(), 2, null(), null_mut()), &["camera 1"]);
+    let larger = [cameras[0], zs_camera { width: 480, ..cameras[1] }];
+    argument(call(photos, larger.as_ptr(), 2, null(), null_mut()), &["camera 1"]);
+    let mut info = zs_refine_info { struct_size: 12, ..empty_info() };
+    argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_info, struct_size"]);
+    assert_eq!(info.struct_size, 12);
+    // SAFETY: every entry point takes NULL for every pointer.
+    let nulls = unsafe {
+        let empty = scene_of(&Scene::default());
+        let mut out = null_mut();
+        [
+            zs_refine_options_default(null_mut(), 48),
+            zs_refine(null(), scene.handle, photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine(context.handle, null(), photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine(context.handle, scene.handle, photos, poses, 2, null(), null_mut(), null_mut()),
+            zs_refine(context.handle, empty.handle, photos, poses, 2, null(), null_mut(), &mut out),
+        ]
+    };
+    assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 5]);
+}
+
+/// The example, as a reader would build and run it.
+#[test]
+fn refine_in_c() {
+    let mut place = place(4);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    write_ply(&place.moved, path("scene.ply")).expect("a scene can be written");
+    // Files hold logarithms of scales.
+    place.moved = read_ply(path("scene.ply")).expect("a scene");
+    let mut cameras = String::new();
+    for camera in &place.cameras {
+        let (i, pose) = (&camera.intrinsics, &camera.pose);
+        let numbers = [i.fx, i.fy, i.cx, i.cy].into_iter().chain(pose.rotation.transpose().to_cols_array());
+        let numbers: Vec<_> = numbers.chain(pose.translation.to_array()).map(|number| number.to_string()).collect();
+        let _ = writeln!(cameras, "{}", numbers.join(" "));
+    }
+    std::fs::write(path("cameras.txt"), cameras).expect("a file can be written");
+    let names: Vec<_> = (0..4).map(|i| path(&format!("{i}.png"))).collect();
+    for (photo, name) in place.photos.iter().zip(&names) {
+        photo.save_png(name).expect("a photo can be written");
+    }
+    let program = installation().compile(&root().join("engine/examples/refine.c"), Linking::Shared, &[]);
+    let mut command = runner(&program);
+    command.args([path("scene.ply"), path("cameras.txt"), path("sharp.ply")]).args(&names);
+    let out = success(command);
+    let refined = read_ply(path("sharp.ply")).expect("a scene");
+    let expected = place.in_rust(&Refine { size: Some([1600; 2]), ..Refine::default() }, usize::MAX);
+    assert_same("means", refined.means.as_flattened(), expected.scene.means.as_flattened());
+    assert!(out.contains("loss 0.") && out.contains("100 steps"), "{out}");
+}

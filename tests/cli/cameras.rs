@@ -1,0 +1,367 @@
+//! Cameras that COLMAP finds: with programs that stand for it, and with itself where it is installed.
+#![cfg(unix)]
+
+use crate::{Folder, Outcome, command};
+use glam::{DMat3, DVec3};
+use std::{
+    fs,
+    os::unix::fs::PermissionsExt,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, Ordering},
+};
+use zipsplat::types::{
+    Camera,
+    poses::{Frame, read_poses},
+    quaternion_from_matrix, read_points,
+};
+
+/// The options that differ, as a version's help has them.
+const OPTIONS_3: [&str; 3] = [
+    "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
+    "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
+    "--Mapper.min_model_size arg",
+];
+const OPTIONS_4: [&str; 3] = [
+    "--ImageReader.single_camera_per_folder arg --FeatureExtraction.use_gpu arg --FeatureExtraction.max_image_size arg",
+    "--FeatureMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
+    "--Mapper.min_model_size arg",
+];
+const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
+
+/// A place of 4 photos in `@/place/images`, whose cameras are taken away.
+fn place() -> (Folder, Vec<Frame>) {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
+    let frames = read_poses(folder.path("place")).expect("cameras").frames;
+    fs::remove_file(folder.path("place/transforms.json")).expect("it was written above");
+    fs::remove_file(folder.path("place/points.ply")).expect("it was written above");
+    (folder, frames)
+}
+
+fn script(folder: &Folder, name: &str, text: &str) {
+    fs::write(folder.path(name), text).expect("a script");
+    fs::set_permissions(folder.path(name), fs::Permissions::from_mode(0o755)).expect("an executable script");
+}
+
+/// A program that stands for COLMAP: it writes down what it was called with and does `features`, `matches` and `mapper`.
+fn colmap(folder: &Folder, name: &str, version: &str, options: [&str; 3], bodies: [&str; 3]) {
+    let [features, matches, mapper] = bodies;
+    let text = format!(
+        "#!/bin/sh
+[ \"$1\" = help ] && {{ echo 'COLMAP {version} -- Structure-from-Motion'; exit 0; }}
+[ \"$2\" = -h ] && {{ case $1 in feature_extractor) echo '{}';; *_matcher) echo '{}';; mapper) echo '{}';; esac; exit 1; }}
+echo \"$QT_QPA_PLATFORM $@\" >>\"$0.args\"
+step=$1
+while [ $# -gt 1 ]; do case $1 in --output_path) out=$2;; --image_path) images=$2;; esac; shift; done
+case $step in
+feature_extractor) {features};;
+*_matcher) {matches};;
+mapper) {mapper};;
+esac
+",
+        options[0], options[1], options[2]
+    );
+    script(folder, name, &text);
+}
+
+/// A text model of some frames under the names that photos have for COLMAP, with a lens that distorts and a few points.
+fn model(at: &Path, frames: &[(&str, &Camera)]) {
+    fs::create_dir_all(at).expect("a folder");
+    let (mut cameras, mut images) = (String::new(), String::new());
+    for (i, (name, camera)) in frames.iter().enumerate() {
+        let (lens, pose) = (&camera.intrinsics, camera.pose.inverse());
+        let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation);
+        let size = format!("{} {}", lens.width, lens.height);
+        cameras += &format!("{i} SIMPLE_RADIAL {size} {} {} {} -0.05\n", lens.fx, lens.cx, lens.cy);
+        images += &format!("{i} {w} {x} {y} {z} {} {} {} {i} {name}\n\n", t.x, t.y, t.z);
+    }
+    fs::write(at.join("cameras.txt"), cameras).expect("written");
+    fs::write(at.join("images.txt"), images).expect("written");
+    let points: String = (0..5).map(|i| format!("{i} {i} 2 3.5 10 20 30 0.1\n")).collect();
+    fs::write(at.join("points3D.txt"), points).expect("written");
+}
+
+/// The model of all of the place's photos for the program `name`.
+fn whole_model(folder: &Folder, name: &str, frames: &[Frame]) {
+    let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();
+    let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
+    model(&folder.path(&format!("{name}.model/0")), &named);
+}
+
+fn args(folder: &Folder, name: &str) -> String {
+    fs::read_to_string(folder.path(&format!("{name}.args"))).expect("what it was called with")
+}
+
+/// The log that an error names, which is removed.
+#[track_caller]
+fn log_of(outcome: &Outcome) -> String {
+    let path = outcome.err.split("all of them: ").nth(1).expect("a path of a log").trim();
+    let log = fs::read_to_string(path).expect("the log");
+    fs::remove_file(path).expect("the log can be removed");
+    log
+}
+
+#[test]
+fn cameras_are_what_colmap_found() {
+    let (folder, truth) = place();
+    for (name, version, options) in [("three", "3.8", OPTIONS_3), ("four", "4.1.0", OPTIONS_4)] {
+        let features = "echo 'Processed file [1/4]'; ls -R \"$images\"";
+        colmap(&folder, name, version, options, [features, "", COPIES]);
+        whole_model(&folder, name, &truth);
+        let line = format!("cameras @/place/images --colmap @/{name} -o @/place/transforms.json --json");
+        let outcome = folder.run(&line);
+        assert!(outcome.err.contains("lens distortion of 4 frames"), "{}", outcome.err);
+        let json = outcome.json();
+        assert_eq!((json["found"].as_u64(), json["points"].as_u64()), (Some(4), Some(5)), "{json}");
+        assert_eq!(json["program"], format!("COLMAP {version}"));
+        let found = read_poses(folder.path("place")).expect("cameras");
+        for (found, truth) in found.frames.iter().zip(&truth) {
+            assert_eq!(found.name, truth.name);
+            let (pose, expected) = (found.camera.pose, truth.camera.pose);
+            assert!(pose.translation.abs_diff_eq(expected.translation, 1e-9), "{pose:?} and {expected:?}");
+            assert!(pose.rotation.abs_diff_eq(expected.rotation, 1e-9), "{pose:?} and {expected:?}");
+            let lens = found.lens.expect("a lens that distorts");
+            assert_eq!(lens.intrinsics.fx, truth.camera.intrinsics.fx);
+            assert!(format!("{:?}", lens.distortion).contains("-0.05"), "{lens:?}");
+        }
+        assert_eq!(found.frames.len(), 4);
+        let cloud = read_points(found.points.expect("points beside the cameras")).expect("points");
+        assert_eq!((cloud.positions[4], cloud.colors[4]), ([4.0, 2.0, 3.5], [10, 20, 30]));
+        let log = fs::read_to_string(folder.path("place/colmap.log")).expect("a log");
+        assert!(log.contains("Processed file [1/4]") && log.contains("000003.png"), "{log}");
+        // Another run replaces what this program wrote.
+        folder.run(&line).success();
+    }
+    let (three, four) = (args(&folder, "three"), args(&folder, "four"));
+    assert!(three.contains("--SiftExtraction.use_gpu 0") && three.contains("--SiftMatching.use_gpu 0"), "{three}");
+    assert!(four.contains("--FeatureExtraction.use_gpu 0") && four.contains("--FeatureMatching.use_gpu 0"), "{four}");
+    assert!(!three.contains("--Feature") && !four.contains("--Sift"), "{three}{four}");
+    assert!(three.lines().all(|line| line.starts_with("offscreen ")), "{three}");
+    fs::write(folder.path("place/points.ply"), "another's").expect("written");
+    let line = "cameras @/place/images --colmap @/three -o @/place/transforms.json";
+    folder.run(line).fails(3, &["file to replace", "points.ply", "--overwrite"]);
+    folder.run("cameras @/place/images -o @/place/cameras.txt").fails(3, &["cameras.txt", ".json"]);
+}
+
+#[test]
+fn pycolmap_takes_the_same_steps() {
+    let (folder, truth) = place();
+    let text = format!(
+        "#!/bin/sh
+[ \"$1\" = -c ] || exit 9
+[ $# = 2 ] && {{ echo 4.2.1; exit 0; }}
+echo \"$3 $5 $6\" >>\"$0.args\"
+out=$4/sparse
+[ $3 = cameras ] && {COPIES}
+exit 0
+"
+    );
+    script(&folder, "python", &text);
+    whole_model(&folder, "python", &truth);
+    let run = |options: &str| {
+        folder.run(&format!("cameras @/place/images --python @/python {options} -o @/garden.json --json")).json()
+    };
+    assert_eq!(run("")["program"], "pycolmap 4.2.1");
+    assert!(folder.path("garden.points.ply").exists() && folder.path("garden.colmap.log").exists());
+    run("--pairs near --find-size 800");
+    let args = args(&folder, "python");
+    assert_eq!(
+        args,
+        "features 1600 8192\nall 1600 8192\ncameras 1600 8192\nfeatures 800 8192\nnear 800 8192\ncameras 800 8192\n"
+    );
+}
+
+#[test]
+fn the_largest_group_is_taken_and_lost_photos_are_named() {
+    let (folder, truth) = place();
+    colmap(&folder, "groups", "3.8", OPTIONS_3, ["", "", COPIES]);
+    model(&folder.path("groups.model/0"), &[("0/000001.png", &truth[1].camera)]);
+    let rest = [("0/000003.png", &truth[3].camera), ("0/000000.png", &truth[0].camera)];
+    model(&folder.path("groups.model/1"), &rest);
+    let text = folder.run("cameras @/place/images --colmap @/groups -o @/place/transforms.json").success();
+    for words in ["2 of 4 photos", "without a camera: 001.png, 002.png", "groups of 1 photos could not be joined"] {
+        assert!(text.contains(words), "'{words}' is not in {text}");
+    }
+    let names: Vec<String> =
+        read_poses(folder.path("place")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+    assert_eq!(names, ["images/000.png", "images/003.png"]);
+}
+
+#[test]
+fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
+    let folder = Folder::new();
+    for (name, width) in [("photos/a/1.png", 40), ("photos/a/b/2.png", 60)] {
+        fs::create_dir_all(folder.path(name).parent().expect("a folder")).expect("a folder");
+        crate::photo(width, 30, 1).save_png(folder.path(name)).expect("a photo");
+    }
+    colmap(&folder, "lists", "3.8", OPTIONS_3, ["(cd \"$images\" && echo */*) >\"$0.seen\"", "", COPIES]);
+    let camera = zipsplat_tests::scenes::camera;
+    model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(40, 30)), ("1/000003.png", &camera(60, 30))]);
+    let line = "cameras @/photos --recursive --colmap @/lists -o @/transforms.json";
+    folder.run(line).success();
+    let seen = fs::read_to_string(folder.path("lists.seen")).expect("photos");
+    assert_eq!(seen.trim(), "0/000000.png 0/000001.png 0/000002.png 1/000003.png");
+    let names: Vec<String> =
+        read_poses(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+    assert_eq!(names, ["photos/10.png", "photos/a/b/2.png"]);
+    // A camera of another size than its photo's is not believed.
+    model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(30, 40))]);
+    folder.run(line).fails(3, &["10.png", "30x40", "40x30, as the photo is stored"]);
+}
+
+#[test]
+fn what_goes_wrong_is_said_and_leaves_nothing() {
+    let (folder, truth) = place();
+    let found =
+        "echo 'Features:        2000'; echo 'Features:        1900'; echo 'Features:        2100'; echo 'Features: 9'";
+    let fails = "echo 'ERROR: failed to create sparse model'; exit 1";
+    colmap(&folder, "few", "3.8", OPTIONS_3, ["echo '  Features:        17'", "", fails]);
+    let none = "echo 'Loading matches... 0 in 0.000s'; echo 'ERROR: failed to create sparse model'; exit 1";
+    colmap(&folder, "strangers", "3.8", OPTIONS_3, [found, "", none]);
+    let turn = "echo 'Loading matches... 5 in 0.000s'; echo '  => No good initial image pair found.'; exit 1";
+    colmap(&folder, "turn", "4.0", OPTIONS_4, [found, "", turn]);
+    colmap(&folder, "empty", "4.0", OPTIONS_4, [found, "echo 'Loading matches... 5 in 0.000s'", "exit 0"]);
+    colmap(&folder, "fails", "3.8", OPTIONS_3, ["", "echo 'database or disk is full' >&2; exit 3", COPIES]);
+    colmap(&folder, "killed", "3.8", OPTIONS_3, ["", "", "mkdir \"$out/0\"; kill -9 $$"]);
+    script(&folder, "other", "#!/bin/sh\necho 'usage: other'\n");
+    script(
+        &folder,
+        "python",
+        "#!/bin/sh\necho 'Traceback'; echo \"ModuleNotFoundError: No module named 'pycolmap'\" >&2\nexit 1\n",
+    );
+    fs::write(folder.path("killed.model"), "").expect("written");
+    assert_eq!(truth.len(), 4);
+    let line = |option: &str| format!("cameras @/place/images {option} -o @/transforms.json");
+    let install = "install";
+    // Arguments are written down beside the script: only what comes from the command counts.
+    let left = |folder: &Folder| -> Vec<String> {
+        folder.names().into_iter().filter(|name| !name.ends_with(".args")).collect()
+    };
+    let before = left(&folder);
+    for (option, code, words) in [
+        ("--colmap @/absent", 3, ["absent: No such file", install, "pip install pycolmap"]),
+        ("--colmap @/other", 3, ["other: says no version", "usage: other", install]),
+        ("--python @/python", 3, ["No module named 'pycolmap'", install, "--python"]),
+        ("--colmap @/few", 3, ["cameras of 4 photos", "17 in the median photo", "sharp"]),
+        ("--colmap @/strangers", 3, ["none", "no two of them show the same", "photos of one place"]),
+        ("--colmap @/turn", 3, ["5 of 6 pairs", "far enough apart", "not only a turn"]),
+        ("--colmap @/empty", 3, ["cameras of 4 photos", "5 of 6 pairs", "far enough apart"]),
+        ("--colmap @/fails", 1, ["could not match photos", "exit status: 3", "disk is full"]),
+        ("--colmap @/killed", 1, ["could not find cameras", "signal: 9", "all of them"]),
+    ] {
+        let outcome = folder.run(&line(option));
+        if code == 1 {
+            let log = log_of(&outcome);
+            assert!(option.ends_with("killed") || log.contains("disk is full"), "{log}");
+        }
+        outcome.fails(code, &words);
+        assert_eq!(left(&folder), before, "{option}");
+    }
+    folder.run("cameras @/place/images/000.png --colmap @/few -o @/c.json").fails(3, &["two or more"]);
+    folder.run("cameras @/place/images --colmap @/few --python @/python -o @/c.json").fails_usage();
+}
+
+#[test]
+fn ctrl_c_ends_all_of_colmaps_processes() {
+    let (folder, _) = place();
+    colmap(&folder, "sleeps", "3.8", OPTIONS_3, ["sleep 60 & echo $! >\"$0.pid\"; wait", "", COPIES]);
+    let (cancelled, pid) = (AtomicBool::new(false), folder.path("sleeps.pid"));
+    let outcome = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            // Written whole.
+            while fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) == false {
+                std::thread::yield_now();
+            }
+            cancelled.store(true, Ordering::Relaxed);
+        });
+        command(&folder.line("cameras @/place/images --colmap @/sleeps -o @/transforms.json"), &cancelled)
+    });
+    outcome.fails(130, &["cancelled"]);
+    let pid = fs::read_to_string(pid).expect("a number");
+    let state = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+    assert!(state.is_empty() || state.contains(") Z "), "still there: {state}");
+    assert!(!folder.path("transforms.json").exists() && !folder.path("colmap.log").exists());
+}
+
+#[test]
+fn other_commands_find_cameras_too() {
+    let (folder, truth) = place();
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
+    whole_model(&folder, "colmap", &truth);
+    let find = "--poses find --colmap @/colmap";
+    let micro = "--weights @/micro.safetensors --size 28x28";
+    let line =
+        format!("reconstruct @/place/images {find} {micro} --cameras-out @/place/found.json -o @/scene.ply --json");
+    let outcome = folder.run(&line);
+    assert!(outcome.err.contains("cameras found: 4 of 4 photos, 5 points, by COLMAP 3.8"), "{}", outcome.err);
+    assert_eq!(outcome.json()["photos"], 4);
+    let scene = fs::read(folder.path("scene.ply")).expect("a scene");
+    let again = format!("reconstruct @/place/images --poses @/place/found.json {micro} -o @/scene.ply");
+    folder.run(&again).success();
+    assert_eq!(fs::read(folder.path("scene.ply")).expect("a scene"), scene);
+    folder.run(&format!("{again} --cameras-out @/c.json")).fails(3, &["--cameras-out", "--poses find"]);
+    let eval = folder.run(&format!("eval @/place/images --views 3 {find} {micro} --json")).json();
+    assert_eq!((&eval["unit_from"], eval["views"].as_array().map(Vec::len)), (&"points".into(), Some(1)), "{eval}");
+    let line = format!("refine @/place/images {find} --start points --steps 2 -o @/refined.ply --json");
+    assert_eq!(folder.run(&line).json()["photos"], 4);
+    folder
+        .run(&format!("refine @/scene.ply @/place/images {find} -o @/r.ply"))
+        .fails(3, &["--poses find", "--start points"]);
+}
+
+/// Frames of a video through a program that stands for ffmpeg: of 6 frames 1, 2 and 4 are the sharp ones of their thirds.
+#[test]
+fn videos_become_their_sharpest_frames() {
+    let folder = Folder::new();
+    let noise =
+        |frame: usize, i: usize| ((i * 2_654_435_761) >> 7) as u8 / if [1, 2, 4].contains(&frame) { 1 } else { 8 };
+    let grey: Vec<u8> = (0..6).flat_map(|frame| (0..512 * 512).map(move |i| noise(frame, i))).collect();
+    fs::write(folder.path("grey"), grey).expect("written");
+    let ppm = |shade: u8| [b"P6\n16 8\n255\n".as_slice(), &[shade; 3 * 16 * 8]].concat();
+    fs::write(folder.path("ppm"), [ppm(40), ppm(90), ppm(200)].concat()).expect("written");
+    let here = folder.line("@");
+    let text = |grey: &str, ppm: &str| {
+        format!(
+            "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho \"$@\" >>'{here}/ffmpeg.args'\ncase \"$*\" in *rawvideo*) {grey};; *ppm*) {ppm};; esac\n"
+        )
+    };
+    let cats = text(&format!("cat '{here}/grey'"), &format!("cat '{here}/ppm'"));
+    script(&folder, "ffmpeg", &cats);
+    fs::write(folder.path("clip.MP4"), "a video").expect("written");
+    let micro = "--weights @/micro.safetensors --size 28x28";
+    let line =
+        |ffmpeg: &str| format!("reconstruct @/clip.MP4 --views 3 --ffmpeg @/{ffmpeg} {micro} -o @/scene.ply --json");
+    let before = folder.names();
+    assert_eq!(folder.run(&line("ffmpeg")).json()["photos"], 3);
+    let made: Vec<String> = folder.names().into_iter().filter(|name| !before.contains(name)).collect();
+    assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
+    let args = fs::read_to_string(folder.path("ffmpeg.args")).expect("arguments");
+    assert!(args.contains("select='eq(n,1)+eq(n,2)+eq(n,4)'"), "{args}");
+    // With cameras the frames stay, and are named.
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
+    let camera = zipsplat_tests::scenes::camera(16, 8);
+    let moved = Camera { pose: zipsplat::types::Pose { rotation: DMat3::IDENTITY, translation: DVec3::X }, ..camera };
+    model(&folder.path("colmap.model/0"), &[("0/000000.jpg", &camera), ("0/000002.jpg", &moved)]);
+    let cameras = "cameras @/clip.MP4 --views 3 --ffmpeg @/ffmpeg --colmap @/colmap -o @/transforms.json";
+    folder.run(cameras).success();
+    let poses = read_poses(folder.path("transforms.json")).expect("cameras");
+    let names: Vec<&str> = poses.frames.iter().map(|frame| frame.name.as_str()).collect();
+    assert_eq!(names, ["frames/clip-00001.jpg", "frames/clip-00004.jpg"]);
+    let shade = |frame: &Frame| -> PathBuf { frame.photo.clone().expect("the frame was kept") };
+    let photo = zipsplat::types::Image::open(shade(&poses.frames[1])).expect("a photo");
+    assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
+    folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
+    folder.run(&format!("{cameras} --overwrite")).success();
+    // A frame that is missing, words of ffmpeg's, and none.
+    fs::remove_file(folder.path("scene.ply")).expect("removed");
+    script(&folder, "short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
+    script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));
+    script(&folder, "nothing", &text("", ""));
+    let before = folder.names();
+    folder.run(&line("short")).fails(1, &["short"]);
+    folder.run(&line("says")).fails(3, &["clip.MP4", "moov atom not found"]);
+    folder.run(&line("nothing")).fails(3, &["clip.MP4", "no frame"]);
+    folder.run(&line("absent")).fails(3, &["ffmpeg", "absent", "an installed ffmpeg"]);
+    folder.run(&line("ffmpeg").replace("clip", "none")).fails(3, &["none.MP4", "No such file"]);
+    assert_eq!(folder.names(), before);
+}

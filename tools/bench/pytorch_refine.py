@@ -1,0 +1,112 @@
+"""Times a step of a refinement by our own PyTorch code (tools/train/rasterise.py), for `zipsplat bench refine --pytorch`:
+pytorch_refine.py SCENE.ply WIDTH HEIGHT PHOTOS WARMUP REPEATS. Prints a JSON object: device, torch, and of every run the
+milliseconds of the pictures alone and of a step: pictures, 0.8 L1 + 0.2 (1 - SSIM), gradients, Adam.
+Without arguments it only says whether it could.
+
+The cameras are those of `zipsplat bench refine`: at the world's origin and beside it, looking along z, as wide as what they see is far.
+"""
+
+import json
+import sys
+import time
+
+import numpy as np
+
+try:
+    import torch
+
+    if not torch.cuda.is_available():
+        import numba  # noqa: F401
+except ImportError as error:
+    sys.exit(f"{error.name} is not installed")
+if len(sys.argv) == 1:
+    sys.exit()
+
+import torch.nn.functional as F
+
+from rasterise import rasterise
+
+path = sys.argv[1]
+width, height, photos, warmup, repeats = map(int, sys.argv[2:7])
+device = "cuda" if torch.cuda.is_available() else "cpu"
+with open(path, "rb") as file:
+    names = []
+    while (line := file.readline().decode().split()) != ["end_header"]:
+        if line[0] == "property":
+            names.append(line[2])
+    table = np.fromfile(file, dtype="<f4").reshape(-1, len(names))
+column = {name: torch.from_numpy(table[:, i].copy()).to(device) for i, name in enumerate(names)}
+
+
+def stack(prefix, count):
+    return torch.stack([column[f"{prefix}{i}"] for i in range(count)], -1)
+
+
+rest = sum(name.startswith("f_rest_") for name in names) // 3
+sh = stack("f_dc_", 3)[:, None]
+if rest:
+    sh = torch.cat([sh, stack("f_rest_", 3 * rest).view(-1, 3, rest).transpose(1, 2)], 1)
+means = torch.stack([column[axis] for axis in "xyz"], -1)
+scales, quats, opacities = stack("scale_", 3), stack("rot_", 4), column["opacity"][:, None]
+parameters = [value.contiguous().requires_grad_() for value in (means, scales, quats, opacities, sh)]
+rates = (5e-3, 0.1, 0.03, 0.2, 0.03)
+adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(parameters, rates)], eps=1e-15)
+
+focal = float(max(width, height))
+views = torch.eye(4, device=device).repeat(1, photos, 1, 1)
+views[0, :, 0, 3] = -0.01 * torch.arange(photos, device=device)
+intrinsics = torch.tensor([focal, focal, width / 2, height / 2], device=device).repeat(1, photos, 1)
+targets = torch.rand(photos, 3, height, width, device=device)
+taps = torch.exp(-((torch.arange(11, device=device) - 5.0) ** 2) / 4.5)
+taps = (taps / taps.sum()).expand(3, 1, 1, 11)
+
+
+def filtered(x):
+    return F.conv2d(F.conv2d(x, taps, padding=(0, 5), groups=3), taps.mT, padding=(5, 0), groups=3)
+
+
+def dssim(a, b):
+    mean_a, mean_b = filtered(a), filtered(b)
+    var_a, var_b = filtered(a * a) - mean_a**2, filtered(b * b) - mean_b**2
+    covariance = filtered(a * b) - mean_a * mean_b
+    c1, c2 = 0.01**2, 0.03**2
+    numerator = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    return 1 - (numerator / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))).mean()
+
+
+def pictures():
+    means, scales, quats, opacities, sh = parameters
+    packed = torch.cat([means, scales.exp(), quats, opacities.sigmoid(), sh.flatten(1)], 1)[None]
+    return rasterise(packed, views, intrinsics, (height, width), round((rest + 1) ** 0.5) - 1).rgb[0].movedim(-1, 1)
+
+
+@torch.no_grad()
+def forward():
+    pictures()
+
+
+def step():
+    drawn = pictures()
+    loss = 0.8 * (drawn - targets).abs().mean() + 0.2 * dssim(drawn, targets)
+    adam.zero_grad()
+    loss.backward()
+    adam.step()
+
+
+def measure(run):
+    times = []
+    for i in range(warmup + repeats):
+        if device == "cuda":
+            torch.cuda.synchronize()
+        started = time.perf_counter()
+        run()
+        if device == "cuda":
+            torch.cuda.synchronize()
+        if i >= warmup:
+            times.append(1e3 * (time.perf_counter() - started))
+    return times
+
+
+forward(), step()  # compiles
+name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
+print(json.dumps({"device": name, "torch": torch.__version__, "picture_ms": measure(forward), "step_ms": measure(step)}))

@@ -1,0 +1,298 @@
+//! COLMAP as a program: which there is, the command of each step, and what its words say of how far it is.
+
+use super::find::{Finding, Pairs};
+use crate::process;
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+    process::Command,
+};
+use zipsplat::{Error, Result};
+
+/// Runs the same steps through pycolmap.
+const PYCOLMAP: &str = include_str!("pycolmap.py");
+/// Most features of a photo: matching takes the square of them.
+const FEATURES: u32 = 8192;
+/// Photos of a block in matching: small blocks tell more often how far it is.
+const BLOCK: u32 = 8;
+
+/// An installed COLMAP.
+pub struct Colmap {
+    program: PathBuf,
+    /// Whether it is Python with pycolmap.
+    python: bool,
+    version: String,
+}
+
+/// What COLMAP does, in order.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    Features,
+    Matches,
+    Cameras,
+}
+
+/// What COLMAP's words told.
+#[derive(Default)]
+pub struct Told {
+    /// Features of each photo.
+    pub features: Vec<usize>,
+    /// Pairs of photos that show the same.
+    pub pairs: Option<usize>,
+    /// Whether it said that no pair of photos is a start.
+    pub no_start: bool,
+    /// Whether the next line has the number of pairs.
+    pairs_follow: bool,
+    /// The last lines that were no mere progress.
+    last: Vec<String>,
+}
+
+/// Lines of a program's last words.
+const LAST: usize = 3;
+
+impl Step {
+    pub const ALL: [Self; 3] = [Self::Features, Self::Matches, Self::Cameras];
+
+    /// What it looks for, for progress and times.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Features => "find features",
+            Self::Matches => "match photos",
+            Self::Cameras => "find cameras",
+        }
+    }
+}
+
+impl fmt::Display for Colmap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", if self.python { "pycolmap" } else { "COLMAP" }, self.version)
+    }
+}
+
+impl Colmap {
+    /// The one that was asked for, else `colmap`, else the pycolmap of `python3`.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the command that installs it where it does not run.
+    pub fn of(finding: &Finding) -> Result<Self> {
+        let tried = match (&finding.python, &finding.colmap) {
+            (Some(python), _) => Self::pycolmap(python),
+            (None, Some(program)) => Self::native(program),
+            (None, None) => {
+                Self::native(Path::new("colmap")).or_else(|why| Self::pycolmap(Path::new("python3")).map_err(|_| why))
+            }
+        };
+        tried.map_err(|why| {
+            let expected = format!(
+                "COLMAP, which finds the cameras of photos: `{}`, or `pip install pycolmap` and --python PYTHON",
+                install()
+            );
+            Error::argument("structure from motion", why, expected)
+        })
+    }
+
+    fn native(program: &Path) -> std::result::Result<Self, String> {
+        let why = |why: &dyn fmt::Display| format!("{}: {why}", program.display());
+        let said = process::printed(headless(&mut Command::new(program)).arg("help")).map_err(|error| why(&error))?;
+        let version = said.split_once("COLMAP ").and_then(|(_, rest)| rest.split_whitespace().next());
+        match version.filter(|version| version.starts_with(|c: char| c.is_ascii_digit())) {
+            Some(version) => Ok(Self { program: program.into(), python: false, version: version.into() }),
+            None => Err(why(&format!("says no version, but {:?}", said.lines().next().unwrap_or_default()))),
+        }
+    }
+
+    fn pycolmap(program: &Path) -> std::result::Result<Self, String> {
+        let why = |why: &dyn fmt::Display| format!("{}: {why}", program.display());
+        let said = process::printed(Command::new(program).args(["-c", PYCOLMAP])).map_err(|error| why(&error))?;
+        let version = said.trim();
+        if version.starts_with(|c: char| c.is_ascii_digit()) && version.lines().count() == 1 {
+            return Ok(Self { program: program.into(), python: true, version: version.into() });
+        }
+        // Of a traceback the last line is the reason.
+        Err(why(&version.lines().last().unwrap_or("prints nothing")))
+    }
+
+    /// Its program, for messages.
+    pub fn program(&self) -> &Path {
+        &self.program
+    }
+
+    /// The command of a step in a folder with `images`, which gets `database.db` and `sparse`. It uses neither GPU nor display.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where it cannot be asked which options it has.
+    pub fn command(&self, step: Step, folder: &Path, pairs: Pairs, side: u32) -> Result<Command> {
+        let mut command = Command::new(&self.program);
+        headless(&mut command);
+        if self.python {
+            let step = match (step, pairs) {
+                (Step::Features, _) => "features",
+                (Step::Matches, Pairs::All) => "all",
+                (Step::Matches, Pairs::Near) => "near",
+                (Step::Cameras, _) => "cameras",
+            };
+            command.args(["-c", PYCOLMAP, step]).arg(folder).args([side.to_string(), FEATURES.to_string()]);
+            return Ok(command);
+        }
+        let (verb, options): (_, Vec<(&[&str], u32)>) = match (step, pairs) {
+            (Step::Features, _) => (
+                "feature_extractor",
+                vec![
+                    (&["ImageReader.single_camera_per_folder"], 1),
+                    (&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], 0),
+                    (&["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], side),
+                    (&["SiftExtraction.max_num_features"], FEATURES),
+                ],
+            ),
+            (Step::Matches, Pairs::All) => (
+                "exhaustive_matcher",
+                vec![
+                    (&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0),
+                    (&["ExhaustiveMatching.block_size", "ExhaustivePairing.block_size"], BLOCK),
+                ],
+            ),
+            (Step::Matches, Pairs::Near) => {
+                ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0)])
+            }
+            // Points that only two photos show are many where photos are few, and a start for refinement.
+            (Step::Cameras, _) => {
+                ("mapper", vec![(&["Mapper.min_model_size"], 2), (&["Mapper.tri_ignore_two_view_tracks"], 0)])
+            }
+        };
+        let asked = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]));
+        let help = asked.map_err(|source| Error::io(&self.program, source))?;
+        let has = |name: &&&str| help.split_whitespace().any(|word| word.strip_prefix("--") == Some(**name));
+        command.arg(verb).arg("--database_path").arg(folder.join("database.db"));
+        if step != Step::Matches {
+            command.arg("--image_path").arg(folder.join("images"));
+        }
+        if step == Step::Cameras {
+            command.arg("--output_path").arg(folder.join("sparse"));
+        }
+        // Versions differ in what they call an option; what one has not, it does without.
+        for (names, value) in options {
+            if let Some(name) = names.iter().find(has) {
+                command.args([format!("--{name}"), value.to_string()]);
+            }
+        }
+        Ok(command)
+    }
+}
+
+/// Qt, which COLMAP 3.x starts even where nothing is shown, without a display.
+fn headless(command: &mut Command) -> &mut Command {
+    command.env("QT_QPA_PLATFORM", "offscreen")
+}
+
+/// The command that installs COLMAP here.
+fn install() -> &'static str {
+    match () {
+        () if cfg!(target_os = "macos") => "brew install colmap",
+        () if Path::new("/etc/debian_version").exists() => "sudo apt install --no-install-recommends colmap",
+        () => "conda install -c conda-forge colmap",
+    }
+}
+
+impl Told {
+    /// Takes a line; how far its step is, where it says so. `photos` is how many there are.
+    pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
+        // glog puts a prefix before what is said.
+        let text =
+            line.split_once("] ").filter(|(head, _)| head.contains(".cc:")).map_or(line, |(_, text)| text).trim();
+        if std::mem::take(&mut self.pairs_follow) {
+            self.pairs = number(text);
+        }
+        if let Some(rest) = text.strip_prefix("Features:") {
+            self.features.extend(number(rest));
+        } else if let Some(rest) = text.strip_prefix("Loading matches...") {
+            self.pairs = number(rest);
+            self.pairs_follow = self.pairs.is_none();
+        }
+        self.no_start |= text.contains("No good initial image pair found") || text.contains("failed to create sparse");
+        let far = progress(text, photos);
+        if far.is_none() && text.contains(char::is_alphanumeric) && !text.starts_with("Elapsed time") {
+            self.last.push(text.to_owned());
+            self.last.drain(..self.last.len().saturating_sub(LAST));
+        }
+        far
+    }
+
+    /// The last that was said.
+    pub fn last_words(&self) -> String {
+        self.last.join("; ")
+    }
+}
+
+/// The first number of a text, before any other word.
+fn number(text: &str) -> Option<usize> {
+    let text = text.trim_start();
+    text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())].parse().ok()
+}
+
+/// The share of its step that a line tells of: `Processed file [3/11]`, `Matching block [1/2, 2/2]`, `Registering image #6 (3)`
+/// in words of COLMAP 3, `(num_reg_frames=3)` of COLMAP 4.
+fn progress(text: &str, photos: usize) -> Option<f64> {
+    if text.starts_with("Registering image") {
+        let inside = text.split_once('(')?.1;
+        let count = number(inside.trim_start_matches(|c: char| !c.is_ascii_digit()))?;
+        return Some((count as f64 / photos as f64).min(1.0));
+    }
+    if !["Processed file [", "Matching ", "Processing "].iter().any(|start| text.starts_with(start)) {
+        return None;
+    }
+    let counters = text.split_once('[')?.1.split_once(']')?.0;
+    let (mut done, mut part) = (0.0, 1.0);
+    let mut counters = counters.split(',').peekable();
+    while let Some(counter) = counters.next() {
+        let (at, of) = counter.split_once('/')?;
+        let (at, of): (f64, f64) = (at.trim().parse().ok()?, of.trim().parse().ok()?);
+        // But for the last, a counter tells what is under way.
+        let at = if counters.peek().is_some() { at - 1.0 } else { at };
+        part /= of.max(1.0);
+        done += at * part;
+    }
+    Some(done.clamp(0.0, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_is_read_from_words_of_both_versions() {
+        for (line, far) in [
+            ("Processed file [3/12]", Some(0.25)),
+            ("I20261123 01:43:37.080578 140044044068544 feature_extraction.cc:270] Processed file [6/12]", Some(0.5)),
+            ("Matching block [1/2, 1/2] in 1.2s", Some(0.25)),
+            ("Matching block [2/2, 2/2] in 1.2s", Some(1.0)),
+            ("I20261123 01:43:40.5 1 pairing.cc:214] Processing block [2/2, 1/2]", Some(0.75)),
+            ("Matching image [1/4] in 0.1s", Some(0.25)),
+            ("Registering image #6 (3)", Some(0.3)),
+            ("I20261123 01:43:43.3 1 incremental_pipeline.cc:620] Registering image #6 (num_reg_frames=5)", Some(0.5)),
+            ("  Name:            001.jpg", None),
+            ("Processed file [a/b]", None),
+        ] {
+            assert_eq!(Told::default().hear(line, 10), far, "{line}");
+        }
+    }
+
+    #[test]
+    fn pairs_and_features_are_counted() {
+        let mut told = Told::default();
+        let lines = [
+            "  Features:        2666",
+            "I2 1 2 feature_extraction.cc:294]   Features:        31 (SIFT)",
+            "Loading matches... 49 in 0.000s",
+        ];
+        for line in lines {
+            told.hear(line, 3);
+        }
+        assert_eq!((&told.features[..], told.pairs), (&[2666, 31][..], Some(49)));
+        told.hear("I2 1 2 database_cache.cc:144] Loading matches...", 3);
+        told.hear("I2 1 2 database_cache.cc:163]  48 in 0.000s", 3);
+        assert_eq!(told.pairs, Some(48));
+        assert!(!told.no_start);
+        told.hear("ERROR: failed to create sparse model", 3);
+        assert!(told.no_start && told.last_words().ends_with("failed to create sparse model"), "{}", told.last_words());
+    }
+}

@@ -1,0 +1,326 @@
+//! `zipsplat bench refine`: a step of a refinement beside the picture of the same views.
+
+use super::{
+    Group, Repeats, Spread, group,
+    peak::{self, Rate},
+    percent, pytorch, timed_device,
+};
+use crate::{
+    noise::{self, Noise},
+    options::Size,
+    session::{Session, Stage},
+    table::{Table, bytes},
+};
+use clap::Args;
+use serde::Serialize;
+use std::{
+    ops::ControlFlow,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+use zipsplat::{
+    Error, Result,
+    gpu::Device,
+    refine::{Refine as Request, Refined, Stopped, refine_scene},
+    stages::render::{RenderRequest, Renderer},
+    types::{Camera, Image, Scene},
+};
+
+/// As many as a host has memory for.
+const MOST_GAUSSIANS: i64 = 50_000_000;
+/// A step of this many the loop looks at how far it is, which no time here includes.
+const LOOKS: usize = 20;
+/// Degrees of spherical harmonics that tools/train knows.
+const PYTORCH_DEGREE: u32 = 1;
+
+/// Time of a step of a refinement, by pass, beside the picture of the same photos' cameras
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat bench refine
+  zipsplat bench refine --gaussians 36000,102000,249000 --size 252x252 --photos 4
+  zipsplat bench refine --pytorch=/venv/bin/python
+
+Of each case: its passes; step, all of them; picture, the device's time for the pictures of the step's cameras alone; host, a step
+as the host sees it. Shares count every tensor of a pass once, against a copy, and the arithmetic of every pixel of every tile that a
+Gaussian touches, against multiplications and additions, both measured in the same run.")]
+pub struct Refine {
+    /// Numbers of Gaussians
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",
+        value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
+    gaussians: Vec<u32>,
+    /// Sizes of the photos
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "252x252")]
+    size: Vec<Size>,
+    /// Degree of the spherical harmonics, 0 to 3
+    #[arg(long, value_name = "DEGREE", default_value = "1",
+        value_parser = clap::value_parser!(u32).range(0..=i64::from(Scene::MAX_SH_DEGREE)))]
+    sh: u32,
+    /// Photos of a step, all at once
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=64))]
+    photos: u32,
+    /// Also time the same step with PyTorch on this machine, by this Python, which has torch, numpy and numba
+    #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
+    pytorch: Option<PathBuf>,
+    #[command(flatten)]
+    repeats: Repeats,
+}
+
+/// Times of one case, or of a pass of it.
+#[derive(Serialize)]
+struct Row {
+    gaussians: usize,
+    width: u32,
+    height: u32,
+    sh_degree: u32,
+    photos: usize,
+    /// Pass; `step` for all of them, `picture` for the same cameras' pictures alone, `host` for a step as the host sees it.
+    what: String,
+    commands: u32,
+    ms: Spread,
+    /// Over the picture's time.
+    pictures: Option<f64>,
+    bandwidth_share: Option<f64>,
+    fma_share: Option<f64>,
+    /// Of the refinement.
+    peak_bytes: u64,
+}
+
+/// What is refined.
+struct Case {
+    scene: Scene,
+    size: Size,
+    photos: Vec<Image>,
+    cameras: Vec<Camera>,
+}
+
+/// What the device does at most.
+struct Limits {
+    copy: Rate,
+    fma: Rate,
+}
+
+impl Refine {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        if self.pytorch.is_some() && self.sh > PYTORCH_DEGREE {
+            return Err(Error::argument("--sh", self.sh, "0 or 1 with --pytorch"));
+        }
+        self.pytorch.as_deref().map_or(Ok(()), pytorch::check_refine)?;
+        let device = timed_device(session)?;
+        let copy = session.stage("copies", |stage| peak::copies(&device, peak::BRIEFLY, stage))?.0;
+        let fma = session.stage("FMA", |stage| peak::fma(&device, peak::BRIEFLY, stage))?.0;
+        let limits = Limits { copy, fma };
+        let mut rows = Vec::new();
+        for &gaussians in &self.gaussians {
+            for &size in &self.size {
+                let case = Case::new(gaussians as usize, self.sh, size, self.photos as usize);
+                let name = format!("{gaussians} at {size}");
+                rows.extend(session.stage(&name, |stage| self.measure(&device, &case, &limits, stage))?.0);
+                if let Some(python) = &self.pytorch {
+                    let theirs = session.stage("PyTorch", |_| self.theirs(python, &case))?.0;
+                    rows.extend(theirs);
+                }
+            }
+        }
+        let text = format!("{}, {}, {}\n{}", device.limits().name, limits.copy, limits.fma, table(&rows));
+        session.report(&rows, text)
+    }
+
+    fn measure(&self, device: &Device, case: &Case, limits: &Limits, stage: &Stage<'_>) -> Result<Vec<Row>> {
+        let Repeats { warmup, repeats } = self.repeats;
+        let runs = warmup + repeats;
+        // Room for what there is and no more, so that bytes and arithmetic are those in use.
+        let room = case.intersections(device)?;
+        let (mut profiles, mut peak_bytes) = (Vec::new(), 0);
+        for i in 0..runs {
+            stage.reach(0.5 * f64::from(i) / f64::from(runs))?;
+            let found = case.refine(device, room, 0, |_| ControlFlow::Continue(()))?;
+            peak_bytes = found.peak_bytes;
+            profiles.extend(found.profile.filter(|_| i >= warmup));
+        }
+        let host = self.host(device, case, room, stage)?;
+        let mut renderer = Renderer::new(device);
+        renderer.load(&case.scene)?;
+        let mut pictures = Vec::new();
+        for i in 0..runs {
+            stage.check()?;
+            let mut took = Duration::ZERO;
+            for camera in &case.cameras {
+                took += renderer.profile(camera, &RenderRequest::default())?.total("").0;
+            }
+            pictures.extend((i >= warmup).then_some(took));
+        }
+        let pictures = Spread::of(pictures);
+        let row = |what: &str, Group { count, flops, ms, .. }: Group, moved: Option<u64>| Row {
+            what: what.to_owned(),
+            commands: count,
+            pictures: Some(ms.median / pictures.median.max(1e-6)),
+            bandwidth_share: moved.and_then(|moved| limits.copy.share(moved as f64 / (1e6 * ms.median.max(1e-6)))),
+            fma_share: Some(flops).filter(|flops| *flops > 0).and_then(|flops| limits.fma.share(ms.rate(flops))),
+            ms,
+            peak_bytes,
+            ..case.row()
+        };
+        let bytes_of = |name: Option<&str>| {
+            let rows = profiles.iter().take(1).flat_map(|profile| &profile.rows);
+            rows.filter(|row| name.is_none_or(|name| pass(row) == name)).map(|row| row.bytes).sum()
+        };
+        let mut rows = Vec::new();
+        for of_pass in group(&profiles, pass) {
+            let name = of_pass.name.clone();
+            rows.push(row(&name, of_pass, Some(bytes_of(Some(&name)))));
+        }
+        for all in group(&profiles, |_| "step".into()) {
+            rows.push(row("step", all, Some(bytes_of(None))));
+        }
+        let alone = |ms: Spread| Group { name: String::new(), count: 0, flops: 0, ms };
+        rows.push(row("picture", alone(pictures), None));
+        rows.push(row("host", alone(host), None));
+        Ok(rows)
+    }
+
+    /// Times of steps in a row in which the loop does not look at how far it is.
+    fn host(&self, device: &Device, case: &Case, room: usize, stage: &Stage<'_>) -> Result<Spread> {
+        let (warmup, counted) = (self.repeats.warmup as usize, self.repeats.repeats as usize);
+        let steps = (2 * (warmup + counted)).max(3 * LOOKS);
+        let (interval, mut times, mut last) = (steps.div_ceil(LOOKS), Vec::new(), Instant::now());
+        let refined = case.refine(device, room, steps, |step| {
+            if step > warmup && !step.is_multiple_of(interval) && step < steps {
+                times.push(last.elapsed());
+            }
+            last = Instant::now();
+            match times.len() < counted {
+                true => stage.at(0.5 + 0.5 * times.len() as f64 / counted as f64),
+                false => ControlFlow::Break(()),
+            }
+        })?;
+        stage.check()?;
+        match refined.stopped {
+            Some(Stopped::Diverged(_)) if times.is_empty() => {
+                Err(Error::argument("photos of noise", "a loss that grew", "fewer --warmup"))
+            }
+            _ => Ok(Spread::of(times)),
+        }
+    }
+
+    /// PyTorch's times.
+    fn theirs(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
+        let Repeats { warmup, repeats } = self.repeats;
+        let found = pytorch::refine(python, &case.scene, case.size, case.photos.len(), [warmup, repeats])?;
+        let spread = |ms: &[f64]| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)));
+        let (picture, step) = (spread(&found.picture_ms), spread(&found.step_ms));
+        let row = |what: &str, ms: Spread| Row {
+            what: format!("PyTorch {} on {}: {what}", found.torch, found.device),
+            ms,
+            pictures: Some(ms.median / picture.median.max(1e-6)),
+            ..case.row()
+        };
+        Ok([row("picture", picture), row("step", step)])
+    }
+}
+
+impl Case {
+    fn new(gaussians: usize, sh_degree: u32, size: Size, photos: usize) -> Self {
+        let mut noise = Noise(2);
+        let camera = |i: usize| {
+            let mut camera = noise::camera(size.0, size.1);
+            camera.pose.translation.x = 0.01 * i as f64;
+            camera
+        };
+        Self {
+            scene: Noise(1).scene(gaussians, sh_degree),
+            size,
+            photos: (0..photos).map(|_| noise.image(size.0, size.1)).collect(),
+            cameras: (0..photos).map(camera).collect(),
+        }
+    }
+
+    /// The most intersections of the Gaussians with tiles of a photo.
+    fn intersections(&self, device: &Device) -> Result<usize> {
+        let mut renderer = Renderer::new(device);
+        renderer.load(&self.scene)?;
+        let count = |camera: &Camera| {
+            renderer.render_loaded(&[*camera], &RenderRequest::default())?;
+            Ok(renderer.intersections())
+        };
+        Ok(self.cameras.iter().map(count).collect::<Result<Vec<_>>>()?.into_iter().max().unwrap_or(0))
+    }
+
+    fn refine(
+        &self,
+        device: &Device,
+        room: usize,
+        steps: usize,
+        mut progress: impl FnMut(usize) -> ControlFlow<()>,
+    ) -> Result<Refined> {
+        let count = self.photos.len();
+        let request = Request {
+            steps,
+            views_per_step: count,
+            together: Some(count),
+            hold_out: Some(0),
+            coarse: false,
+            room: Some(room),
+            profile: steps == 0,
+            ..Request::default()
+        };
+        refine_scene(device, &self.scene, &self.photos, &self.cameras, &request, |now| progress(now.step))
+    }
+
+    /// A row of which nothing was measured.
+    fn row(&self) -> Row {
+        Row {
+            gaussians: self.scene.len(),
+            width: self.size.0,
+            height: self.size.1,
+            sh_degree: self.scene.sh_degree,
+            photos: self.photos.len(),
+            what: String::new(),
+            commands: 0,
+            ms: Spread::of([Duration::ZERO]),
+            pictures: None,
+            bandwidth_share: None,
+            fma_share: None,
+            peak_bytes: 0,
+        }
+    }
+}
+
+/// What a row of a profile belongs to.
+fn pass(row: &zipsplat::gpu::ProfileRow) -> String {
+    match row.scope.split('/').collect::<Vec<_>>()[..] {
+        [_, "by_depth", ..] => "sort by depth".into(),
+        [_, "by_tile", ..] => "sort by tile".into(),
+        _ => row.kernel.clone(),
+    }
+}
+
+fn table(rows: &[Row]) -> Table {
+    let headings = [
+        "pass",
+        "Gaussians",
+        "size",
+        "photos",
+        "commands",
+        "ms: median (min..max)",
+        "pictures",
+        "of bandwidth",
+        "of FMA",
+        "peak",
+    ];
+    let mut table = Table::new(1, &headings);
+    for row in rows {
+        table.row([
+            row.what.clone(),
+            row.gaussians.to_string(),
+            Size(row.width, row.height).to_string(),
+            row.photos.to_string(),
+            row.commands.to_string(),
+            row.ms.to_string(),
+            row.pictures.map_or_else(String::new, |over| format!("{over:.2}")),
+            percent(row.bandwidth_share),
+            percent(row.fma_share),
+            if row.what == "step" { bytes(row.peak_bytes) } else { String::new() },
+        ]);
+    }
+    table
+}

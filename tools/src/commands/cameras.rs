@@ -1,0 +1,65 @@
+//! `zipsplat cameras`: the cameras of photos that have none.
+
+use crate::{
+    cameras::{Finding, Found, Place},
+    outputs::Overwrite,
+    photos::{self, PhotoArgs},
+    session::Session,
+    table::time,
+    video::FrameFolder,
+};
+use clap::Args;
+use serde_json::json;
+use std::path::PathBuf;
+use zipsplat::Result;
+
+/// The cameras of photos that have none, found by COLMAP
+///
+/// COLMAP, an open program for structure from motion, is installed apart: version 3 or 4, or pycolmap, in Python. It runs on the
+/// CPU and needs no display. What it finds is written as transforms.json, with the distortion of the lens, so that the photos
+/// stay as they are, and beside it points.ply, from which `refine --start points` begins, and colmap.log. Of photos in several groups
+/// that nothing joins the largest group is taken. Photos of one size, camera and focal length share a lens.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat cameras photos/ -o transforms.json
+  zipsplat cameras clip.mp4 --views 24 -o clip/transforms.json
+  zipsplat cameras photos/ --python ~/venv/bin/python -o transforms.json")]
+pub struct Cameras {
+    #[command(flatten)]
+    input: PhotoArgs,
+    /// File to write, .json; the frames of a video go to the folder frames beside it
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
+    /// [default: all, and 24 of a video]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+    views: Option<u32>,
+    #[command(flatten)]
+    finding: Finding,
+}
+
+impl Cameras {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let place = Place(&self.output);
+        place.check(self.overwrite)?;
+        let (mut photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        let (poses, found) = Found::of(session, &photos, &self.finding)?;
+        place.save(&poses, &found)?;
+        frames.iter_mut().for_each(FrameFolder::keep);
+        poses.notes.iter().for_each(|note| session.note(note));
+        let seconds: serde_json::Map<_, _> =
+            found.times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
+        let json = json!({
+            "output": self.output, "photos": photos.len(), "found": poses.frames.len(), "lost": found.lost,
+            "groups": found.groups, "points": found.points, "program": found.program, "seconds": seconds,
+        });
+        let mut text = format!("{}: {}\n", self.output.display(), found.told());
+        found.times.iter().for_each(|(step, took)| text += &format!("  {step:<13}{:>10}\n", time(*took)));
+        session.report(&json, text)
+    }
+}

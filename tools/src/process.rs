@@ -1,0 +1,152 @@
+//! Other programs, which end with this command's interest in them.
+
+use crate::session::Stage;
+use std::{
+    ffi::OsStr,
+    io::{self, BufRead, BufReader, Read},
+    path::Path,
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{RecvTimeoutError, channel},
+    time::{Duration, Instant},
+};
+use zipsplat::{Error, Result};
+
+/// Between looks at whether a program is done, or this command should stop.
+pub const POLL: Duration = Duration::from_millis(10);
+/// For a process that no longer reads to say why.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// A process in a group of its own, ended with all of the group when this is dropped.
+pub struct Running(pub Child);
+
+impl Running {
+    /// Starts a program. Ctrl-C in a terminal goes to a whole group: what is started here is ended by this command alone.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn start(command: &mut Command) -> io::Result<Self> {
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(command, 0);
+        command.spawn().map(Self)
+    }
+
+    /// Waits for its end, and looks whether this command should stop.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming `program`, and [`Error::Cancelled`].
+    pub fn wait(&mut self, program: &OsStr, stage: &Stage<'_>) -> Result<ExitStatus> {
+        loop {
+            if let Some(status) = self.0.try_wait().map_err(|source| Error::io(program, source))? {
+                return Ok(status);
+            }
+            stage.check()?;
+            std::thread::sleep(POLL);
+        }
+    }
+
+    /// Waits a moment for its end, then ends it.
+    pub fn end_soon(&mut self) {
+        let asked = Instant::now();
+        while asked.elapsed() < LAST_WORDS && matches!(self.0.try_wait(), Ok(None)) {
+            std::thread::sleep(POLL);
+        }
+        self.end();
+    }
+
+    fn end(&mut self) {
+        if matches!(self.0.try_wait(), Ok(None)) {
+            // Any of these may have ended meanwhile.
+            #[cfg(unix)]
+            let _ = rustix::process::kill_process_group(
+                rustix::process::Pid::from_child(&self.0),
+                rustix::process::Signal::KILL,
+            );
+            let _ = self.0.kill();
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.end();
+        // A child that is not waited for stays in the system's table.
+        let _ = self.0.wait();
+    }
+}
+
+/// Runs a program to its end and gives every line of its output and errors, as they come, to `line`.
+///
+/// # Errors
+/// [`Error::Io`] naming the program where it cannot be started, the first of `line`, and [`Error::Cancelled`].
+pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {
+    let program = command.get_program().to_owned();
+    let failed = |source| Error::io(&program, source);
+    let (reader, writer) = io::pipe().map_err(failed)?;
+    command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(failed)?).stderr(writer);
+    let mut running = Running::start(command).map_err(failed)?;
+    // The command holds ends of the pipe, which has no end as long as anybody could write to it.
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    let (send, lines) = channel();
+    std::thread::spawn(move || {
+        let mut reader = BufReader::new(reader);
+        let mut bytes = Vec::new();
+        while reader.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
+            if send.send(String::from_utf8_lossy(&bytes).trim_end().to_owned()).is_err() {
+                return;
+            }
+            bytes.clear();
+        }
+    });
+    loop {
+        stage.check()?;
+        match lines.recv_timeout(POLL) {
+            Ok(text) => line(&text)?,
+            Err(RecvTimeoutError::Disconnected) => break,
+            // What it left running may hold the pipe open.
+            Err(RecvTimeoutError::Timeout) if running.0.try_wait().map_err(failed)?.is_some() => break,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+    running.wait(&program, stage)
+}
+
+/// Whether a program runs, asked for its version as ffmpeg is; `name` and `expected` are for the message.
+///
+/// # Errors
+/// [`Error::Argument`] where it does not.
+pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
+    let mut command = Command::new(program);
+    command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let reason = match command.status() {
+        Ok(status) if status.success() => return Ok(()),
+        Ok(status) => status.to_string(),
+        Err(error) => error.to_string(),
+    };
+    Err(Error::argument(name, format!("{}: {reason}", program.display()), expected))
+}
+
+/// What a program prints, output and errors together, where it runs; its exit code is not asked.
+///
+/// # Errors
+/// Those of the system.
+pub fn printed(command: &mut Command) -> io::Result<String> {
+    let out = command.stdin(Stdio::null()).output()?;
+    Ok([out.stdout, out.stderr].iter().map(|bytes| String::from_utf8_lossy(bytes)).collect())
+}
+
+/// What a stream says to its end, read on the side: a full pipe would stop who writes to it.
+pub fn listen(mut stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut said = Vec::new();
+        // What was said until it broke off is all there is to tell.
+        let _ = stream.read_to_end(&mut said);
+        String::from_utf8_lossy(&said).into_owned()
+    })
+}
+
+/// A program's failure in its own words, or by its exit status.
+pub fn failure(program: &Path, said: &str, status: impl ToString) -> Error {
+    let words = if said.trim().is_empty() { status.to_string() } else { said.trim().to_owned() };
+    // Not a broken pipe: that means that nobody reads our own output.
+    Error::io(program, io::Error::other(words))
+}
