@@ -18,20 +18,25 @@ pub fn golden_scene(golden: &Golden) -> Scene {
     }
 }
 
+/// The lenses of a golden's cameras.
+pub fn intrinsics(golden: &Golden) -> Vec<Intrinsics> {
+    let size = golden.u32("size_wh");
+    let lens = |k: &[f64]| Intrinsics { width: size[0], height: size[1], fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
+    golden.f64("Ks").chunks_exact(9).map(lens).collect()
+}
+
 /// The cameras of a golden `raster.*`.
 pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
-    let size = golden.u32("size_wh");
-    let (viewmats, matrices) = (golden.f64("viewmats"), golden.f64("Ks"));
-    let camera = |(view, k): (&[f64], &[f64])| {
+    let viewmats = golden.f64("viewmats");
+    let camera = |(view, intrinsics): (&[f64], Intrinsics)| {
         let row = |i: usize| DVec3::from_slice(&view[4 * i..]);
         let world_to_camera = Pose {
             rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
             translation: DVec3::new(view[3], view[7], view[11]),
         };
-        let intrinsics = Intrinsics { width: size[0], height: size[1], fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
         Camera { intrinsics, pose: world_to_camera.inverse() }
     };
-    viewmats.chunks_exact(16).zip(matrices.chunks_exact(9)).map(camera).collect()
+    viewmats.chunks_exact(16).zip(intrinsics(golden)).map(camera).collect()
 }
 
 /// `count` Gaussians of all shapes in front of [`camera`], the same on every call.

@@ -8,7 +8,7 @@ use zipsplat::{
     types::{Camera, Image, Intrinsics, Pose, quaternion_from_matrix, read_ply},
 };
 use zipsplat_cli::{
-    align::{Doubt, MOST_SHIFT, MOST_TURN, align},
+    align::{Doubt, MOST_SHIFT, MOST_TURN, Method, align},
     metrics::{psnr, ssim, values},
 };
 use zipsplat_tests::device::device;
@@ -223,6 +223,12 @@ fn a_camera_is_found_by_its_photo() {
     let (angle, distance) = (found.pose.rotation.x_axis.angle_between(DVec3::X), found.pose.translation.length());
     assert!(angle < 1e-3 && distance < 2e-3, "{angle} radians and {distance} from the truth");
     assert_eq!(found.intrinsics, truth.intrinsics);
+    // Adam's steps stay as long as they were.
+    let found = Method::Adam.align(&mut renderer, &photo, &start, &|| Ok(())).expect("aligned");
+    let error = found.camera.pose;
+    let (angle, distance) = (error.rotation.x_axis.angle_between(DVec3::X), error.translation.length());
+    assert!(angle < 0.01 && distance < 0.01, "{angle} radians and {distance} from the truth, by Adam");
+    assert!(likeness(&found.drawn) > likeness(&found.before) + 5.0, "the pictures are those of the cameras");
     let stop = || Err(Error::Cancelled);
     assert!(matches!(align(&mut renderer, &photo, &start, &stop), Err(Error::Cancelled)));
     // Where nothing is better, next to nothing moves.
@@ -253,6 +259,19 @@ fn pictures_without_cameras_are_aligned() {
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
     assert!(folder.run(&line).json()["aligned"].is_null());
+}
+
+#[test]
+fn cameras_are_disturbed_and_refined() {
+    let folder = place();
+    let line =
+        "eval @/place --views 4 --targets 2 --weights @/micro.safetensors --size 42x28 --refine 30 --start points";
+    let psnr =
+        |options: &str| folder.run(&format!("{line} {options} --json")).json()["mean"]["psnr"].as_f64().expect("dB");
+    let (exact, wrong, refined) = (psnr(""), psnr("--disturb 2"), psnr("--disturb 2 --refine-cameras"));
+    assert!(wrong < exact - 0.5 && refined > wrong, "{exact} dB, disturbed {wrong} dB, refined {refined} dB");
+    let text = folder.run(&format!("{line} --disturb 2 --refine-cameras")).success();
+    assert!(text.contains("cameras turned by"), "{text}");
 }
 
 #[test]

@@ -76,6 +76,50 @@ fn a_scene_is_refined_in_its_own_world() {
 }
 
 #[test]
+fn refined_cameras_are_written() {
+    let folder = place();
+    let options = "--steps 20 --refine-cameras --hold-out 1 --refined-cameras @/cameras.json";
+    let refined = folder.run(&format!("refine {PHOTOS} --start points {options} -o @/scene.ply --json")).json();
+    let degrees = refined["refined"]["cameras"]["degrees"].as_f64().expect("an angle");
+    let [given, found] =
+        ["place/transforms.json", "cameras.json"].map(|file| read_poses(folder.path(file)).expect(file));
+    let moved = |i: usize| {
+        let (given, found) = (&given.frames[i].camera, &found.frames[i].camera);
+        assert_eq!(given.intrinsics, found.intrinsics);
+        !found.pose.matrix().abs_diff_eq(given.pose.matrix(), 1e-9)
+    };
+    // Neither the first nor the one of 10 that is held out.
+    assert_eq!((0..10).filter(|i| !moved(*i)).collect::<Vec<_>>(), [0, 5]);
+    assert!((1e-3..2.0).contains(&degrees), "{degrees}");
+    assert!(found.frames.iter().zip(&given.frames).all(|(found, given)| found.photo.is_some()
+        && found.photo.as_ref().map(|path| path.file_name()) == given.photo.as_ref().map(|path| path.file_name())));
+    // Nobody asks for it here.
+    let again = "refine @/scene.ply @/place/images --poses @/cameras.json --steps 0 -o @/again.ply --json";
+    assert!(folder.run(again).json()["refined"]["cameras"].is_null());
+    let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
+    folder
+        .run(&format!("{reconstruct} --refine=5 --start points --refine-cameras --refined-cameras @/r.json"))
+        .success();
+    assert!(read_poses(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
+    assert_eq!(folder.run(&format!("{reconstruct} --refine-cameras")).code, 2);
+    assert_eq!(folder.run(&format!("{reconstruct} --refine=5 --refined-cameras @/r.json")).code, 2);
+}
+
+#[test]
+fn scenes_grow() {
+    let folder = place();
+    let line = format!("refine {PHOTOS} --start points --steps 20 --grow 3000 -o @/scene.ply --json");
+    let json = folder.run(&line).json();
+    let points = read_poses(folder.path("place")).expect("cameras").points.expect("a cloud");
+    let points = zipsplat::types::read_points(points).expect("points").positions.len() as u64;
+    let grown = json["gaussians"].as_u64().expect("a number");
+    assert!(points < grown && grown <= 3000, "{points} points and {grown} Gaussians");
+    let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
+    folder.run(&format!("{reconstruct} --refine=5:tokens --grow 3000")).fails(3, &["--grow", "tokens"]);
+    assert_eq!(folder.run(&format!("refine {PHOTOS} --start points --grow 0 -o @/scene.ply")).code, 2);
+}
+
+#[test]
 fn what_cannot_be_refined_is_refused() {
     let folder = place();
     write_ply(&scenes::random_scene(50, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");

@@ -1,5 +1,6 @@
 //! Stages against goldens, and the references themselves.
 
+mod align;
 mod arena;
 mod cameras;
 mod flops;

@@ -1,9 +1,10 @@
 //! Refinement: Gaussians that were moved find back to the photos, and what ends it early.
 
+use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::refine::{Rates, Refine, Refined, Refining, Stopped, refine_scene};
-use zipsplat::stages::render::{RenderRequest, Renderer};
-use zipsplat::types::{Camera, Image, Scene};
+use zipsplat::stages::render::{Frame, RenderRequest, Renderer};
+use zipsplat::types::{Camera, Image, Pose, Scene};
 use zipsplat_tests::device::device;
 use zipsplat_tests::scenes::{camera, random_scene};
 
@@ -20,11 +21,14 @@ fn cameras(count: usize) -> Vec<Camera> {
 /// A scene, and photos of it.
 fn photos(cameras: &[Camera]) -> (Scene, Vec<Image>) {
     let scene = random_scene(80, 1, 0.3);
-    let frames = Renderer::new(device()).render(&scene, cameras, &RenderRequest::default()).unwrap();
-    let photo = |frame: zipsplat::stages::render::Frame| {
-        Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.unwrap()).unwrap()
-    };
-    (scene, frames.into_iter().map(photo).collect())
+    let photos = photos_of(&scene, cameras);
+    (scene, photos)
+}
+
+fn photos_of(scene: &Scene, cameras: &[Camera]) -> Vec<Image> {
+    let frames = Renderer::new(device()).render(scene, cameras, &RenderRequest::default()).unwrap();
+    let photo = |frame: Frame| Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.unwrap()).unwrap();
+    frames.into_iter().map(photo).collect()
 }
 
 /// The scene with every Gaussian a little elsewhere, larger and of another colour.
@@ -116,4 +120,70 @@ fn what_cannot_be_refined_is_refused() {
     assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
     assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));
     assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
+}
+
+/// The cameras with all but the first, and but `held`, turned by a degree and moved by 1 % of the scene's distance of about 3.5.
+fn disturbed(cameras: &[Camera], held: usize) -> Vec<Camera> {
+    let disturb = |(i, camera): (usize, &Camera)| {
+        let direction = |k: f64| DVec3::new((k * 2.4).sin(), (k * 1.7).cos(), (k * 0.9).sin()).normalize();
+        let rotation = DMat3::from_axis_angle(direction(i as f64), 1f64.to_radians());
+        let movement = Pose { rotation, translation: 0.035 * direction(i as f64 + 0.5) };
+        let stays = i == 0 || i == held;
+        Camera { pose: if stays { camera.pose } else { camera.pose.compose(&movement) }, ..*camera }
+    };
+    cameras.iter().enumerate().map(disturb).collect()
+}
+
+/// Mean angle in degrees and distance between cameras.
+fn distance(found: &[Camera], truth: &[Camera]) -> [f64; 2] {
+    let errors: Vec<Pose> = found.iter().zip(truth).map(|(a, b)| a.pose.relative_to(&b.pose)).collect();
+    let mean = |of: fn(&Pose) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+    let degrees = mean(|error| DQuat::from_mat3(&error.rotation).to_scaled_axis().length().to_degrees());
+    [degrees, mean(|error| error.translation.length())]
+}
+
+#[test]
+fn disturbed_cameras_come_back() {
+    let truth = cameras(9);
+    let (scene, photos) = photos(&truth);
+    let given = disturbed(&truth, 4);
+    let with = |cameras: bool| {
+        let request = Refine { steps: 100, cameras, hold_out: Some(1), ..Refine::default() };
+        refine(&moved(&scene), &photos, &given, &request)
+    };
+    let (still, refined) = (with(false), with(true));
+    assert_eq!((&still.cameras, refined.cameras[0], refined.cameras[4]), (&given, given[0], given[4]));
+    let ([degrees, shift], before) = (distance(&refined.cameras, &truth), distance(&given, &truth));
+    assert!(3.0 * degrees < before[0] && 3.0 * shift < before[1], "{before:?} to {degrees} degrees and {shift}");
+    let [[without, _], [with, _]] = [still, refined].map(|refined| refined.psnr().unwrap());
+    assert!(with > without + 1.0, "{without} dB without, {with} dB with refined cameras");
+}
+
+#[test]
+fn exact_cameras_stay_exact() {
+    let cameras = cameras(9);
+    let (scene, photos) = photos(&cameras);
+    let refined =
+        refine(&moved(&scene), &photos, &cameras, &Refine { cameras: true, hold_out: Some(1), ..Refine::default() });
+    let [degrees, shift] = distance(&refined.cameras, &cameras);
+    assert!(degrees > 0.0 && degrees < 0.2 && shift < 0.01, "{degrees} degrees and {shift}");
+    let [after, _] = refined.psnr().unwrap();
+    assert!(after > 45.0, "{after} dB, and some 50 with cameras that stay");
+}
+
+#[test]
+fn a_scene_with_a_tenth_of_its_gaussians_grows() {
+    let cameras = cameras(9);
+    let scene = random_scene(400, 0, 0.3);
+    let photos = photos_of(&scene, &cameras);
+    let mut start = scene.clone();
+    start.keep(&(0..400).step_by(10).collect::<Vec<_>>());
+    let with = |grow: Option<usize>| refine(&start, &photos, &cameras, &Refine { grow, ..Refine::default() });
+    let (without, grown) = (with(None), with(Some(400)));
+    let [[kept, _], [more, _]] = [&without, &grown].map(|refined| refined.psnr().unwrap());
+    assert!(more > kept + 0.5, "{kept} dB with {} Gaussians, {more} with {}", without.scene.len(), grown.scene.len());
+    assert!(without.scene.len() == 40 && (200..=400).contains(&grown.scene.len()));
+    grown.scene.validate().unwrap();
+    let again = with(Some(400));
+    assert!(again.scene == grown.scene && again.losses == grown.losses);
 }

@@ -1,9 +1,12 @@
 //! Where in a scene a photo was taken: the camera near a first estimate whose picture of the scene is most like the photo.
 
+pub mod adam;
+
 use crate::{
     capture::{draw, draw_all},
     metrics::{mean_colour, psnr, values},
 };
+use clap::ValueEnum;
 use glam::{DMat3, DQuat, DVec3};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DVector, Dyn, OMatrix, U6, Vector6, storage::Owned};
@@ -34,6 +37,34 @@ const DIFFERENCE: f64 = 0.5;
 const TOLERANCE: f64 = 1e-4;
 /// At a size at most 7 times so many movements are tried.
 const PATIENCE: usize = 12;
+
+/// How a camera is searched for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Method {
+    /// Least squares, from small pictures to large ones; the camera stays near where it was
+    LevenbergMarquardt,
+    /// As ZipSplat's authors do, but for LPIPS: at most 200 steps of Adam; the camera may go anywhere
+    Adam,
+}
+
+impl Method {
+    /// Aligns a camera in this way.
+    ///
+    /// # Errors
+    /// As [`align`].
+    pub fn align(
+        self,
+        renderer: &mut Renderer,
+        photo: &Image,
+        camera: &Camera,
+        check: &dyn Fn() -> Result<()>,
+    ) -> Result<Aligned> {
+        match self {
+            Self::LevenbergMarquardt => align(renderer, photo, camera, check),
+            Self::Adam => adam::align(renderer, photo, camera, check),
+        }
+    }
+}
 
 /// The pose that [`align`] found.
 pub struct Aligned {
@@ -133,6 +164,12 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
         let free = DVec3::from_slice(&movement.as_slice()[i..i + 3]);
         most * free / (1.0 + free.length_squared()).sqrt()
     })
+}
+
+/// The turn (radians about the first camera's own axes) and the shift (along them) from one camera to another.
+fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
+    let movement = to.pose.relative_to(&from.pose);
+    [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
 fn moved(camera: &Camera, movement: &Vector6<f64>) -> Camera {

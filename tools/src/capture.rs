@@ -9,10 +9,13 @@ use crate::{
     unit::Unit,
     views::{Fit, Views, seen_through},
 };
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::{
+    f64::consts::TAU,
+    path::{Path, PathBuf},
+};
 use zipsplat::{
     Error, Result,
     stages::render::{RenderRequest, Renderer},
@@ -101,6 +104,31 @@ impl Choice {
         let count = targets.map_or(others.len(), |targets| others.len().min(targets));
         let targets = (0..count).map(|i| found[others[i * others.len() / count]]).collect();
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
+    }
+
+    /// Turns the cameras of all inputs but the first by an angle in degrees about any axes, and moves them by as many percent of the
+    /// unit, in any directions.
+    ///
+    /// # Errors
+    /// As [`Unit::of`].
+    pub fn disturb(&mut self, degrees: f64, unit: Option<f64>) -> Result<()> {
+        if degrees == 0.0 {
+            return Ok(());
+        }
+        let origin = self.poses.frames[self.inputs[0]].camera.pose;
+        let camera = |i: &usize| Camera {
+            pose: self.poses.frames[*i].camera.pose.relative_to(&origin),
+            ..self.poses.frames[*i].camera
+        };
+        let views: Vec<Camera> = self.inputs.iter().map(camera).collect();
+        let unit = Unit::of(unit, &self.poses, &views, &origin)?.length;
+        for (k, i) in self.inputs.iter().enumerate().skip(1) {
+            let rotation = DMat3::from_axis_angle(spread(2 * k), degrees.to_radians());
+            let movement = Pose { rotation, translation: degrees / 100.0 * unit * spread(2 * k + 1) };
+            let pose = &mut self.poses.frames[*i].camera.pose;
+            *pose = pose.compose(&movement);
+        }
+        Ok(())
     }
 
     /// The photos to reconstruct from.
@@ -255,6 +283,15 @@ fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     }
     chosen.sort_unstable();
     chosen
+}
+
+/// The direction of a number; those of many are spread evenly.
+fn spread(k: usize) -> DVec3 {
+    // The R2 sequence (Roberts 2018).
+    let [u, v] = [0.754_877_666_246_693, 0.569_840_290_998_053].map(|step| (0.5 + step * k as f64).fract());
+    let z: f64 = 2.0 * u - 1.0;
+    let (sin, cos) = (TAU * v).sin_cos();
+    DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
 /// A frame's photo as it is compared, in the world of a camera that stands at `world`.

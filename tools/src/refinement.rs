@@ -1,12 +1,18 @@
 //! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
 
 use crate::{
+    cameras::path_from,
     session::Session,
     table::{Table, bytes, counted, time},
 };
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
+use glam::DQuat;
 use serde_json::{Value, json};
-use std::{ops::ControlFlow, path::PathBuf, str::FromStr};
+use std::{
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    str::FromStr,
+};
 use zipsplat::{
     Error, Result,
     gpu::Device,
@@ -14,7 +20,10 @@ use zipsplat::{
     refine::{
         FrozenHead, Rates, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points,
     },
-    types::{Camera, Image, PointCloud, Pose, Scene},
+    types::{
+        Camera, Image, PointCloud, Pose, Scene,
+        poses::{Frame, write_frames},
+    },
 };
 
 /// The scene that a refinement starts from.
@@ -99,12 +108,15 @@ impl Steps {
     ///
     /// # Errors
     /// [`Error::Argument`].
-    pub fn check(self, start: Option<Start>) -> Result<()> {
-        match self.tokens && !matches!(start, None | Some(Start::Scene)) {
-            true => {
+    pub fn check(self, start: Option<Start>, moved: &Moved) -> Result<()> {
+        match (start, moved.grow) {
+            (Some(Start::Points | Start::Both), _) if self.tokens => {
                 Err(Error::argument("--start", "points, which have no tokens", "--start scene with --refine N:tokens"))
             }
-            false => Ok(()),
+            (_, Some(most)) if self.tokens => {
+                Err(Error::argument("--grow", most, "none with --refine N:tokens, whose tokens have their Gaussians"))
+            }
+            _ => Ok(()),
         }
     }
 }
@@ -122,6 +134,62 @@ impl FromStr for Steps {
         let steps = number.parse().ok().zip(tokens).map(|(count, tokens)| Self { count, tokens });
         steps.ok_or_else(|| "expected a number of steps, such as 100, 100:gaussians or 100:tokens".into())
     }
+}
+
+/// What is moved beside the Gaussians that there are.
+#[derive(Args)]
+pub struct Moved {
+    /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
+    #[arg(long)]
+    refine_cameras: bool,
+    /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
+    #[arg(long, value_name = "N", value_parser = parse_count)]
+    grow: Option<usize>,
+}
+
+fn parse_count(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| *count > 0);
+    count.ok_or_else(|| "expected a number of Gaussians, such as 20000".into())
+}
+
+impl Moved {
+    /// The request with that in it.
+    pub fn request(&self, request: Refine) -> Refine {
+        Refine { cameras: self.refine_cameras, grow: self.grow, ..request }
+    }
+}
+
+/// Writes the refined cameras of photos for `--poses` and other programs, `to_world` the pose of the scene in the cameras' world.
+///
+/// # Errors
+/// [`Error::Io`] naming the file that cannot be written.
+pub fn save_cameras(
+    path: &Path,
+    refined: &Refined,
+    to_world: &Pose,
+    photos: &[PathBuf],
+    frames: &[&Frame],
+) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let moved = |((camera, photo), frame): ((&Camera, &PathBuf), &&Frame)| {
+        let camera = Camera { pose: to_world.compose(&camera.pose), ..frame.camera };
+        Ok(Frame { name: path_from(folder, photo)?, camera, ..Frame::clone(frame) })
+    };
+    let moved = refined.cameras.iter().zip(photos).zip(frames).map(moved).collect::<Result<Vec<Frame>>>()?;
+    write_frames(path, &moved, None)
+}
+
+/// The median turn in degrees and the median shift of the cameras that were moved, where any were.
+pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> {
+    let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
+    let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
+    let median = |of: fn(&Pose) -> f64| {
+        let mut values: Vec<f64> = movements.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let degrees = median(|pose| DQuat::from_mat3(&pose.rotation).to_scaled_axis().length().to_degrees());
+    Some([degrees?, median(|pose| pose.translation.length())?])
 }
 
 /// The thing that is refined.
@@ -174,25 +242,31 @@ fn told(at: &Refining) -> String {
     format!("refine{loss}{psnr}, {:.0} s left", at.left.as_secs_f64())
 }
 
-/// The outcome of a refinement, in words.
-pub fn summary(refined: &Refined, start: &str) -> String {
+/// The outcome of a refinement of photos with these cameras, in words.
+pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     let (steps, step) = (refined.losses.len(), refined.best_step);
     let loss = match refined.losses[..] {
         [first, .., last] => format!("; loss {first:.4} to {last:.4}"),
         _ => String::new(),
     };
     let psnr = refined.psnr().map(|[after, before]| format!("; held-out photos {before:.2} to {after:.2} dB"));
+    let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
+        format!("; cameras turned by {degrees:.2} degrees and moved by {distance:.4} (medians)")
+    });
     format!(
-        "refined from {start} in {}: kept is step {step} of {steps}{loss}{}",
+        "refined from {start} in {}: kept is step {step} of {steps}{loss}{}{}",
         time(refined.took),
-        psnr.unwrap_or_default()
+        psnr.unwrap_or_default(),
+        cameras.unwrap_or_default()
     )
 }
 
 /// The same for programs.
-pub fn as_json(refined: &Refined, start: &str) -> Value {
+pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
+    let cameras = camera_movement(given, refined);
     json!({
-        "start": start, "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "start": start, "cameras": cameras.map(|[degrees, distance]| json!({ "degrees": degrees, "distance": distance })),
+        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
         "held_out": refined.held_out, "held_out_photos": refined.held, "sizes": refined.sizes, "ended": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
@@ -204,14 +278,17 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
     let held: Vec<String> = refined.held.iter().map(name).collect();
     let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
     let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
-    let Rates { means, scales, quats, opacities, sh_coeffs, tokens } = request.rates;
-    let rates = match start {
+    let Rates { means, scales, quats, opacities, sh_coeffs, tokens, turns, shifts } = request.rates;
+    let mut rates = match start {
         TOKENS => format!("tokens {tokens}"),
         _ => format!(
             "means {means} of the scene's distance, ln scales {scales}, quats {quats}, logit opacities {opacities}, \
              sh_coeffs {sh_coeffs}"
         ),
     };
+    if request.cameras {
+        rates += &format!(", turns of cameras {turns}, shifts {shifts} of the scene's distance");
+    }
     let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held.len()));
     let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
     let mut table = Table::new(2, &["refined", ""]);

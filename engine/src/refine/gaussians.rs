@@ -3,15 +3,20 @@
 //! A step adds up the gradients of some photos, a plan run for each, and then moves all Gaussians at once. So memory grows
 //! neither with the photos of a step nor with those that there are.
 
-use super::{Adam, Rates, Refine, Space, record_adam, views::View};
+use super::{
+    Adam, Rates, Refine, Space,
+    planned::{Found, Learning, Planned, intersection_bytes},
+    record_adam,
+    views::View,
+};
 use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     stages::{
         loss::{LossTensors, record_loss},
         render::{
-            CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients, SceneTensors,
-            first_capacity, record, record_with_gradients,
+            CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
+            SceneTensors, first_capacity, record, record_with_gradients,
         },
     },
     types::{Scene, unit_quaternion},
@@ -45,6 +50,8 @@ pub(super) struct Gaussians {
     /// All plans take turns in it.
     arena: Arena,
     memories: Vec<Arc<Resident>>,
+    /// What is moved, where it is the Gaussians themselves.
+    fields: Vec<Field>,
     scene: SceneTensors,
     gradients: Gradients,
     request: Refine,
@@ -58,24 +65,6 @@ pub(super) struct Gaussians {
     together: usize,
     /// Room for intersections of a camera in new plans; grows with what was drawn.
     capacity: usize,
-}
-
-/// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
-struct Planned {
-    shape: FrameShape,
-    capacity: usize,
-    run: Run,
-    cameras: Tensor,
-    learning: Option<Learning>,
-    outputs: RenderOutputs,
-}
-
-#[derive(Clone, Copy)]
-struct Learning {
-    /// `[cameras, height, width, 3]`.
-    targets: Tensor,
-    /// `[cameras]`.
-    losses: Tensor,
 }
 
 impl Gaussians {
@@ -108,8 +97,10 @@ impl Gaussians {
         write(&memory, values, scene)?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
         filling(&arena, &memory, zero)?.execute()?;
-        let begin = fields.map(|field| (field.gradient, field.penalty));
-        Self::of(arena, request, vec![memory], scene_tensors(values, len, scene.sh_degree), begin, update)
+        let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
+        let tensors = scene_tensors(values, len, scene.sh_degree);
+        let gaussians = Self::of(arena, request, vec![memory], tensors, begin, update)?;
+        Ok(Self { fields: fields.into(), ..gaussians })
     }
 
     /// Gaussians in the first of some memories, their gradients there with what they begin with, and a plan that moves them.
@@ -126,6 +117,7 @@ impl Gaussians {
         Ok(Self {
             arena,
             memories,
+            fields: Vec::new(),
             scene,
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             request: request.clone(),
@@ -139,29 +131,29 @@ impl Gaussians {
         })
     }
 
-    /// One step: adds up the gradients of some photos and moves all Gaussians against them. Returns the photos' mean loss.
+    /// One step: adds up the gradients of some photos and moves all Gaussians against them. Returns what it found of each photo.
     ///
     /// # Errors
     /// [`Error::Memory`] where the device has too little, and those of [`Run::execute`].
-    pub fn step(&mut self, views: &[&View], rate: f32) -> Result<f32> {
+    pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<Found>> {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
-        let losses = loop {
+        let found = loop {
             self.clear.execute()?;
-            if let Some(losses) = self.add_all(&views)? {
-                break losses;
+            if let Some(found) = self.add_all(&views)? {
+                break found;
             }
         };
         self.steps += 1;
         self.update.write(self.schedule, &ADAM.schedule(rate, self.steps))?;
         self.update.execute()?;
-        Ok(losses.iter().sum::<f32>() / losses.len() as f32)
+        Ok(found)
     }
 
-    /// Adds the gradients of photos that are sorted by size; their losses, or none where there was too little room, which is
-    /// more the next time.
-    fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<f32>>> {
-        let mut losses = Vec::new();
+    /// Adds the gradients of photos that are sorted by size; what was found of them, or nothing where there was too little room,
+    /// which is more the next time.
+    fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<Found>>> {
+        let mut found = Vec::new();
         for alike in views.chunk_by(|a, b| a.size == b.size) {
             let mut left = alike;
             while !left.is_empty() {
@@ -170,8 +162,7 @@ impl Gaussians {
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {
                     Ok(Some(index)) => {
-                        let planned = &self.plans[index];
-                        losses.extend(planned.run.read::<f32>(planned.learning.expect("it learns").losses)?);
+                        found.extend(self.plans[index].found(views)?);
                         left = behind;
                     }
                     Ok(None) => return Ok(None),
@@ -180,7 +171,7 @@ impl Gaussians {
                 }
             }
         }
-        Ok(Some(losses))
+        Ok(Some(found))
     }
 
     /// The scene as a photo's camera sees it, `[height][width][rgb]`.
@@ -242,17 +233,25 @@ impl Gaussians {
         let drawing = RenderRequest::default();
         let mut learning = None;
         let outputs = if learns {
+            let d_cameras = self.request.cameras.then(|| {
+                let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
+                rec.fill(d_cameras, 0);
+                d_cameras
+            });
             let targets = rec.input::<f32>("targets", 3 * count * width as usize * height as usize);
             let (loss, scale) = (self.request.loss, 1.0 / self.request.views_per_step as f32);
             let compare = |rec: &mut Recorder, frames: Tensor| {
                 let LossTensors { value, d_frames } =
                     record_loss(rec, loss, frames, targets, shape, drawing.channels(), scale);
                 rec.output(value);
-                learning = Some(Learning { targets, losses: value });
+                learning = Some(Learning { targets, losses: value, d_cameras });
                 d_frames
             };
-            let gradients = &self.gradients;
-            record_with_gradients(&mut rec, &self.scene, cameras, shape, &drawing, capacity, compare, gradients)
+            let gradients = Gradients { cameras: d_cameras, ..self.gradients };
+            let outputs =
+                record_with_gradients(&mut rec, &self.scene, cameras, shape, &drawing, capacity, compare, &gradients);
+            d_cameras.iter().for_each(|tensor| rec.output(*tensor));
+            outputs
         } else {
             record(&mut rec, &self.scene, cameras, shape, &drawing, capacity)
         };
@@ -266,6 +265,25 @@ impl Gaussians {
     /// A transfer that fails.
     pub fn scene(&self) -> Result<Scene> {
         self.scene.read(&self.memories[0])
+    }
+
+    /// Lets the host change the Gaussians. Those whose numbers `change` returns begin with moments of zero.
+    ///
+    /// # Errors
+    /// A transfer that fails.
+    pub fn edit(&mut self, change: impl FnOnce(&mut Scene) -> Vec<usize>) -> Result<()> {
+        let (mut scene, memory) = (self.scene()?, &self.memories[0]);
+        let changed = change(&mut scene);
+        write(memory, [0, 1, 2, 3, 4].map(|i| self.fields[i].values), &scene)?;
+        for Field { moments, len, .. } in &self.fields {
+            let width = len / scene.len();
+            for moment in moments {
+                let mut values: Vec<f32> = memory.read(*moment)?;
+                changed.iter().for_each(|i| values[i * width..(i + 1) * width].fill(0.0));
+                memory.write(*moment, &values)?;
+            }
+        }
+        Ok(())
     }
 
     /// Device time of a step by kernel, with the photos of one size that come first; the Gaussians are as before.
@@ -304,24 +322,6 @@ pub(super) fn most_together(pixels: usize) -> usize {
 pub(super) fn room(limits: &Limits, each: usize, cameras: usize, learns: bool) -> usize {
     let most = limits.max_binding_bytes / intersection_bytes(learns);
     each.saturating_mul(cameras).min(most as usize)
-}
-
-/// Bytes of the largest list of a picture's intersections, for each.
-fn intersection_bytes(learns: bool) -> u64 {
-    // The backward pass has six moments.
-    if learns { 24 } else { 4 }
-}
-
-impl Planned {
-    fn write(&mut self, views: &[&View]) -> Result<()> {
-        let cameras: Vec<CameraRows> = views.iter().map(|view| view.camera).collect();
-        self.run.write(self.cameras, &cameras)?;
-        if let Some(Learning { targets, .. }) = self.learning {
-            let values: Vec<f32> = views.iter().flat_map(|view| view.values()).collect();
-            self.run.write(targets, &values)?;
-        }
-        Ok(())
-    }
 }
 
 pub(super) fn scene_tensors(

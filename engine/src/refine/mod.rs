@@ -1,8 +1,12 @@
 //! Refinement: tokens, Gaussians and cameras made to fit the photos.
 
 mod adam;
+mod cameras;
 mod gaussians;
+mod growth;
 mod plan;
+mod planned;
+mod random;
 mod refinement;
 mod schedule;
 mod start;
@@ -10,6 +14,7 @@ mod tokens;
 mod views;
 
 pub use adam::{Adam, Space, record_adam};
+pub use cameras::PoseAdam;
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use start::{join, scene_of_points};
 pub use tokens::FrozenHead;
@@ -23,13 +28,14 @@ use crate::{
 };
 use gaussians::Gaussians;
 use glam::DVec3;
+use growth::padded;
 use refinement::Refinement;
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
 };
 
-/// From so many photos on one is held out.
+/// From so many photos on one is held out, unless cameras are refined.
 const HOLD_OUT_FROM: usize = 9;
 /// Gaussians by which the distance from the cameras is measured, at most.
 const SAMPLE: usize = 4096;
@@ -43,12 +49,18 @@ pub struct Refine {
     pub views_per_step: usize,
     /// Most pixels of a photo along x and y; a larger one is compared at the largest size that fits. `None`: as they are.
     pub size: Option<[u32; 2]>,
-    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: 1 of 9 or more.
+    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: 1 of 9 or more, and none where
+    /// cameras are refined, since those of held-out photos stay as wrong as they are.
     pub hold_out: Option<usize>,
     /// The loss that is made less.
     pub loss: Loss,
     /// How far a step moves each value.
     pub rates: Rates,
+    /// Whether the cameras of the photos that are learnt from are moved, too: all but the first of them, which holds the world.
+    pub cameras: bool,
+    /// How many Gaussians there may be in the end: those that nobody sees, and those that are missing, are put where others are.
+    /// `None`: each stays the one that it was.
+    pub grow: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
     /// Factor of the mean scale in the loss, in shares of the scene's distance.
@@ -76,6 +88,8 @@ impl Default for Refine {
             hold_out: None,
             loss: Loss::L1Dssim,
             rates: Rates::default(),
+            cameras: false,
+            grow: None,
             opacity_penalty: 0.0,
             scale_penalty: 0.1,
             coarse: true,
@@ -102,11 +116,24 @@ pub struct Rates {
     pub sh_coeffs: f32,
     /// The rate of tokens, where these are refined.
     pub tokens: f32,
+    /// The rate of turns of cameras in radians, where these are refined.
+    pub turns: f32,
+    /// The rate of their shifts, in shares of the scene's distance from the cameras.
+    pub shifts: f32,
 }
 
 impl Default for Rates {
     fn default() -> Self {
-        Self { means: 5e-3, scales: 0.1, quats: 0.03, opacities: 0.2, sh_coeffs: 0.03, tokens: 2e-2 }
+        Self {
+            means: 5e-3,
+            scales: 0.1,
+            quats: 0.03,
+            opacities: 0.2,
+            sh_coeffs: 0.03,
+            tokens: 2e-2,
+            turns: 2e-3,
+            shifts: 2e-3,
+        }
     }
 }
 
@@ -137,8 +164,11 @@ pub enum Stopped {
 /// A refined scene.
 #[derive(Clone, Debug)]
 pub struct Refined {
-    /// The Gaussians after [`Refined::best_step`], in the order and world that they were given in.
+    /// The Gaussians after [`Refined::best_step`], in the world that they were given in, and in their order unless they grew; where
+    /// they did, those that are not drawn are left out.
     pub scene: Scene,
+    /// The cameras after that step, of all photos; where they were not refined, as they were given.
+    pub cameras: Vec<Camera>,
     /// Mean loss of the photos of each step.
     pub losses: Vec<f32>,
     /// Steps after which the scene was kept.
@@ -189,8 +219,10 @@ pub fn refine_scene(
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
     let request = resolved(request, photos, cameras)?;
-    let gaussians = Gaussians::new(device, scene, distance(scene, cameras), &request)?;
-    Refinement::new(gaussians, scene.clone(), photos, cameras, request)?.finish(&mut progress, begin)
+    let unit = distance(scene, cameras);
+    let grown = request.grow.map(|most| padded(scene, most));
+    let gaussians = Gaussians::new(device, grown.as_ref().unwrap_or(scene), unit, &request)?;
+    Refinement::new(gaussians, (scene.clone(), unit), photos, cameras, request)?.finish(&mut progress, begin)
 }
 
 /// Refines a scene's tokens so that each of `photos` is what the camera of the same index sees, as [`refine_scene`] does: the head
@@ -208,8 +240,12 @@ pub fn refine_tokens(
 ) -> Result<Refined> {
     let begin = Instant::now();
     let request = resolved(request, photos, cameras)?;
+    if let Some(most) = request.grow {
+        return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
+    }
     let (gaussians, scene) = tokens::gaussians(head, tokens, &request)?;
-    Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
+    let unit = distance(&scene, cameras);
+    Refinement::new(gaussians, (scene, unit), photos, cameras, request)?.finish(&mut progress, begin)
 }
 
 /// The request with what follows from the photos filled in, where they have cameras and enough of them are learnt from.
@@ -224,7 +260,7 @@ fn resolved(request: &Refine, photos: &[Image], cameras: &[Camera]) -> Result<Re
 
 /// The request with what follows from the number of photos filled in.
 fn filled(request: &Refine, count: usize) -> Result<Refine> {
-    let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM));
+    let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !request.cameras));
     if held_out >= count {
         return Err(Error::argument("held-out photos", held_out, format!("fewer than the {count} photos")));
     }

@@ -2,7 +2,10 @@
 
 use super::{
     Refine, Refined, Refining, Stopped,
+    cameras::Cameras,
     gaussians::Gaussians,
+    growth::{Growth, drop_unseen},
+    planned::Found,
     schedule::Schedule,
     views::{Order, View, size, split},
 };
@@ -22,10 +25,11 @@ const GROWN: f32 = 2.0;
 /// A refinement under way.
 pub(super) struct Refinement<'a> {
     photos: &'a [Image],
-    cameras: &'a [Camera],
+    cameras: Cameras,
     request: Refine,
     schedule: Schedule,
     gaussians: Gaussians,
+    growth: Option<Growth>,
     order: Order,
     /// The photos that are learnt from, and those as they are compared now.
     learnt: Vec<usize>,
@@ -53,30 +57,38 @@ pub(super) struct Refinement<'a> {
 struct Kept {
     step: usize,
     scene: Scene,
+    cameras: Vec<Camera>,
 }
 
 impl<'a> Refinement<'a> {
-    /// `scene` is what the Gaussians are before the first step; `request` says how many photos are held out.
+    /// `scene` is what the Gaussians are before the first step, at a distance of `unit` from the cameras; `request` says how many
+    /// photos are held out.
     ///
     /// # Errors
     /// Where a camera is not its photo's.
     pub fn new(
         gaussians: Gaussians,
-        scene: Scene,
+        (scene, unit): (Scene, f64),
         photos: &'a [Image],
-        cameras: &'a [Camera],
+        cameras: &[Camera],
         request: Refine,
     ) -> Result<Self> {
         let (learnt, held) = split(photos.len(), request.hold_out.unwrap_or(0));
         let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], request.size, 1);
         let tested = held.par_iter().map(view).collect::<Result<Vec<_>>>()?;
+        // The first camera holds the world.
+        let moving = if request.cameras { &learnt[1..] } else { &[] };
+        let rates = [f64::from(request.rates.turns), unit * f64::from(request.rates.shifts)];
+        let growth = request.grow.map(|most| Growth::new(scene.len(), most, request.steps, request.seed));
+        let kept = Kept { step: 0, scene, cameras: cameras.to_vec() };
         Ok(Self {
             photos,
-            cameras,
+            cameras: Cameras::new(cameras, moving, rates),
             schedule: Schedule { steps: request.steps, rate: 1.0, coarse: request.coarse },
             order: Order::new(learnt.len(), request.seed),
             request,
             gaussians,
+            growth,
             learnt,
             views: Vec::new(),
             shrink: 0,
@@ -89,7 +101,7 @@ impl<'a> Refinement<'a> {
             began: 0,
             least: f32::INFINITY,
             latest: 0.0,
-            kept: Kept { step: 0, scene },
+            kept,
             next: None,
         })
     }
@@ -103,8 +115,9 @@ impl<'a> Refinement<'a> {
         let profile = self.request.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
         let Self { losses, kept, held_out, held, sizes, .. } = self;
-        let (scene, best_step, took) = (kept.scene, kept.step, begin.elapsed());
-        Ok(Refined { scene, losses, best_step, held_out, held, sizes, took, peak_bytes, stopped, profile })
+        let Kept { step: best_step, scene, cameras } = kept;
+        let took = begin.elapsed();
+        Ok(Refined { scene, cameras, losses, best_step, held_out, held, sizes, took, peak_bytes, stopped, profile })
     }
 
     fn run(
@@ -119,8 +132,10 @@ impl<'a> Refinement<'a> {
             self.resize(step)?;
             let chosen: Vec<usize> = (0..self.request.views_per_step).map(|_| self.order.next()).collect();
             let views: Vec<&View> = chosen.iter().map(|i| &self.views[*i]).collect();
-            let loss = self.gaussians.step(&views, self.schedule.rate(step))?;
+            let found = self.gaussians.step(&views, self.schedule.rate(step))?;
+            let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);
+            self.move_cameras(step, &found);
             let done = step + 1;
             if !loss.is_finite() {
                 return Ok(Some(Stopped::Diverged(format!("the loss of step {done} is {loss}"))));
@@ -130,6 +145,9 @@ impl<'a> Refinement<'a> {
                     return Ok(Some(Stopped::Diverged(why)));
                 }
                 self.look(done)?;
+            }
+            if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
+                self.gaussians.edit(|scene| growth.apply(scene, done, self.schedule.rate(step)))?;
             }
             let left = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.held_out.last().map(|(_, psnr)| *psnr);
@@ -143,13 +161,24 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
+    /// Moves the cameras of a step's photos against their gradients.
+    fn move_cameras(&mut self, step: usize, found: &[Found]) {
+        let along = step as f64 / self.request.steps as f64;
+        for Found { photo, d_pose, .. } in found {
+            d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, self.schedule.rate(step), along));
+        }
+        let cameras = self.cameras.all();
+        self.views.iter_mut().for_each(|view| view.camera.pose = cameras[view.photo].pose);
+    }
+
     /// Brings the photos to the size of a step.
     fn resize(&mut self, step: usize) -> Result<()> {
         let shortest = |i: &usize| size(&self.photos[*i], self.request.size, 1).into_iter().min();
         let shortest = self.learnt.iter().filter_map(shortest).min().unwrap_or(0);
         let shrink = self.schedule.shrink(step, shortest);
         if self.shrink != shrink {
-            let view = |i: &usize| View::new(*i, &self.photos[*i], &self.cameras[*i], self.request.size, shrink);
+            let cameras = self.cameras.all();
+            let view = |i: &usize| View::new(*i, &self.photos[*i], &cameras[*i], self.request.size, shrink);
             self.views = self.learnt.par_iter().map(view).collect::<Result<Vec<_>>>()?;
             (self.shrink, self.began, self.least, self.latest) = (shrink, step, f32::INFINITY, 0.0);
             let largest = self.views.iter().map(|view| view.size).max_by_key(|[width, height]| width * height);
@@ -180,7 +209,12 @@ impl<'a> Refinement<'a> {
             }
         }
         if step > 0 && (!self.tested.is_empty() || self.latest <= self.least) {
-            self.next = Some(Kept { step, scene: self.gaussians.scene()? });
+            let cameras = self.cameras.all().to_vec();
+            let mut scene = self.gaussians.scene()?;
+            if self.growth.is_some() {
+                drop_unseen(&mut scene);
+            }
+            self.next = Some(Kept { step, scene, cameras });
         }
         Ok(())
     }

@@ -1,17 +1,19 @@
 //! The photos of a refinement: which are held out, in which order the others come, and their sizes.
 
+use super::random::Random;
 use crate::{
     Result,
-    stages::render::{CameraRows, camera_rows},
     types::{Camera, Image, preprocess::PixelMap, resample::resize_lanczos},
 };
 
 /// A photo as it is compared, and its camera.
 pub(super) struct View {
+    /// Its index among all photos.
+    pub photo: usize,
     pub size: [u32; 2],
     /// `[height][width][rgb]`.
     pub rgb: Vec<u8>,
-    pub camera: CameraRows,
+    pub camera: Camera,
 }
 
 impl View {
@@ -27,7 +29,7 @@ impl View {
         let map = PixelMap::resized(photo, width, height);
         let camera = Camera { intrinsics: map.apply(&camera.intrinsics, &label)?, ..*camera };
         let rgb = resize_lanczos(photo, width, height)?.rgb;
-        Ok(Self { size: [width, height], rgb, camera: camera_rows(&camera) })
+        Ok(Self { photo: i, size: [width, height], rgb, camera })
     }
 
     /// The photo's values in 0..1.
@@ -55,29 +57,21 @@ pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
 /// Numbers below `count` in a random order, all of them before any comes again.
 pub(super) struct Order {
     count: usize,
-    state: u64,
+    random: Random,
     left: Vec<usize>,
 }
 
 impl Order {
     pub fn new(count: usize, seed: u64) -> Self {
-        Self { count, state: seed, left: Vec::new() }
+        Self { count, random: Random::new(seed), left: Vec::new() }
     }
 
     pub fn next(&mut self) -> usize {
         if self.left.is_empty() {
             self.left = (0..self.count).collect();
         }
-        let chosen = self.below(self.left.len());
+        let chosen = self.random.below(self.left.len());
         self.left.swap_remove(chosen)
-    }
-
-    /// splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
-    fn below(&mut self, count: usize) -> usize {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = (self.state ^ (self.state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (((z ^ (z >> 31)) as u128 * count as u128) >> 64) as usize
     }
 }
 

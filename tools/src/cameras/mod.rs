@@ -7,4 +7,4 @@ mod place;
 
 pub use find::{Finding, Found, Known};
 pub use paths::{CameraArgs, origin};
-pub use place::Place;
+pub use place::{Place, path_from};

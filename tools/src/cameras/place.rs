@@ -66,7 +66,7 @@ impl Place<'_> {
 }
 
 /// A photo's path as seen from a folder above it, else its whole path.
-fn path_from(folder: &Path, photo: &Path) -> Result<String> {
+pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
     let (folder, photo) = (whole(folder)?, whole(photo)?);
     let path = photo.strip_prefix(folder).unwrap_or(&photo);

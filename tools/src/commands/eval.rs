@@ -3,19 +3,19 @@
 mod alignment;
 
 use crate::{
-    align::align,
+    align::Method,
     cameras::{Finding, Known},
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Refinable, Start, Steps},
+    refinement::{self, Moved, Refinable, Start, Steps},
     session::Session,
     table::Table,
     views::{Fit, FitOption},
 };
 use alignment::Alignment;
-use clap::Args;
+use clap::{ArgGroup, Args};
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
@@ -45,6 +45,7 @@ const SHOWN: usize = 12;
 /// table says how far each went, and where its figure says little: flat, a photo without texture, which is not aligned; bound,
 /// a camera that went as far as it may; colour, a picture no more like the photo than one colour is.
 #[derive(Args)]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
 #[command(after_help = "Examples:
   zipsplat eval capture/ --views 8
   zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
@@ -68,6 +69,9 @@ pub struct Eval {
     /// Reconstruct without the cameras, and align each picture with its photo
     #[arg(long)]
     pose_free: bool,
+    /// How the camera of a picture is searched for
+    #[arg(long, value_enum, value_name = "HOW", default_value = "levenberg-marquardt", requires = "pose_free")]
+    align: Method,
     #[command(flatten)]
     weights: Weights,
     #[command(flatten)]
@@ -88,6 +92,12 @@ pub struct Eval {
     /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
+    #[command(flatten)]
+    moved: Moved,
+    /// Give the network and the refinement wrong cameras, to see what that costs: those of all inputs but the first are turned by
+    /// so many degrees, and moved by as many percent of the scene's distance
+    #[arg(long, value_name = "DEGREES", default_value = "0")]
+    disturb: f64,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
@@ -119,15 +129,16 @@ impl Eval {
         self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
         let (count, targets) = (self.views as usize, self.targets.map(|targets| targets as usize));
         let known = self.known(session)?;
-        let choice = match &known {
+        let mut choice = match &known {
             Some(known) => Choice::of(known.poses.clone(), &self.folder, count, targets)?,
             None => Choice::new(&self.folder, count, targets)?,
         };
         choice.notes().iter().for_each(|note| session.note(note));
+        choice.disturb(self.disturb, self.unit)?;
         let chosen = (self.quality.ratio, &self.quality.select);
         let (views, posed) = (fit.count(&choice.inputs())?, !self.pose_free);
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
-        self.refine.map_or(Ok(()), |steps| steps.check(self.start))?;
+        self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
@@ -176,7 +187,8 @@ impl Eval {
         let targets = &capture.targets;
         let (drawn, alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
-                let found = |view: &Posed| align(&mut renderer, &view.image, &view.camera, &|| stage.check());
+                let found =
+                    |view: &Posed| self.align.align(&mut renderer, &view.image, &view.camera, &|| stage.check());
                 stage.each(targets, found)
             })?;
             let alignment = Alignment::new(&capture, &found);
@@ -215,12 +227,12 @@ impl Eval {
             took.as_secs_f64(),
             capture.unit
         ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
-            + &refined
-                .as_ref()
-                .map_or_else(String::new, |refined| format!("\n{}", refinement::summary(refined, started)));
+            + &refined.as_ref().map_or_else(String::new, |refined| {
+                format!("\n{}", refinement::summary(refined, started, &input_cameras(&capture)))
+            });
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
-            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started)),
+            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started, &input_cameras(&capture))),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
             "peak_bytes": result.peak_bytes,
@@ -257,7 +269,7 @@ impl Eval {
     ) -> Result<Refined> {
         let cameras = input_cameras(capture);
         let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
-        let request = Refine { steps, ..Refine::default() };
+        let request = self.moved.request(Refine { steps, ..Refine::default() });
         let refined = refinement::refine(session, from, &photos, &cameras, &request)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {

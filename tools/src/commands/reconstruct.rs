@@ -7,14 +7,14 @@ use crate::{
     options::{Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::{self, PhotoArgs},
-    refinement::{self, MOST_PIXELS, Refinable, Start, Steps, placed},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, Steps, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     unit::Unit,
     video::FrameFolder,
     views::{FitOption, Views},
 };
-use clap::{Args, ValueEnum};
+use clap::{ArgGroup, Args, ValueEnum};
 use indicatif::HumanCount;
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
@@ -36,6 +36,7 @@ use zipsplat::{
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
 #[derive(Args)]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
@@ -98,9 +99,14 @@ pub struct Reconstruct {
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
     #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more]
+    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+    /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
+    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -118,6 +124,16 @@ struct From<'a> {
     checkpoint: &'a Checkpoint,
     /// Where they are what is moved.
     tokens: Option<SceneTokens>,
+}
+
+/// What --refine made.
+struct Made {
+    refined: Refined,
+    /// What it started from, in words.
+    started: &'static str,
+    /// The cameras that it was given.
+    cameras: Vec<Camera>,
+    request: Refine,
 }
 
 /// The world that a scene is in.
@@ -153,13 +169,15 @@ impl Reconstruct {
             refuse("--cameras-out", !find, "cameras that are known", "--poses find")?;
             Place(place).check(self.overwrite)?;
         }
+        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let drawing = self.drawing()?;
-        self.refine().map_or(Ok(()), |steps| steps.check(self.start))?;
+        self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
         let (mut photos, mut frame_folder) = {
-            let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
+            let named_in =
+                self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
             self.input.list(session, self.views, named_in)?
         };
         let find = self.poses.as_deref().is_some_and(Known::to_find);
@@ -229,7 +247,7 @@ impl Reconstruct {
             }
             _ => None,
         };
-        if let Some((refined, ..)) = &refined {
+        if let Some(Made { refined, .. }) = &refined {
             scene = refined.scene.clone();
         }
         let world = frames.first().map(|first| self.world.of(first));
@@ -247,13 +265,18 @@ impl Reconstruct {
             spz_coarsening(&scene).into_iter().for_each(|note| session.note(note));
         }
         let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
-        if let Some((Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, ..)) = &refined {
+        if let Some(Made { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) = &refined {
             save()?.into_iter().for_each(|note| session.note(note));
             session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
             return Err(Error::Cancelled);
         }
         let (note, write) = session.stage("write", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
+        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, frames.first())
+        {
+            save_cameras(path, refined, &first.camera.pose, &photos, &frames)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
@@ -272,7 +295,7 @@ impl Reconstruct {
 
         let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
         times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
-        times.extend(refined.iter().map(|(refined, ..)| ("refine", refined.took)));
+        times.extend(refined.iter().map(|made| ("refine", made.refined.took)));
         times.push(("write", write));
         let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
         let tokens = shape.grid.tokens();
@@ -311,12 +334,12 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some((refined, started, request)) = &refined {
-            text += &format!("{}\n", refinement::summary(refined, started));
+        if let Some(Made { refined, started, cameras, request }) = &refined {
+            text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
                 text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
             }
-            json["refined"] = refinement::as_json(refined, started);
+            json["refined"] = refinement::as_json(refined, started, cameras);
         }
         if let Some((pictures, told)) = drawn {
             json["pictures"] = pictures;
@@ -338,7 +361,7 @@ impl Reconstruct {
         from: From<'_>,
         (scene, cloud): (Scene, Option<&PointCloud>),
         (photos, frames): (&[PathBuf], &[&Frame]),
-    ) -> Result<(Refined, &'static str, Refine)> {
+    ) -> Result<Made> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
@@ -346,6 +369,7 @@ impl Reconstruct {
             session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
+        let request = self.moved.request(request);
         let mut started = refinement::TOKENS;
         let refined = if let Some(tokens) = &from.tokens {
             let head = FrozenHead::load(from.device, from.checkpoint)?;
@@ -359,7 +383,7 @@ impl Reconstruct {
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
-            _ => Ok((refined, started, request)),
+            _ => Ok(Made { refined, started, cameras, request }),
         }
     }
 

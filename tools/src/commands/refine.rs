@@ -6,7 +6,7 @@ use crate::{
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, MOST_PIXELS, Refinable, Start, placed},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, placed, save_cameras},
     session::Session,
     table::counted,
 };
@@ -35,7 +35,8 @@ use zipsplat::{
   zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
   zipsplat refine photos/ --poses transforms.json --start points --steps 500 -o scene.ply
   zipsplat refine photos/ --poses find --start points -o scene.ply
-  zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply")]
+  zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply
+  zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --refined-cameras exact.json -o better.ply")]
 pub struct Refine {
     /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
@@ -68,9 +69,14 @@ pub struct Refine {
     /// Photos of a step
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Photos to hold out, evenly spread [default: 1 of 9 or more]
+    /// Photos to hold out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K")]
     hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+    /// File for the cameras as they were refined: a transforms.json in the world of the cameras given
+    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    refined_cameras: Option<PathBuf>,
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
@@ -84,6 +90,8 @@ struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: World,
+    /// The pose of the scene in the world of the cameras given.
+    pose: Pose,
 }
 
 impl Refine {
@@ -93,6 +101,7 @@ impl Refine {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
         if Known::to_find(&self.poses) && self.start != Start::Points {
             let expected = "--start points: the scene is in another world than cameras that are found anew";
@@ -117,11 +126,14 @@ impl Refine {
         let options = WriteOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, Some(&started.world))?;
         note.into_iter().for_each(|note| session.note(note));
+        if let Some(path) = &self.refined_cameras {
+            save_cameras(path, &refined, &started.pose, &photos, &frames)?;
+        }
         if refined.stopped == Some(Stopped::Cancelled) {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
             return Err(Error::Cancelled);
         }
-        self.report(session, device.limits().name.clone(), &photos, refined, &request)
+        self.report(session, device.limits().name.clone(), (&photos, &started.cameras), refined, &request)
     }
 
     /// The scene's file, where there has to be one, and those of the photos.
@@ -155,7 +167,8 @@ impl Refine {
             (Some(said), None) => said,
             (None, None) => World::Cameras(first.camera.pose),
         };
-        let to_scene = pose.map_or(Pose::IDENTITY, |pose| pose.inverse());
+        let pose = pose.unwrap_or(Pose::IDENTITY);
+        let to_scene = pose.inverse();
         let camera = |frame: &&Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let cloud = match &poses.points {
@@ -163,7 +176,7 @@ impl Refine {
             _ => None,
         };
         let scene = self.start.scene(scene, cloud.as_ref(), &cameras)?;
-        Ok(Started { scene, cameras, world })
+        Ok(Started { scene, cameras, world, pose })
     }
 
     fn refine(
@@ -182,6 +195,7 @@ impl Refine {
             profile: self.explain,
             ..refine::Refine::default()
         };
+        let request = self.moved.request(request);
         let from = Refinable::Scene(device, &started.scene);
         Ok((refinement::refine(session, from, photos, &started.cameras, &request)?, request))
     }
@@ -190,7 +204,7 @@ impl Refine {
         &self,
         session: &mut Session<'_>,
         device: String,
-        photos: &[PathBuf],
+        (photos, cameras): (&[PathBuf], &[Camera]),
         refined: Refined,
         request: &refine::Refine,
     ) -> Result<()> {
@@ -198,14 +212,14 @@ impl Refine {
         let count = refined.scene.len();
         let mut json = json!({
             "output": self.output, "device": device, "photos": photos.len(), "gaussians": count,
-            "refined": refinement::as_json(&refined, start),
+            "refined": refinement::as_json(&refined, start, cameras),
         });
         let mut text = format!(
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
             counted(photos.len(), "photo"),
-            refinement::summary(&refined, start),
+            refinement::summary(&refined, start, cameras),
         );
         if let Some(profile) = &refined.profile {
             let explanation = Explanation::of_kernels(profile, Vec::new());

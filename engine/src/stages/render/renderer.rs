@@ -128,6 +128,11 @@ impl Renderer {
         Ok(())
     }
 
+    /// The scene that was loaded last, for those who record plans of their own.
+    pub fn scene(&self) -> Option<&DeviceScene> {
+        self.scene.as_ref()
+    }
+
     /// Draws the scene that was loaded last.
     ///
     /// # Errors

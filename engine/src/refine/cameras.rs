@@ -1,0 +1,102 @@
+//! Cameras that are moved with the scene.
+
+use super::Adam;
+use crate::types::{Camera, Pose};
+use glam::{DMat3, DQuat, DVec3};
+
+/// Share of the steps before cameras move: what Gaussians lack at first is not the cameras' fault, and would move exact ones.
+const AFTER: f64 = 0.4;
+
+/// Adam on a camera-to-world pose.
+///
+/// Each step begins at the pose itself: what moves is (w, v) = 0 in `pose o (exp(w^), v)`, a turn about the camera's own axes and a
+/// shift along them. The moments stay from step to step.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PoseAdam {
+    first: [f64; 6],
+    second: [f64; 6],
+    steps: i32,
+}
+
+impl PoseAdam {
+    /// The pose after one step against `gradient`, d loss / d (w, v), at the rates of turns in radians and of shifts. A gradient that
+    /// is not finite leaves the pose and the moments as they are.
+    pub fn step(&mut self, adam: Adam, pose: &Pose, gradient: [f64; 6], [turns, shifts]: [f64; 2]) -> Pose {
+        if !gradient.iter().all(|g| g.is_finite()) {
+            return *pose;
+        }
+        self.steps += 1;
+        let [beta1, beta2, eps] = [adam.beta1, adam.beta2, adam.eps].map(f64::from);
+        let moved: [f64; 6] = std::array::from_fn(|i| {
+            self.first[i] = beta1 * self.first[i] + (1.0 - beta1) * gradient[i];
+            self.second[i] = beta2 * self.second[i] + (1.0 - beta2) * gradient[i].powi(2);
+            let mean = self.first[i] / (1.0 - beta1.powi(self.steps));
+            let square = self.second[i] / (1.0 - beta2.powi(self.steps));
+            -(if i < 3 { turns } else { shifts }) * mean / (square.sqrt() + eps)
+        });
+        let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_slice(&moved[..3])));
+        pose.compose(&Pose { rotation, translation: DVec3::from_slice(&moved[3..]) })
+    }
+}
+
+/// The cameras of all photos, of which those that are learnt from move.
+pub(super) struct Cameras {
+    cameras: Vec<Camera>,
+    /// None where a camera stays.
+    adams: Vec<Option<PoseAdam>>,
+    /// Rates of turns in radians, and of shifts in the unit of the scene.
+    rates: [f64; 2],
+}
+
+impl Cameras {
+    /// Cameras of which those of the photos `moving` move, at these rates.
+    pub fn new(cameras: &[Camera], moving: &[usize], rates: [f64; 2]) -> Self {
+        let adam = |i| moving.contains(&i).then(PoseAdam::default);
+        Self { cameras: cameras.to_vec(), adams: (0..cameras.len()).map(adam).collect(), rates }
+    }
+
+    /// The cameras as they are.
+    pub fn all(&self) -> &[Camera] {
+        &self.cameras
+    }
+
+    /// Moves a photo's camera against its gradient, where it moves, `along` the way from the first step to the last.
+    pub fn step(&mut self, photo: usize, gradient: [f32; 6], rate: f32, along: f64) {
+        if let (Some(adam), true) = (&mut self.adams[photo], along >= AFTER) {
+            let (rates, pose) = (self.rates.map(|each| each * f64::from(rate)), &mut self.cameras[photo].pose);
+            *pose = adam.step(super::gaussians::ADAM, pose, gradient.map(f64::from), rates);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The pose of least squared distance from where points are seen is found from any side.
+    #[test]
+    fn a_pose_finds_its_points() {
+        let points = [DVec3::new(0.3, 0.2, 2.0), DVec3::new(-0.5, 0.1, 1.5), DVec3::new(0.2, -0.6, 1.0)];
+        let truth = Pose {
+            rotation: DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.2, -0.1, 0.3))),
+            translation: DVec3::new(0.1, 0.2, -0.1),
+        };
+        let (mut pose, mut adam) = (Pose::IDENTITY, PoseAdam::default());
+        for step in 0..400 {
+            let mut gradient = [0.0; 6];
+            for point in points {
+                // d |pose(p) - truth(p)|^2: by a shift in the camera's frame, and by a turn, which moves p by w x p.
+                let by_shift = 2.0 * (pose.rotation.transpose() * (pose.transform(point) - truth.transform(point)));
+                let by_turn = point.cross(by_shift);
+                let both = by_turn.to_array().into_iter().chain(by_shift.to_array());
+                gradient.iter_mut().zip(both).for_each(|(sum, g)| *sum += g);
+            }
+            let rate = 0.02 * (1.0 - f64::from(step) / 400.0);
+            pose = adam.step(Adam::default(), &pose, gradient, [rate; 2]);
+        }
+        assert!(pose.rotation.abs_diff_eq(truth.rotation, 1e-3), "{} and {}", pose.rotation, truth.rotation);
+        assert!(pose.translation.abs_diff_eq(truth.translation, 1e-3));
+        let held = adam.step(Adam::default(), &pose, [f64::NAN; 6], [1.0; 2]);
+        assert_eq!(held, pose);
+    }
+}

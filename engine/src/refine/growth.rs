@@ -1,0 +1,234 @@
+//! Gaussians that nobody sees are put where they are needed.
+//!
+//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): dead Gaussians go to live ones that are drawn by
+//! opacity, and share the opacity and the size so that the picture hardly changes; nearly transparent ones wander.
+//! Where the paper adds so many Gaussians at a time, here all that there may be exist from the first step on, and come alive.
+
+use super::random::Random;
+use crate::types::{Scene, matrix_from_quaternion};
+use glam::{DMat3, DVec3};
+
+/// Opacity below which a Gaussian is dead.
+const DEAD: f32 = 0.005;
+/// Opacity below which a Gaussian is not drawn.
+const UNSEEN: f32 = 1.0 / 255.0;
+/// Gaussians at one place, at most.
+const TOGETHER: usize = 51;
+/// Share of the steps after which all Gaussians are alive, and after which none is moved any more.
+const GROWN: f64 = 0.5;
+const LAST: f64 = 0.8;
+/// How often Gaussians are moved.
+const TIMES: usize = 20;
+/// How far copies lie from each other, in standard deviations.
+const APART: f64 = 1.0;
+
+/// A scene that may grow.
+pub(super) struct Growth {
+    random: Random,
+    steps: usize,
+    /// Gaussians at first, and at last.
+    counts: [usize; 2],
+}
+
+impl Growth {
+    /// Growth of `first` Gaussians to at most `most` in so many steps.
+    pub fn new(first: usize, most: usize, steps: usize, seed: u64) -> Self {
+        Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
+    }
+
+    /// Whether Gaussians are moved after so many steps.
+    pub fn is_due(&self, done: usize) -> bool {
+        done.is_multiple_of(self.steps.div_ceil(TIMES)) && done as f64 <= LAST * self.steps as f64
+    }
+
+    /// Moves Gaussians, of which more are alive the more steps are done; `rate` is the share of the first rate that is left. Returns
+    /// those that are no longer what they were.
+    pub fn apply(&mut self, scene: &mut Scene, done: usize, rate: f32) -> Vec<usize> {
+        self.wander(scene, f64::from(rate));
+        let (live, dead): (Vec<usize>, Vec<usize>) = (0..scene.len()).partition(|i| scene.opacities[*i] > DEAD);
+        let along = (done as f64 / (GROWN * self.steps as f64)).min(1.0);
+        let [first, most] = self.counts.map(|count| count as f64);
+        let wanted = (first * (most / first).powf(along)).round() as usize;
+        let chosen = self.choose(scene, &live, dead.len().min(wanted.saturating_sub(live.len())));
+        let mut dead = dead.into_iter();
+        let mut changed = Vec::new();
+        for same in chosen.chunk_by(|a, b| a == b) {
+            let source = same[0];
+            let spread = self.share(scene, source, (same.len() + 1).min(TOGETHER));
+            let mean = DVec3::from(scene.means[source].map(f64::from));
+            changed.push(source);
+            for to in dead.by_ref().take(same.len()) {
+                copy(scene, source, to);
+                let offset = spread * DVec3::from([(); 3].map(|()| self.random.normal()));
+                scene.means[to] = (mean + APART * offset).as_vec3().to_array();
+                changed.push(to);
+            }
+        }
+        changed
+    }
+
+    /// `count` of the live Gaussians, drawn by opacity, in their order.
+    fn choose(&mut self, scene: &Scene, live: &[usize], count: usize) -> Vec<usize> {
+        let mut sum = 0.0;
+        let add = |i: &usize| {
+            sum += f64::from(scene.opacities[*i]);
+            sum
+        };
+        let sums: Vec<f64> = live.iter().map(add).collect();
+        let Some(total) = sums.last() else { return Vec::new() };
+        let mut draw = || {
+            let drawn = self.random.unit() * total;
+            live[sums.partition_point(|sum| *sum <= drawn).min(live.len() - 1)]
+        };
+        let mut chosen: Vec<usize> = (0..count).map(|_| draw()).collect();
+        chosen.sort_unstable();
+        chosen
+    }
+
+    /// Gives a Gaussian its share of the opacity and the size where there are `count` in its place. Returns what turns normal numbers
+    /// into offsets that are spread as the Gaussian was.
+    fn share(&self, scene: &mut Scene, i: usize, count: usize) -> DMat3 {
+        let was = axes(scene, i);
+        let (opacity, size) = shared(f64::from(scene.opacities[i]), count);
+        scene.opacities[i] = (opacity as f32).max(DEAD);
+        scene.scales[i] = scene.scales[i].map(|scale| (f64::from(scale) * size) as f32);
+        was
+    }
+
+    /// Moves nearly transparent Gaussians at random, as far as they are large.
+    fn wander(&mut self, scene: &mut Scene, rate: f64) {
+        for i in 0..scene.len() {
+            let opacity = f64::from(scene.opacities[i]);
+            // 3DGS-MCMC's: a half at 0.005, nothing from 0.1 on.
+            let free = 1.0 / (1.0 + (100.0 * (opacity - 0.005)).exp());
+            if free > 1e-3 && opacity > f64::from(UNSEEN) {
+                let normal = DVec3::from([(); 3].map(|()| self.random.normal()));
+                let mean = DVec3::from(scene.means[i].map(f64::from)) + rate * free * (axes(scene, i) * normal);
+                scene.means[i] = mean.as_vec3().to_array();
+            }
+        }
+    }
+}
+
+/// The axes of a Gaussian, as long as its standard deviations: the columns.
+fn axes(scene: &Scene, i: usize) -> DMat3 {
+    let scales = DVec3::from(scene.scales[i].map(f64::from));
+    matrix_from_quaternion(scene.quats[i].map(f64::from)) * DMat3::from_diagonal(scales)
+}
+
+/// Makes Gaussian `to` the same as `from`.
+fn copy(scene: &mut Scene, from: usize, to: usize) {
+    scene.means[to] = scene.means[from];
+    scene.scales[to] = scene.scales[from];
+    scene.quats[to] = scene.quats[from];
+    scene.opacities[to] = scene.opacities[from];
+    let width = scene.sh_coeffs_per_gaussian();
+    scene.sh_coeffs.copy_within(from * width..(from + 1) * width, to * width);
+}
+
+/// The opacity of each of `count` Gaussians that together are as opaque as one, and their size in shares of its (equation 9 of the
+/// paper): what all of them hide along their middle axis is then the same.
+fn shared(opacity: f64, count: usize) -> (f64, f64) {
+    let each = 1.0 - (1.0 - opacity).powf(1.0 / count as f64);
+    // Binomials of count over k + 1, times each^(k + 1), with alternating signs.
+    let (mut term, mut sum) = (-1.0, 0.0);
+    for k in 0..count {
+        term *= -each * (count - k) as f64 / (k + 1) as f64;
+        sum += term / ((k + 1) as f64).sqrt();
+    }
+    (each, opacity / sum)
+}
+
+/// The scene with as many Gaussians as it may grow to; those that it has not are dead.
+pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
+    let (mut padded, first) = (scene.clone(), scene.len());
+    let most = most.max(first);
+    let coeffs = &scene.sh_coeffs[..scene.sh_coeffs_per_gaussian()];
+    padded.means.resize(most, scene.means[0]);
+    padded.scales.resize(most, scene.scales[0]);
+    padded.quats.resize(most, scene.quats[0]);
+    padded.opacities.resize(most, 0.0);
+    padded.sh_coeffs.extend((first..most).flat_map(|_| coeffs));
+    padded
+}
+
+/// Leaves only the Gaussians that are drawn.
+pub(super) fn drop_unseen(scene: &mut Scene) {
+    let seen: Vec<usize> = (0..scene.len()).filter(|i| scene.opacities[*i] >= UNSEEN).collect();
+    scene.keep(&seen);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(count: usize) -> Scene {
+        Scene {
+            means: (0..count).map(|i| [i as f32, 0.0, 3.0]).collect(),
+            scales: vec![[0.1, 0.2, 0.3]; count],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+            opacities: (0..count).map(|i| if i % 2 == 0 { 0.8 } else { 0.2 }).collect(),
+            sh_coeffs: (0..4 * count).map(|i| [i as f32; 3]).collect(),
+            sh_degree: 1,
+        }
+    }
+
+    /// Along the middle axis of Gaussians of one place the light that is hidden, in all, is that which one hid: integrated here.
+    #[test]
+    fn shares_hide_what_one_hid() {
+        for (opacity, count) in [(0.9, 2), (0.5, 3), (0.99, 10), (0.1, 51)] {
+            let (each, size) = shared(opacity, count);
+            assert!((1.0 - (1.0 - each).powi(count as i32) - opacity).abs() < 1e-12);
+            let hidden = |opacity: f64, size: f64, count: i32| {
+                let at = |x: f64| 1.0 - (1.0 - opacity * (-0.5 * (x / size).powi(2)).exp()).powi(count);
+                (-8000..8000).map(|i| at(f64::from(i) * 1e-3) * 1e-3).sum::<f64>()
+            };
+            let (one, all) = (hidden(opacity, 1.0, 1), hidden(each, size, count as i32));
+            assert!((one - all).abs() < 1e-4 * one, "{opacity} in {count}: {one} and {all}");
+        }
+        assert_eq!(shared(0.7, 1), (1.0 - (1.0f64 - 0.7), 1.0));
+    }
+
+    #[test]
+    fn dead_gaussians_come_alive_where_others_are() {
+        let start = scene(8);
+        let mut growth = Growth::new(8, 32, 100, 1);
+        let due: Vec<usize> = (1..=100).filter(|done| growth.is_due(*done)).collect();
+        assert_eq!((due.len(), due[0], *due.last().expect("some")), (16, 5, 80));
+        let mut grown = padded(&start, 32);
+        let live = |scene: &Scene| scene.opacities.iter().filter(|opacity| **opacity > DEAD).count();
+        assert_eq!((grown.len(), live(&grown)), (32, 8));
+        let changed = growth.apply(&mut grown, 25, 0.0);
+        // Half of the way, counted by factors.
+        assert_eq!(live(&grown), 16);
+        assert!((8..16).all(|i| changed.contains(&i)) && grown.means[16..] == padded(&start, 32).means[16..]);
+        for i in 8..16 {
+            let source = (grown.sh_coeffs[4 * i][0] / 4.0) as usize;
+            assert!(changed.contains(&source) && grown.opacities[i] == grown.opacities[source]);
+            assert!(grown.opacities[source] < start.opacities[source]);
+            let offset = grown.means[i][0] - start.means[source][0];
+            assert!(offset.abs() < 0.5, "{offset} from {source}");
+        }
+        growth.apply(&mut grown, 50, 0.0);
+        assert_eq!(live(&grown), 32);
+        grown.validate().expect("a valid scene");
+        let mut again = padded(&start, 32);
+        let mut growth = Growth::new(8, 32, 100, 1);
+        growth.apply(&mut again, 25, 0.0);
+        growth.apply(&mut again, 50, 0.0);
+        assert_eq!(again, grown);
+        grown.opacities[3] = 0.001;
+        drop_unseen(&mut grown);
+        assert_eq!(grown.len(), 31);
+    }
+
+    #[test]
+    fn what_is_nearly_transparent_wanders() {
+        let (mut moved, still) = (scene(4), scene(4));
+        moved.opacities[2] = 0.005;
+        Growth::new(4, 4, 10, 0).wander(&mut moved, 1.0);
+        let distance =
+            |i: usize| DVec3::from(moved.means[i].map(f64::from)).distance(still.means[i].map(f64::from).into());
+        assert!([0, 1, 3].iter().all(|i| distance(*i) == 0.0) && (1e-3..1.0).contains(&distance(2)), "{}", distance(2));
+    }
+}

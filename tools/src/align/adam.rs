@@ -1,0 +1,183 @@
+//! The alignment of ZipSplat's authors: Adam on the pose, against the difference where the scene is seen.
+//!
+//! Source: `pose_estimator.py` of ZipSplat, without its term of LPIPS, for each photo on its own.
+
+use super::{Aligned, between};
+use crate::{capture::draw, metrics::values};
+use glam::DVec3;
+use zipsplat::{
+    Error, Result,
+    gpu::{Arena, Recorder, Run, Tensor},
+    refine::{Adam, PoseAdam},
+    stages::render::{
+        CAMERA_NUMBERS, CameraRows, DeviceScene, FrameShape, Gradients, RenderOutputs, RenderRequest, Renderer,
+        camera_rows, record_with_gradients,
+    },
+    types::{Camera, Image},
+};
+
+/// Steps, at most.
+const STEPS: usize = 200;
+/// Rate of turns in radians and of shifts.
+const RATE: f64 = 5e-3;
+/// Where the loss changes by less than this in [`PATIENCE`] steps in a row, the search ends.
+const FLAT: f64 = 1e-5;
+const PATIENCE: usize = 5;
+/// What the weights' sum is never less than.
+const EPS: f64 = 1e-8;
+
+/// Moves `camera` for at most 200 steps against the difference between its picture of the scene that a renderer holds and the
+/// photo: where it stands then is the answer, whether or not a step before was better. It may go any distance.
+///
+/// # Errors
+/// As [`super::align`].
+pub fn align(
+    renderer: &mut Renderer,
+    photo: &Image,
+    camera: &Camera,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<Aligned> {
+    let before = draw(renderer, camera)?;
+    let mut descent = Descent::new(renderer, &values(photo), camera)?;
+    let (mut last, mut flat) = (f64::INFINITY, 0);
+    for _ in 0..STEPS {
+        check()?;
+        let loss = descent.step(renderer)?;
+        flat = if (loss - last).abs() < FLAT { flat + 1 } else { 0 };
+        last = loss;
+        if flat == PATIENCE {
+            break;
+        }
+    }
+    let drawn = draw(renderer, &descent.camera)?;
+    let [turn, shift] = between(camera, &descent.camera).map(DVec3::length);
+    Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
+}
+
+/// The steps of an alignment.
+pub struct Descent {
+    /// Where the camera is.
+    pub camera: Camera,
+    adam: PoseAdam,
+    /// `[height, width, 3]`.
+    truth: Vec<f32>,
+    scene: DeviceScene,
+    arena: Arena,
+    backward: Option<Backward>,
+}
+
+impl Descent {
+    /// Before the first step. `truth` is the photo, `[height][width][rgb]`, of the camera's size.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the renderer has no scene.
+    pub fn new(renderer: &Renderer, truth: &[f32], camera: &Camera) -> Result<Self> {
+        let scene =
+            renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;
+        let (scene, arena) = (scene.clone(), Arena::new(renderer.device()));
+        let (camera, adam, truth) = (*camera, PoseAdam::default(), truth.to_vec());
+        Ok(Self { camera, adam, truth, scene, arena, backward: None })
+    }
+
+    /// Moves the camera. Returns the loss before the step.
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`].
+    pub fn step(&mut self, renderer: &mut Renderer) -> Result<f64> {
+        let (loss, gradient) = self.gradient(renderer)?;
+        self.camera.pose = self.adam.step(Adam::default(), &self.camera.pose, gradient, [RATE; 2]);
+        Ok(loss)
+    }
+
+    /// The loss, and its gradient by (w, v) = 0 where the pose moves as pose o (exp(w^), v).
+    ///
+    /// # Errors
+    /// As [`Renderer::render_loaded`].
+    pub fn gradient(&mut self, renderer: &mut Renderer) -> Result<(f64, [f64; 6])> {
+        let frame = renderer.render_loaded(&[self.camera], &SEEN)?.remove(0);
+        let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());
+        let (loss, d_frames) = weighted_difference(&rgb, &alpha, &self.truth);
+        loop {
+            let backward = match &mut self.backward {
+                Some(backward) => backward,
+                none => none.insert(Backward::new(&self.scene, &self.arena, &self.camera, renderer.intersections())?),
+            };
+            match backward.pose_gradient(&self.camera, &d_frames)? {
+                Some(gradient) => return Ok((loss, gradient)),
+                None => self.backward = None,
+            }
+        }
+    }
+}
+
+/// What is drawn.
+const SEEN: RenderRequest = RenderRequest {
+    rgb: true,
+    alpha: true,
+    depth: None,
+    normals: false,
+    token_group: None,
+    background: [0.0; 3],
+    antialiased: false,
+    layout: None,
+};
+
+/// The mean absolute difference, pixels weighted by alpha, and its gradient by `[pixels, 4]` red, green, blue and alpha: the weights
+/// have one, too.
+fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
+    let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
+    let differences: Vec<f64> = differences.collect();
+    let of_pixel = |pixel: &[f64]| pixel.iter().map(|d| d.abs()).sum::<f64>();
+    let weighted: f64 = differences.chunks_exact(3).zip(alpha).map(|(pixel, a)| f64::from(*a) * of_pixel(pixel)).sum();
+    let weights = 3.0 * alpha.iter().map(|a| f64::from(*a)).sum::<f64>() + EPS;
+    let loss = weighted / weights;
+    let d_pixel = |(pixel, a): (&[f64], &f32)| {
+        let sign = |d: f64| if d == 0.0 { 0.0 } else { d.signum() };
+        let [r, g, b] = [0, 1, 2].map(|c| f64::from(*a) * sign(pixel[c]) / weights);
+        [r, g, b, (of_pixel(pixel) - 3.0 * loss) / weights].map(|d| d as f32)
+    };
+    (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
+}
+
+/// The plan of a picture's gradient.
+struct Backward {
+    run: Run,
+    cameras: Tensor,
+    d_frames: Tensor,
+    d_cameras: Tensor,
+    outputs: RenderOutputs,
+    capacity: usize,
+}
+
+impl Backward {
+    /// A plan with room for somewhat more than so many intersections.
+    fn new(scene: &DeviceScene, arena: &Arena, camera: &Camera, intersections: usize) -> Result<Self> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let (shape, capacity) = (FrameShape { cameras: 1, width, height }, intersections + intersections / 4 + 1024);
+        let mut rec = Recorder::new(arena.device().limits());
+        let cameras = rec.input::<CameraRows>("cameras", 1);
+        let d_frames = rec.input::<f32>("d_frames", SEEN.channels() * width as usize * height as usize);
+        let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1);
+        rec.fill(d_cameras, 0);
+        let gradients = Gradients { scene: None, cameras: Some(d_cameras) };
+        let tensors = scene.tensors();
+        let given = |_: &mut Recorder, _: Tensor| d_frames;
+        let outputs = record_with_gradients(&mut rec, tensors, cameras, shape, &SEEN, capacity, given, &gradients);
+        rec.output(d_cameras);
+        let run = Run::in_arena(arena, 0, rec.finish()?, [scene.resident().clone()])?;
+        Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })
+    }
+
+    /// The gradient by the pose, or none where there was too little room.
+    fn pose_gradient(&mut self, camera: &Camera, d_frames: &[f32]) -> Result<Option<[f64; 6]>> {
+        self.run.write(self.cameras, &[camera_rows(camera)])?;
+        self.run.write(self.d_frames, d_frames)?;
+        self.run.execute()?;
+        let status: Vec<u32> = self.run.read(self.outputs.status)?;
+        if RenderOutputs::needed(&status).is_none_or(|needed| needed > self.capacity) {
+            return Ok(None);
+        }
+        let d_camera: Vec<f32> = self.run.read(self.d_cameras)?;
+        Ok(Some(std::array::from_fn(|i| f64::from(d_camera[i]))))
+    }
+}
