@@ -274,7 +274,7 @@ fn ctrl_c_ends_all_of_colmaps_processes() {
     let outcome = std::thread::scope(|scope| {
         scope.spawn(|| {
             // Written whole.
-            while fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) == false {
+            while !fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
                 std::thread::yield_now();
             }
             cancelled.store(true, Ordering::Relaxed);
