@@ -5,20 +5,14 @@
 
 use super::{
     Adam, Rates, Refine, Space,
-    planned::{Found, Learning, Planned, intersection_bytes},
+    planned::{Found, Planned, intersection_bytes, record_photos},
     record_adam,
     views::View,
 };
 use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
-    stages::{
-        loss::{LossTensors, record_loss},
-        render::{
-            CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
-            SceneTensors, first_capacity, record, record_with_gradients,
-        },
-    },
+    stages::render::{FrameShape, Gradients, RenderOutputs, SceneGradients, SceneTensors, first_capacity},
     types::{Scene, unit_quaternion},
 };
 use std::sync::Arc;
@@ -182,7 +176,7 @@ impl Gaussians {
         loop {
             if let Some(index) = self.run(&[view], false)? {
                 let planned = &self.plans[index];
-                return planned.run.read(planned.outputs.frames);
+                return planned.run.read(planned.recorded.outputs.frames);
             }
         }
     }
@@ -191,14 +185,15 @@ impl Gaussians {
     fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<usize>> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
-        let known = self.plans.iter().position(|plan| plan.shape == shape && plan.learning.is_some() == learns);
+        let known =
+            self.plans.iter().position(|plan| plan.shape == shape && plan.recorded.learning.is_some() == learns);
         let mut planned = match known {
             Some(index) => self.plans.remove(index),
             None => self.plan(shape, learns)?,
         };
         planned.write(views)?;
         planned.run.execute()?;
-        let status: Vec<u32> = planned.run.read(planned.outputs.status)?;
+        let status: Vec<u32> = planned.run.read(planned.recorded.outputs.status)?;
         let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
         if needed > planned.capacity {
             let (bytes, available) = (intersection_bytes(learns), self.limits().max_binding_bytes);
@@ -226,37 +221,12 @@ impl Gaussians {
         if self.plans.len() == PLANS {
             self.plans.remove(0);
         }
-        let FrameShape { cameras: count, width, height } = shape;
-        let capacity = room(self.limits(), self.capacity, count, learns);
+        let capacity = room(self.limits(), self.capacity, shape.cameras, learns);
         let mut rec = Recorder::new(self.limits());
-        let cameras = rec.input::<CameraRows>("cameras", count);
-        let drawing = RenderRequest::default();
-        let mut learning = None;
-        let outputs = if learns {
-            let d_cameras = self.request.cameras.then(|| {
-                let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
-                rec.fill(d_cameras, 0);
-                d_cameras
-            });
-            let targets = rec.input::<f32>("targets", 3 * count * width as usize * height as usize);
-            let (loss, scale) = (self.request.loss, 1.0 / self.request.views_per_step as f32);
-            let compare = |rec: &mut Recorder, frames: Tensor| {
-                let LossTensors { value, d_frames } =
-                    record_loss(rec, loss, frames, targets, shape, drawing.channels(), scale);
-                rec.output(value);
-                learning = Some(Learning { targets, losses: value, d_cameras });
-                d_frames
-            };
-            let gradients = Gradients { cameras: d_cameras, ..self.gradients };
-            let outputs =
-                record_with_gradients(&mut rec, &self.scene, cameras, shape, &drawing, capacity, compare, &gradients);
-            d_cameras.iter().for_each(|tensor| rec.output(*tensor));
-            outputs
-        } else {
-            record(&mut rec, &self.scene, cameras, shape, &drawing, capacity)
-        };
+        let learnt = learns.then_some((&self.request, &self.gradients));
+        let recorded = record_photos(&mut rec, &self.scene, shape, capacity, learnt);
         let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned())?;
-        Ok(Planned { shape, capacity, run, cameras, learning, outputs })
+        Ok(Planned { shape, capacity, run, recorded })
     }
 
     /// The Gaussians as they are.

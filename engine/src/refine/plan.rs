@@ -3,24 +3,21 @@
 use super::{
     Adam, Refine, Space, filled,
     gaussians::{most_together, room, scene_gradients, scene_tensors, together},
+    planned::record_photos,
     record_adam,
     schedule::Schedule,
     views::size,
 };
 use crate::{
     Result,
-    gpu::{Arena, Limits, Plan, Recorder, ResidentLayout, Tensor},
+    gpu::{Arena, Limits, Recorder, ResidentLayout, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
+        Architecture,
         gaussians::Head,
-        loss::record_loss,
-        render::{
-            CameraRows, FrameShape, Gradients, RenderRequest, SceneTensors, first_capacity, record,
-            record_with_gradients,
-        },
+        render::{FrameShape, Gradients, first_capacity},
     },
     types::Image,
-    weights::Architecture,
 };
 
 /// What a refinement moves.
@@ -63,7 +60,7 @@ pub fn plan_refinement(
 ) -> Result<RefinePlan> {
     let request = filled(request, photos)?;
     let (len, sh_degree) = match moved {
-        Moved::Gaussians(len, sh_degree) => (len, sh_degree),
+        Moved::Gaussians(len, sh_degree) => (request.grow.map_or(len, |most| most.max(len)), sh_degree),
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
     };
     let mut layout = ResidentLayout::new(limits);
@@ -117,14 +114,15 @@ pub fn plan_refinement(
         let pixels = width as usize * height as usize;
         let cameras = together(&request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
-        plans.push(learning(limits, &request, &scene, shape, room(limits, each, cameras, true), &gradients)?);
+        let mut rec = Recorder::new(limits);
+        record_photos(&mut rec, &scene, shape, room(limits, each, cameras, true), Some((&request, &gradients)));
+        plans.push(rec.finish()?);
     }
     if request.hold_out.unwrap_or(0) > 0 {
         let [width, height] = photo_size(1);
         let mut rec = Recorder::new(limits);
-        let cameras = rec.input::<CameraRows>("cameras", 1);
         let shape = FrameShape { cameras: 1, width, height };
-        record(&mut rec, &scene, cameras, shape, &RenderRequest::default(), room(limits, each, 1, false));
+        record_photos(&mut rec, &scene, shape, room(limits, each, 1, false), None);
         plans.push(rec.finish()?);
     }
     Ok(RefinePlan { kept_bytes, arena_bytes: Arena::lane_bytes(&plans) })
@@ -133,26 +131,4 @@ pub fn plan_refinement(
 /// One field's step.
 fn adam(rec: &mut Recorder, values: Tensor, gradient: Tensor, moments: [Tensor; 2], schedule: Tensor, len: usize) {
     record_adam(rec, Adam::default(), values, gradient, moments, schedule, 1.0, Space::Linear, len);
-}
-
-/// The plan of photos that are learnt from.
-fn learning(
-    limits: &Limits,
-    request: &Refine,
-    scene: &SceneTensors,
-    shape: FrameShape,
-    capacity: usize,
-    gradients: &Gradients,
-) -> Result<Plan> {
-    let mut rec = Recorder::new(limits);
-    let cameras = rec.input::<CameraRows>("cameras", shape.cameras);
-    let targets = rec.input::<f32>("targets", 3 * shape.cameras * shape.width as usize * shape.height as usize);
-    let drawing = RenderRequest::default();
-    let compare = |rec: &mut Recorder, frames: Tensor| {
-        let found = record_loss(rec, request.loss, frames, targets, shape, drawing.channels(), 1.0);
-        rec.output(found.value);
-        found.d_frames
-    };
-    record_with_gradients(&mut rec, scene, cameras, shape, &drawing, capacity, compare, gradients);
-    rec.finish()
 }

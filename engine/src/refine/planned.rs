@@ -1,10 +1,17 @@
 //! The plans of a step: photos of one size drawn, compared, and their gradients added up.
 
-use super::views::View;
+use super::{Refine, views::View};
 use crate::{
     Result,
-    gpu::{Run, Tensor},
-    stages::render::{CAMERA_NUMBERS, CameraRows, FrameShape, RenderOutputs, camera_rows},
+    gpu::{Recorder, Run, Tensor},
+    stages::{
+        SceneTensors,
+        loss::{LossTensors, record_loss},
+        render::{
+            CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, camera_rows, record,
+            record_with_gradients,
+        },
+    },
 };
 
 /// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
@@ -13,6 +20,12 @@ pub(super) struct Planned {
     /// Room for intersections.
     pub capacity: usize,
     pub run: Run,
+    pub recorded: Recorded,
+}
+
+/// The tensors of a plan.
+#[derive(Clone, Copy)]
+pub(super) struct Recorded {
     pub cameras: Tensor,
     pub learning: Option<Learning>,
     pub outputs: RenderOutputs,
@@ -37,6 +50,41 @@ pub(super) struct Found {
     pub d_pose: Option<[f32; 6]>,
 }
 
+/// Records photos' cameras as they are drawn and, with a request and its gradients, what adds to these.
+pub(super) fn record_photos(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    shape: FrameShape,
+    capacity: usize,
+    learnt: Option<(&Refine, &Gradients)>,
+) -> Recorded {
+    let FrameShape { cameras: count, width, height } = shape;
+    let cameras = rec.input::<CameraRows>("cameras", count);
+    let drawing = RenderRequest::default();
+    let Some((request, gradients)) = learnt else {
+        return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
+    };
+    let d_cameras = request.cameras.then(|| {
+        let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
+        rec.fill(d_cameras, 0);
+        d_cameras
+    });
+    let targets = rec.input::<f32>("targets", 3 * count * width as usize * height as usize);
+    let mut learning = None;
+    let compare = |rec: &mut Recorder, frames: Tensor| {
+        let scale = 1.0 / request.views_per_step as f32;
+        let LossTensors { value, d_frames } =
+            record_loss(rec, request.loss, frames, targets, shape, drawing.channels(), scale);
+        rec.output(value);
+        learning = Some(Learning { targets, losses: value, d_cameras });
+        d_frames
+    };
+    let gradients = Gradients { cameras: d_cameras, ..*gradients };
+    let outputs = record_with_gradients(rec, scene, cameras, shape, &drawing, capacity, compare, &gradients);
+    d_cameras.iter().for_each(|tensor| rec.output(*tensor));
+    Recorded { cameras, learning, outputs }
+}
+
 /// Bytes of the largest list of a picture's intersections, for each.
 pub(super) fn intersection_bytes(learns: bool) -> u64 {
     // The backward pass has six moments.
@@ -47,8 +95,8 @@ impl Planned {
     /// Gives it its cameras and photos.
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
-        self.run.write(self.cameras, &cameras)?;
-        if let Some(Learning { targets, .. }) = self.learning {
+        self.run.write(self.recorded.cameras, &cameras)?;
+        if let Some(Learning { targets, .. }) = self.recorded.learning {
             let values: Vec<f32> = views.iter().flat_map(|view| view.values()).collect();
             self.run.write(targets, &values)?;
         }
@@ -57,7 +105,7 @@ impl Planned {
 
     /// What its run found of these photos.
     pub fn found(&self, views: &[&View]) -> Result<Vec<Found>> {
-        let Learning { losses, d_cameras, .. } = self.learning.expect("it learns");
+        let Learning { losses, d_cameras, .. } = self.recorded.learning.expect("it learns");
         let losses: Vec<f32> = self.run.read(losses)?;
         let poses: Option<Vec<[f32; CAMERA_NUMBERS]>> = d_cameras.map(|tensor| self.run.read(tensor)).transpose()?;
         let pose = |i: usize| poses.as_ref().map(|all| std::array::from_fn(|k| all[i][k]));
