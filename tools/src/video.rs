@@ -285,7 +285,7 @@ mod tests {
     #[test]
     fn blur_lowers_the_variance() {
         let picture = |period: usize| -> Vec<u8> {
-            (0..32 * 32).map(|i| if (i % 32) / period % 2 == 0 { 0 } else { 200 }).collect()
+            (0..32 * 32).map(|i| if ((i % 32) / period).is_multiple_of(2) { 0 } else { 200 }).collect()
         };
         let (fine, coarse) = (laplacian_variance(&picture(1), 32), laplacian_variance(&picture(8), 32));
         assert!(fine > 4.0 * coarse && coarse > 0.0, "{fine} and {coarse}");
