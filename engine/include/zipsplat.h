@@ -64,9 +64,9 @@
 extern "C" {
 #endif
 
-/************************************************************/
-/*  What the header was made for, and what the library is.  */
-/************************************************************/
+/************************************************************************/
+/*  The version that the header was made for, and that of the library.  */
+/************************************************************************/
 
 // Version of the library that this header belongs to. Fixes of bugs raise the last number, additions the middle one.
 #define ZS_VERSION_MAJOR 0
