@@ -30,7 +30,8 @@ stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --view
   --overwrite -o "$out/photos/scene.ply"
 stage render zipsplat render "$out/photos/scene.ply" --spline "$out/photos/transforms.json" --frames 12 \
   --size "$(picture_size "$out/photos/transforms.json")" --overwrite -o "$out/photos"
-say "a flight through the photos' cameras: $out/photos/contact.png; the scene: $out/photos/scene.ply"
+stage page zipsplat view "$out/photos/scene.ply" --poses "$out/photos/transforms.json" --overwrite -o "$out/photos/scene.html"
+say "a flight through the photos' cameras: $out/photos/contact.png; a page to look around in: $out/photos/scene.html; the scene: $out/photos/scene.ply"
 if [[ $# == 0 ]]; then
   stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
   stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 --start scene ${weights[@]+"${weights[@]}"} -o "$out/place"

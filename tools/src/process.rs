@@ -23,7 +23,7 @@ impl Running {
     /// Starts a program. Ctrl-C in a terminal goes to a whole group: what is started here is ended by this command alone.
     ///
     /// # Errors
-    /// Those of the system.
+    /// The errors of the system.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(command, 0);
@@ -130,16 +130,16 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     Err(Error::argument(name, format!("{}: {reason}", program.display()), expected))
 }
 
-/// What a program prints, output and errors together, where it runs; its exit code is not asked.
+/// The words that a program prints, output and errors together, where it runs; its exit code is not asked.
 ///
 /// # Errors
-/// Those of the system.
+/// The errors of the system.
 pub fn printed(command: &mut Command) -> io::Result<String> {
     let out = command.stdin(Stdio::null()).output()?;
     Ok([out.stdout, out.stderr].iter().map(|bytes| String::from_utf8_lossy(bytes)).collect())
 }
 
-/// What a stream says to its end, read on the side: a full pipe would stop who writes to it.
+/// The words of a stream to its end, read on the side: a full pipe would stop who writes to it.
 pub fn listen(mut stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     std::thread::spawn(move || {
         let mut said = Vec::new();

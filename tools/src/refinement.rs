@@ -83,7 +83,7 @@ impl Start {
     }
 }
 
-/// What a refinement of tokens starts from, in words.
+/// The start of a refinement of tokens, in words.
 pub const TOKENS: &str = "the network's tokens";
 
 /// Most pixels of a photo along x and y, where nobody says.
@@ -136,7 +136,7 @@ impl FromStr for Steps {
     }
 }
 
-/// What is moved beside the Gaussians that there are.
+/// The choice of what moves beside the Gaussians that there are.
 #[derive(Args)]
 pub struct Moved {
     /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
@@ -272,7 +272,7 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     })
 }
 
-/// What was refined and how, for `--explain`: photos have their files' names.
+/// The account of a refinement for `--explain`: photos have their files' names.
 pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
     let held: Vec<String> = refined.held.iter().map(name).collect();

@@ -132,7 +132,7 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<Vec<f64>> {
     Ok(sharpness)
 }
 
-/// Of each of `count` equal parts the frame that is sharpest, of equal ones the first.
+/// The sharpest frame of each of `count` equal parts, of equal ones the first.
 fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
     let (all, count) = (sharpness.len(), count.min(sharpness.len()));
     let part = |i: usize| i * all / count..(i + 1) * all / count;

@@ -44,7 +44,7 @@ pub(super) struct Gaussians {
     /// All plans take turns in it.
     arena: Arena,
     memories: Vec<Arc<Resident>>,
-    /// What is moved, where it is the Gaussians themselves.
+    /// The values that are moved, where they are the Gaussians themselves.
     fields: Vec<Field>,
     scene: SceneTensors,
     gradients: Gradients,

@@ -229,7 +229,7 @@ pub fn refine_scene(
 /// that makes Gaussians of them stays as it is. The scene is that of the tokens at the best step.
 ///
 /// # Errors
-/// Those of [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
+/// The errors of [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
 pub fn refine_tokens(
     head: &FrozenHead,
     tokens: &SceneTokens,

@@ -20,7 +20,7 @@ use crate::{
     types::Image,
 };
 
-/// What a refinement moves.
+/// The values that a refinement moves.
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'a> {
     /// So many Gaussians, with harmonics up to a degree.

@@ -41,7 +41,7 @@ pub(super) struct Learning {
     pub d_cameras: Option<Tensor>,
 }
 
-/// What a step found of a photo.
+/// The findings of a step about a photo.
 pub(super) struct Found {
     /// The index of the photo.
     pub photo: usize,
@@ -103,7 +103,7 @@ impl Planned {
         Ok(())
     }
 
-    /// What its run found of these photos.
+    /// The findings of its run about these photos.
     pub fn found(&self, views: &[&View]) -> Result<Vec<Found>> {
         let Learning { losses, d_cameras, .. } = self.recorded.learning.expect("it learns");
         let losses: Vec<f32> = self.run.read(losses)?;

@@ -8,7 +8,7 @@ use crate::{
 
 /// A photo as it is compared, and its camera.
 pub(super) struct View {
-    /// Its index among all photos.
+    /// The index among all photos.
     pub photo: usize,
     pub size: [u32; 2],
     /// `[height][width][rgb]`.

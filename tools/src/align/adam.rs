@@ -23,7 +23,7 @@ const RATE: f64 = 5e-3;
 /// Where the loss changes by less than this in [`PATIENCE`] steps in a row, the search ends.
 const FLAT: f64 = 1e-5;
 const PATIENCE: usize = 5;
-/// What the weights' sum is never less than.
+/// The least sum of the weights.
 const EPS: f64 = 1e-8;
 
 /// Moves `camera` for at most 200 steps against the difference between its picture of the scene that a renderer holds and the
@@ -110,7 +110,7 @@ impl Descent {
     }
 }
 
-/// What is drawn.
+/// The pictures that are drawn.
 const SEEN: RenderRequest = RenderRequest {
     rgb: true,
     alpha: true,

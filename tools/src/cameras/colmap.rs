@@ -24,7 +24,7 @@ pub struct Colmap {
     version: String,
 }
 
-/// What COLMAP does, in order.
+/// COLMAP's steps, in order.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     Features,
@@ -32,7 +32,7 @@ pub enum Step {
     Cameras,
 }
 
-/// What COLMAP's words told.
+/// The facts in COLMAP's words.
 #[derive(Default)]
 pub struct Told {
     /// Features of each photo.
@@ -55,7 +55,7 @@ const LAST: usize = 3;
 impl Step {
     pub const ALL: [Self; 3] = [Self::Features, Self::Matches, Self::Cameras];
 
-    /// What it looks for, for progress and times.
+    /// The name of the step, for progress and times.
     pub fn name(self) -> &'static str {
         match self {
             Self::Features => "find features",
@@ -114,7 +114,7 @@ impl Colmap {
         Err(why(&version.lines().last().unwrap_or("prints nothing")))
     }
 
-    /// Its program, for messages.
+    /// The path of the program, for messages.
     pub fn program(&self) -> &Path {
         &self.program
     }

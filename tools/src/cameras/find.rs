@@ -25,7 +25,7 @@ use zipsplat::{
     },
 };
 
-/// What stands for a file of cameras where they are to be found.
+/// The word that stands for a file of cameras where they are to be found.
 const FIND: &str = "find";
 /// Most photos of which all pairs are matched where nobody says: their number goes with the square.
 const ALL_PAIRS: usize = 100;
@@ -168,7 +168,7 @@ impl Found {
         Ok((poses, Self { lost, count, groups, points, program, times, log, _work: work.folder }))
     }
 
-    /// What was found, in words.
+    /// The outcome in words.
     pub fn told(&self) -> String {
         let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
@@ -241,7 +241,7 @@ impl Work {
         Ok(work)
     }
 
-    /// What COLMAP found: groups of photos that it could join.
+    /// The groups of photos that COLMAP could join.
     fn models(&self) -> Result<Vec<Poses>> {
         let sparse = self.folder.path().join("sparse");
         let failed = |source| Error::io(&sparse, source);
@@ -314,7 +314,7 @@ fn link(photo: &Path, to: &Path) -> Result<()> {
     linked.map_err(failed)
 }
 
-/// What a photo's EXIF says of camera and lens: photos of a phone may be of several lenses.
+/// Camera and lens as a photo's EXIF has them: photos of a phone may be of several lenses.
 fn optics(photo: &Path) -> Option<String> {
     let read = exif::Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
     let tags = [exif::Tag::Model, exif::Tag::FocalLength, exif::Tag::FocalLengthIn35mmFilm];

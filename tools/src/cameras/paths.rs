@@ -113,7 +113,7 @@ impl CameraArgs {
         Ok((path.into_iter().map(placed).collect(), Vec::new()))
     }
 
-    /// What may be wrong where nothing of the scene is in any picture.
+    /// The likely reason where nothing of the scene is in any picture.
     pub fn doubt(&self) -> &'static str {
         let file = self.cameras.is_some() || self.spline.is_some() || self.ellipse.is_some();
         match (file, &self.relative_to) {

@@ -126,10 +126,10 @@ struct From<'a> {
     tokens: Option<SceneTokens>,
 }
 
-/// What --refine made.
+/// The outcome of --refine.
 struct Made {
     refined: Refined,
-    /// What it started from, in words.
+    /// The start, in words.
     started: &'static str,
     /// The cameras that it was given.
     cameras: Vec<Camera>,

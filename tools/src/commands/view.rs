@@ -143,7 +143,7 @@ impl View {
     }
 }
 
-/// What is at a path of the page's: the page itself, a scene with all its bits, or an input camera's photo.
+/// The answer for a path of the page's: the page itself, a scene with all its bits, or an input camera's photo.
 fn answer(path: &str, config: &Config, scenes: &[Scene]) -> Result<Option<(&'static str, Vec<u8>)>> {
     if path.is_empty() {
         let mut page = Vec::new();

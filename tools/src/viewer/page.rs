@@ -8,7 +8,7 @@ use std::io::{Result, Write};
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-/// What runs in the page, in this order.
+/// The scripts of the page, in this order.
 const SCRIPT: &str = concat!(
     include_str!("../../viewer/camera.js"),
     include_str!("../../viewer/controls.js"),
@@ -16,10 +16,10 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/overlay.js"),
     include_str!("../../viewer/page.js"),
 );
-/// What runs beside it.
+/// The script that runs beside it.
 const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_str!("../../viewer/worker.js"));
 
-/// What a page shows.
+/// The contents of a page.
 #[derive(Serialize)]
 pub struct Config {
     /// The scenes, in the order of the slider.
@@ -30,12 +30,12 @@ pub struct Config {
     pub up: Option<[f64; 3]>,
 }
 
-/// What a page says of a scene before it is loaded.
+/// A scene as the page names it before it is loaded.
 #[derive(Serialize)]
 pub struct ShownScene {
-    /// Of its file.
+    /// The name of its file.
     pub name: String,
-    /// Of its file.
+    /// The size of its file.
     pub bytes: u64,
 }
 
@@ -51,7 +51,7 @@ pub enum Requests {
 /// Writes a page. `scenes` are the bytes of those that are within it, in the order of the configuration.
 ///
 /// # Errors
-/// Those of writing.
+/// The errors of writing.
 pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scenes: &[Vec<u8>]) -> Result<()> {
     let names: Vec<&str> = config.scenes.iter().map(|scene| scene.name.as_str()).collect();
     let mut rest = PAGE;

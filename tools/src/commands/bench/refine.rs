@@ -81,11 +81,11 @@ struct Row {
     pictures: Option<f64>,
     bandwidth_share: Option<f64>,
     fma_share: Option<f64>,
-    /// Of the refinement.
+    /// The most memory that the refinement took.
     peak_bytes: u64,
 }
 
-/// What is refined.
+/// The thing that is refined.
 struct Case {
     scene: Scene,
     size: Size,
@@ -93,7 +93,7 @@ struct Case {
     cameras: Vec<Camera>,
 }
 
-/// What the device does at most.
+/// The most that the device does.
 struct Limits {
     copy: Rate,
     fma: Rate,
@@ -285,7 +285,7 @@ impl Case {
     }
 }
 
-/// What a row of a profile belongs to.
+/// The pass that a row of a profile belongs to.
 fn pass(row: &zipsplat::gpu::ProfileRow) -> String {
     match row.scope.split('/').collect::<Vec<_>>()[..] {
         [_, "by_depth", ..] => "sort by depth".into(),

@@ -106,7 +106,7 @@ impl Alignment {
         table
     }
 
-    /// What to say where some figures say little.
+    /// The warning where some figures say little.
     pub fn doubts(&self) -> Option<String> {
         let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
         let [flat, bound, colour] = [Doubt::Flat, Doubt::Bound, Doubt::Colour].map(count);

@@ -24,7 +24,7 @@ const LARGEST: usize = 20;
 /// A refinement that is planned.
 #[derive(Clone, Copy, Debug)]
 pub struct Refinement {
-    /// Of the photos.
+    /// The size of the photos.
     size: Size,
     tokens: bool,
 }

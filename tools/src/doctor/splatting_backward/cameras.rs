@@ -16,7 +16,7 @@ const REASON: &str = "a sum of n numbers in any order: gamma_n of the sum of the
 
 /// Numbers of two cameras.
 const NUMBERS: usize = 20;
-/// What is there before.
+/// The values that are there before.
 const BEFORE: f32 = 0.75;
 
 /// `[rows, NUMBERS]`.
@@ -26,7 +26,7 @@ struct Problem(Vec<f32>);
 enum Fault {
     Zero,
     HalfSums,
-    /// What was there is overwritten.
+    /// The values that were there are overwritten.
     Overwritten,
     LastRow,
     NeighbourNumber,

@@ -25,7 +25,7 @@ const REASON: &str = "gamma_n of a sum over n tiles; harmonics have slopes of at
 
 /// Values of a pair: moments, red, green, blue, depth.
 const VALUES: usize = 10;
-/// What coefficients' gradients are before.
+/// The gradients of coefficients before.
 const BEFORE: f32 = 0.5;
 const SLOPE: f64 = 5.0;
 const SECOND_SLOPE: f64 = 12.0;
@@ -61,7 +61,7 @@ enum Fault {
     /// The centre has none through its colour.
     NoDirection,
     NeighbourGaussian,
-    /// What found no room counts.
+    /// A splat that found no room counts.
     FullCounts,
 }
 

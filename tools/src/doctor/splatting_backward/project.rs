@@ -53,7 +53,7 @@ enum Fault {
     FixedShape,
     /// A shape does not change with the depth.
     NoDepthOfShape,
-    /// What is held beyond the borders moves.
+    /// A splat that is held beyond the borders moves.
     Unheld,
     /// Turns are left in the camera's frame.
     TurnInCamera,

@@ -55,13 +55,13 @@ struct Problem {
 enum Fault {
     Zero,
     Unwritten,
-    /// What lies behind a splat does not count.
+    /// The splats behind a splat do not count.
     NothingBehind,
     /// The background is not behind it.
     NoBackground,
     /// Clamped alphas have a gradient.
     Unclamped,
-    /// What a pixel has no light left for has one.
+    /// A splat for which a pixel has no light left has a gradient.
     NeverStops,
     /// Alphas below 1/255 have one.
     FaintDrawn,
@@ -104,7 +104,7 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     })
 }
 
-/// What one splat has of a pixel.
+/// The share of one splat in a pixel.
 type Share = [Bounded; VALUES];
 
 /// kernels/render/rasterise_backward.comp on one pixel, line by line; `None` where a threshold is so near that rounding decides.
@@ -212,7 +212,7 @@ impl Problem {
     }
 }
 
-/// What a pixel shows: red, green, blue before the background, alpha, depth.
+/// The values of a pixel: red, green, blue before the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
     // A splat's weight is its gradient where red counts 1.
