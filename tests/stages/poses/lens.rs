@@ -149,7 +149,9 @@ fn spots_stand_where_the_pinhole_camera_of_a_transforms_file_sees_them() {
         for frames in [vec![poses.frames[0].clone()], vec![poses.frames[0].clone(), pinhole]] {
             write_frames(folder.path().join("again.json"), &frames, Some("cloud.ply")).unwrap();
             let again = read_poses(folder.path().join("again.json")).unwrap();
-            assert_eq!((again.frames, again.points), (frames.clone(), None), "{model}");
+            // The photo a.png has been written by now.
+            let read: Vec<Frame> = again.frames.into_iter().map(|frame| Frame { photo: None, ..frame }).collect();
+            assert_eq!((read, again.points), (frames, None), "{model}");
             fs::write(folder.path().join("cloud.ply"), "").unwrap();
             let points = read_poses(folder.path().join("again.json")).unwrap().points;
             assert_eq!(points, Some(folder.path().join("cloud.ply")));
