@@ -148,10 +148,11 @@ fn spots_stand_where_the_pinhole_camera_of_a_transforms_file_sees_them() {
         // Intrinsics that a JSON file holds to the bit, which its reader does not promise.
         let camera = Camera { intrinsics: LENS, ..poses.frames[0].camera };
         let pinhole = Frame { name: "b.png".into(), photo: None, camera, lens: None };
-        for frames in [vec![poses.frames[0].clone()], vec![poses.frames[0].clone(), pinhole]] {
+        let distorted = Frame { photo: None, ..poses.frames[0].clone() };
+        for frames in [vec![distorted.clone()], vec![distorted.clone(), pinhole.clone()]] {
             write_frames(folder.path().join("again.json"), &frames, Some("cloud.ply")).unwrap();
             let again = read_poses(folder.path().join("again.json")).unwrap();
-            // The photo a.png has been written by now.
+            // The photo a.png lies beside the file by now.
             let read: Vec<Frame> = again.frames.into_iter().map(|frame| Frame { photo: None, ..frame }).collect();
             assert_eq!((read, again.points), (frames, None), "{model}");
             fs::write(folder.path().join("cloud.ply"), "").unwrap();
