@@ -283,8 +283,16 @@ fn ctrl_c_ends_all_of_colmaps_processes() {
     });
     outcome.fails(130, &["cancelled"]);
     let pid = fs::read_to_string(pid).expect("a number");
-    let state = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
-    assert!(state.is_empty() || state.contains(") Z "), "still there: {state}");
+    // A process that was killed takes a moment to end; it would sleep for a minute.
+    let begin = std::time::Instant::now();
+    loop {
+        let state = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+        if state.is_empty() || state.contains(") Z ") {
+            break;
+        }
+        assert!(begin.elapsed().as_secs() < 30, "still there: {state}");
+        std::thread::yield_now();
+    }
     assert!(!folder.path("transforms.json").exists() && !folder.path("colmap.log").exists());
 }
 
@@ -330,11 +338,11 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
         return;
     }
     let folder = Folder::new();
-    folder.run("scene --seed 3 --views 8 --size 480x360 -o @/place").success();
+    folder.run("scene --seed 3 --views 16 --size 640x480 -o @/place").success();
     let truth = read_poses(folder.path("place")).expect("cameras").frames;
     let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
     // COLMAP's threads draw at random: a photo may be lost, and a camera be off.
-    assert!(json["found"].as_u64() >= Some(6), "{json}");
+    assert!(json["found"].as_u64() >= Some(12), "{json}");
     let found = read_poses(folder.path("place/found.json")).expect("cameras");
     let points = read_points(found.points.expect("points")).expect("points").positions;
     assert!(points.len() > 50, "{} points", points.len());
