@@ -607,7 +607,7 @@ typedef struct zs_refine_options {
     void *user_data;
 } zs_refine_options;
 
-// What came of a refinement.
+// The outcome of a refinement.
 typedef struct zs_refine_info {
     // sizeof(zs_refine_info); set it before the call.
     uint32_t struct_size;

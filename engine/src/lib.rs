@@ -28,6 +28,7 @@
 
 pub mod ffi;
 pub mod ops;
+mod random;
 pub mod reconstruct;
 pub mod refine;
 pub mod stages;

@@ -98,7 +98,7 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-/// What a callback was told, and after which step it stops.
+/// A callback that notes what it is told and stops after a step.
 struct Told {
     steps: Vec<zs_refining>,
     stop_after: u32,

@@ -322,7 +322,7 @@ fn other_commands_find_cameras_too() {
         .fails(3, &["--poses find", "--start points"]);
 }
 
-/// Whether a program runs; where it does not, says which test is skipped.
+/// True where a program runs; else says which test is skipped.
 pub fn installed(program: &str, test: &str) -> bool {
     let runs = std::process::Command::new(program).arg("help").output().is_ok();
     if !runs {

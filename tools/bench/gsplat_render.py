@@ -8,9 +8,8 @@ The camera is that of `zipsplat bench render`: at the world's origin, looking al
 import statistics
 import sys
 
-import numpy as np
-
 try:
+    import numpy  # noqa: F401
     import torch
     from gsplat import rasterization
 except ImportError as error:
@@ -20,33 +19,19 @@ if not torch.cuda.is_available():
 if len(sys.argv) == 1:
     sys.exit()
 
+from scene import read_ply
+
 BLOCKS = 5
 path, width, height, repeats = sys.argv[1], *map(int, sys.argv[2:5])
-with open(path, "rb") as file:
-    names = []
-    while (line := file.readline().decode().split()) != ["end_header"]:
-        if line[0] == "property":
-            names.append(line[2])
-    table = np.fromfile(file, dtype="<f4").reshape(-1, len(names))
-column = {name: torch.from_numpy(table[:, i].copy()).cuda() for i, name in enumerate(names)}
-
-
-def stack(prefix, count):
-    return torch.stack([column[f"{prefix}{i}"] for i in range(count)], -1)
-
-
-rest = sum(name.startswith("f_rest_") for name in names) // 3
-sh = stack("f_dc_", 3)[:, None]
-if rest:
-    sh = torch.cat([sh, stack("f_rest_", 3 * rest).view(-1, 3, rest).transpose(1, 2)], 1)
+means, scales, quats, opacities, sh, degree = read_ply(path, "cuda")
 focal = float(max(width, height))
 gaussians = {
-    "means": torch.stack([column[axis] for axis in "xyz"], -1),
-    "quats": stack("rot_", 4),
-    "scales": stack("scale_", 3).exp(),
-    "opacities": column["opacity"].sigmoid(),
-    "colors": sh.contiguous(),
-    "sh_degree": round((rest + 1) ** 0.5) - 1,
+    "means": means,
+    "quats": quats,
+    "scales": scales.exp(),
+    "opacities": opacities[:, 0].sigmoid(),
+    "colors": sh,
+    "sh_degree": degree,
 }
 view = torch.eye(4, device="cuda")[None]
 intrinsics = torch.tensor([[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]], device="cuda")

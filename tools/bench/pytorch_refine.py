@@ -10,9 +10,8 @@ import json
 import sys
 import time
 
-import numpy as np
-
 try:
+    import numpy  # noqa: F401
     import torch
 
     if not torch.cuda.is_available():
@@ -25,30 +24,13 @@ if len(sys.argv) == 1:
 import torch.nn.functional as F
 
 from rasterise import rasterise
+from scene import read_ply
 
 path = sys.argv[1]
 width, height, photos, warmup, repeats = map(int, sys.argv[2:7])
 device = "cuda" if torch.cuda.is_available() else "cpu"
-with open(path, "rb") as file:
-    names = []
-    while (line := file.readline().decode().split()) != ["end_header"]:
-        if line[0] == "property":
-            names.append(line[2])
-    table = np.fromfile(file, dtype="<f4").reshape(-1, len(names))
-column = {name: torch.from_numpy(table[:, i].copy()).to(device) for i, name in enumerate(names)}
-
-
-def stack(prefix, count):
-    return torch.stack([column[f"{prefix}{i}"] for i in range(count)], -1)
-
-
-rest = sum(name.startswith("f_rest_") for name in names) // 3
-sh = stack("f_dc_", 3)[:, None]
-if rest:
-    sh = torch.cat([sh, stack("f_rest_", 3 * rest).view(-1, 3, rest).transpose(1, 2)], 1)
-means = torch.stack([column[axis] for axis in "xyz"], -1)
-scales, quats, opacities = stack("scale_", 3), stack("rot_", 4), column["opacity"][:, None]
-parameters = [value.contiguous().requires_grad_() for value in (means, scales, quats, opacities, sh)]
+*values, degree = read_ply(path, device)
+parameters = [value.contiguous().requires_grad_() for value in values]
 rates = (5e-3, 0.1, 0.03, 0.2, 0.03)
 adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(parameters, rates)], eps=1e-15)
 
@@ -77,7 +59,7 @@ def dssim(a, b):
 def pictures():
     means, scales, quats, opacities, sh = parameters
     packed = torch.cat([means, scales.exp(), quats, opacities.sigmoid(), sh.flatten(1)], 1)[None]
-    return rasterise(packed, views, intrinsics, (height, width), round((rest + 1) ** 0.5) - 1).rgb[0].movedim(-1, 1)
+    return rasterise(packed, views, intrinsics, (height, width), degree).rgb[0].movedim(-1, 1)
 
 
 @torch.no_grad()

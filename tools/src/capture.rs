@@ -89,7 +89,7 @@ impl Choice {
     /// As [`Choice::new`], of frames that are known; `folder` is for messages.
     ///
     /// # Errors
-    /// Where there are too few photos.
+    /// [`Error::Argument`] where there are too few photos.
     pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {

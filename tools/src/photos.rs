@@ -30,7 +30,7 @@ const NAMED: usize = 5;
 /// Share of the photos' area that may be cropped away without a word.
 const CROPPED: f64 = 0.1;
 
-/// Where photos come from.
+/// The photos of a command.
 #[derive(Args)]
 pub struct PhotoArgs {
     /// Photos (PNG, JPEG, WebP), folders of them, taken in natural order of their names, or videos, of which the sharpest frames

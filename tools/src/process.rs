@@ -115,7 +115,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     running.wait(&program, stage)
 }
 
-/// Whether a program runs, asked for its version as ffmpeg is; `name` and `expected` are for the message.
+/// Checks that a program runs, asked for its version as ffmpeg is; `name` and `expected` are for the message.
 ///
 /// # Errors
 /// [`Error::Argument`] where it does not.

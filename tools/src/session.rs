@@ -31,13 +31,13 @@ const NO_DEVICE: &str = "none";
 /// Steps of a progress bar.
 const STEPS: u64 = 1000;
 
-/// Where a command prints, and how it learns that it should stop.
+/// The streams of a command, and the flag that stops it.
 pub struct Terminal<'a> {
     /// Results.
     pub out: &'a mut dyn Write,
     /// Errors and notes.
     pub err: &'a mut dyn Write,
-    /// Whether progress bars may be drawn on the process' standard error, where that is a terminal.
+    /// Progress bars may be drawn on the process' standard error, where that is a terminal.
     pub progress: bool,
     /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,

@@ -81,7 +81,7 @@ impl Drop for FrameFolder {
     }
 }
 
-/// Whether a file is a video, by its extension.
+/// True where a file is a video, by its extension.
 pub fn is_video(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))

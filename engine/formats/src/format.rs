@@ -10,7 +10,7 @@ use crate::Result;
 pub(super) struct Format {
     /// First bytes of its files, any of these; none where the extension alone tells it.
     pub marks: &'static [&'static [u8]],
-    /// Whether it keeps spherical harmonics above degree 0.
+    /// The format keeps spherical harmonics above degree 0.
     pub view_dependence: bool,
     /// Reads a scene with its values as they are.
     pub read: fn(Source<'_>) -> Result<Scene>,

@@ -47,7 +47,7 @@ impl Arena {
         &self.0.device
     }
 
-    /// Whether both arenas are the same memory.
+    /// True where both arenas are the same memory.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
@@ -165,7 +165,7 @@ impl Lane {
         std::mem::replace(&mut lock(&self.state).user, run) == run
     }
 
-    /// Whether this run used the lane last: inputs and results in it are its own.
+    /// True where this run used the lane last: inputs and results in it are its own.
     pub fn holds(&self, run: u64) -> bool {
         lock(&self.state).user == run
     }

@@ -1,4 +1,4 @@
-//! Where a plan's tensors are while it runs.
+//! Tensors of a plan and the ranges of buffers that they are.
 
 use super::{
     device::Shared,
@@ -27,7 +27,7 @@ impl Range {
     }
 }
 
-/// Where a plan's tensors are while it runs.
+/// A plan with the memory that it runs in.
 pub(super) struct Bound<'a> {
     pub shared: &'a Shared,
     pub plan: &'a Plan,

@@ -11,7 +11,7 @@ pub(super) fn driver(call: &'static str, result: vk::Result) -> Error {
     }
 }
 
-/// Whether what was submitted counts as under way. The specification has it so where the device is lost, too ("Lost Device"):
+/// True where a submission counts as under way. The specification counts it so where the device is lost, too ("Lost Device"):
 /// it has to be waited for, which ends with the same error, before anything that it uses is destroyed.
 pub(super) fn is_under_way<T>(submitted: &Result<T>) -> bool {
     matches!(submitted, Ok(_) | Err(Error::DeviceLost))

@@ -57,7 +57,7 @@ const V13: &CStr = c"VkPhysicalDeviceVulkan13Features";
 const MATRIX: &CStr = c"VkPhysicalDeviceCooperativeMatrixFeaturesKHR";
 
 impl Features {
-    /// Whether all of them are there.
+    /// True where all of `features` are there.
     pub fn have(&self, features: &[Feature]) -> bool {
         let mut copy = *self;
         features.iter().all(|feature| *(feature.field)(&mut copy) == vk::TRUE)

@@ -45,9 +45,9 @@ pub struct Binding {
     pub name: &'static str,
     /// Binding number in set 0.
     pub binding: u32,
-    /// Whether the kernel may read it.
+    /// The kernel may read the buffer.
     pub reads: bool,
-    /// Whether the kernel may write it.
+    /// The kernel may write the buffer.
     pub writes: bool,
 }
 

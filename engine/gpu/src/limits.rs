@@ -12,9 +12,9 @@ pub struct Limits {
     pub driver: String,
     /// Vulkan version, `major.minor.patch`.
     pub api: String,
-    /// Whether the device is a CPU.
+    /// The device is a CPU.
     pub cpu: bool,
-    /// Whether the device is a discrete GPU.
+    /// The device is a discrete GPU.
     pub discrete: bool,
     /// Invocations in a subgroup.
     pub subgroup_size: u32,
@@ -34,7 +34,7 @@ pub struct Limits {
     pub timestamp_bits: u32,
     /// Invocations that a workgroup may have.
     pub max_invocations: u32,
-    /// Whether kernels may read and write 16-bit floats.
+    /// Kernels may read and write 16-bit floats.
     pub half_storage: bool,
     /// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,

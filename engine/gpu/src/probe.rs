@@ -21,7 +21,7 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// Whether a selector means it, one of `count`: the number of one is nothing else, all others are a part of a name.
+    /// True where a selector means this device, one of `count`: the number of one is nothing else, all others are a part of a name.
     pub(super) fn is_selected(&self, selector: &str, count: usize) -> bool {
         match selector.parse::<usize>() {
             Ok(index) if index < count => self.index == index,
@@ -38,7 +38,7 @@ impl DeviceInfo {
 /// Every Vulkan device, usable or not.
 ///
 /// # Errors
-/// Where there is no Vulkan loader or no driver.
+/// [`Error::NoDevice`] where there is no Vulkan loader or no driver.
 pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())

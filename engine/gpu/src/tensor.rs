@@ -10,7 +10,7 @@ pub struct Tensor {
     pub(super) bytes: u64,
 }
 
-/// Where a tensor's bytes are.
+/// The place of a tensor's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Home {
     /// Allocation number of the plan; its place is known once the plan is finished.
@@ -23,7 +23,7 @@ impl Tensor {
     /// `len` elements from element `first` on.
     ///
     /// # Panics
-    /// Where that is outside the tensor or not on a boundary of 256 bytes.
+    /// A slice that is outside the tensor or not on a boundary of 256 bytes.
     pub fn slice<T>(&self, first: usize, len: usize) -> Tensor {
         let size = size_of::<T>() as u64;
         let (from, bytes) = (first as u64 * size, len as u64 * size);
@@ -49,7 +49,7 @@ impl Tensor {
     /// The tensor's number among a plan's allocations.
     ///
     /// # Panics
-    /// Where it is resident: such tensors are written and read through their own memory.
+    /// A resident tensor: such are written and read through their own memory.
     pub(super) fn allocation(self) -> usize {
         match self.home {
             Home::Arena(id) => id as usize,

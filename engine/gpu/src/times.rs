@@ -1,4 +1,4 @@
-//! Where the time of a run went, by stage.
+//! The time of each stage of a run.
 
 use std::time::Duration;
 

@@ -83,7 +83,7 @@ pub struct zs_refine_options {
     pub user_data: *mut c_void,
 }
 
-/// What came of a refinement.
+/// The outcome of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_info {

@@ -168,7 +168,7 @@ impl ParameterLayout {
     /// share that is done and may stop it.
     ///
     /// # Errors
-    /// Where the device has too little memory, or a parameter cannot be read; [`Error::Cancelled`].
+    /// [`Error::Memory`] where the device has too little; the error of `read`; [`Error::Cancelled`].
     pub fn load(
         &self,
         device: &Device,

@@ -134,7 +134,7 @@ impl Tile {
     /// workgroups to keep the device busy, else the last.
     ///
     /// # Panics
-    /// Where there is no candidate: matrix units are used where one fits.
+    /// A list without a candidate: matrix units are used where one fits.
     pub(super) fn choose(
         candidates: &[Self],
         measured: Option<usize>,
@@ -158,7 +158,7 @@ impl Tile {
         self.subgroups[0] * self.subgroups[1]
     }
 
-    /// Whether a workgroup with so much shared memory is within the device's limits.
+    /// True where a workgroup with so much shared memory is within the device's limits.
     fn fits(&self, limits: &Limits, shared_bytes: u32) -> bool {
         shared_bytes <= limits.shared_bytes && self.all_subgroups() * limits.subgroup_size <= limits.max_invocations
     }

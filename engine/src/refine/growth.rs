@@ -2,10 +2,13 @@
 //!
 //! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): dead Gaussians go to live ones that are drawn by
 //! opacity, and share the opacity and the size so that the picture hardly changes; nearly transparent ones wander.
-//! Where the paper adds so many Gaussians at a time, here all that there may be exist from the first step on, and come alive.
+//! The paper adds Gaussians as it goes; here all that there may be exist from the first step on, and come alive: plans are recorded
+//! for a number of Gaussians.
 
-use super::random::Random;
-use crate::types::{Scene, matrix_from_quaternion};
+use crate::{
+    random::Random,
+    types::{Scene, matrix_from_quaternion},
+};
 use glam::{DMat3, DVec3};
 
 /// Opacity below which a Gaussian is dead.
@@ -19,8 +22,6 @@ const GROWN: f64 = 0.5;
 const LAST: f64 = 0.8;
 /// How often Gaussians are moved.
 const TIMES: usize = 20;
-/// How far copies lie from each other, in standard deviations.
-const APART: f64 = 1.0;
 
 /// A scene that may grow.
 pub(super) struct Growth {
@@ -36,7 +37,7 @@ impl Growth {
         Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
     }
 
-    /// Whether Gaussians are moved after so many steps.
+    /// True where Gaussians are moved after so many steps.
     pub fn is_due(&self, done: usize) -> bool {
         done.is_multiple_of(self.steps.div_ceil(TIMES)) && done as f64 <= LAST * self.steps as f64
     }
@@ -60,7 +61,7 @@ impl Growth {
             for to in dead.by_ref().take(same.len()) {
                 copy(scene, source, to);
                 let offset = spread * DVec3::from([(); 3].map(|()| self.random.normal()));
-                scene.means[to] = (mean + APART * offset).as_vec3().to_array();
+                scene.means[to] = (mean + offset).as_vec3().to_array();
                 changed.push(to);
             }
         }
@@ -99,8 +100,8 @@ impl Growth {
     fn wander(&mut self, scene: &mut Scene, rate: f64) {
         for i in 0..scene.len() {
             let opacity = f64::from(scene.opacities[i]);
-            // 3DGS-MCMC's: a half at 0.005, nothing from 0.1 on.
-            let free = 1.0 / (1.0 + (100.0 * (opacity - 0.005)).exp());
+            // 3DGS-MCMC's: a half where it is as good as dead, nothing from 0.1 on.
+            let free = 1.0 / (1.0 + (100.0 * (opacity - f64::from(DEAD))).exp());
             if free > 1e-3 && opacity > f64::from(UNSEEN) {
                 let normal = DVec3::from([(); 3].map(|()| self.random.normal()));
                 let mean = DVec3::from(scene.means[i].map(f64::from)) + rate * free * (axes(scene, i) * normal);

@@ -6,7 +6,6 @@ mod gaussians;
 mod growth;
 mod plan;
 mod planned;
-mod random;
 mod refinement;
 mod schedule;
 mod start;
@@ -56,7 +55,7 @@ pub struct Refine {
     pub loss: Loss,
     /// How far a step moves each value.
     pub rates: Rates,
-    /// Whether the cameras of the photos that are learnt from are moved, too: all but the first of them, which holds the world.
+    /// The cameras of the photos that are learnt from are moved, too: all but the first of them, which holds the world.
     pub cameras: bool,
     /// How many Gaussians there may be in the end: those that nobody sees, and those that are missing, are put where others are.
     /// `None`: each stays the one that it was.

@@ -1,4 +1,4 @@
-//! What a refinement takes of a device's memory, before it begins.
+//! The memory that a refinement takes, before it begins.
 
 use super::{
     Adam, Refine, Space, filled,

@@ -1,8 +1,8 @@
 //! The photos of a refinement: which are held out, in which order the others come, and their sizes.
 
-use super::random::Random;
 use crate::{
     Result,
+    random::Random,
     types::{Camera, Image, preprocess::PixelMap, resample::resize_lanczos},
 };
 

@@ -10,6 +10,7 @@ use crate::{
         scan::exclusive_scan,
         sort::{key_bits, key_starts, sort_pairs},
     },
+    random::Random,
 };
 
 /// Rounds of assignment and mean of the reference.
@@ -47,15 +48,11 @@ pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
 
 /// `count` different indices below `tokens`, in rising order, the same for the same seed.
 pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
-    // Selection sampling (Knuth, TAOCP 2, 3.4.2, algorithm S) with splitmix64.
-    let mut state = seed;
+    // Selection sampling (Knuth, TAOCP 2, 3.4.2, algorithm S).
+    let mut random = Random::new(seed);
     let mut chosen = Vec::with_capacity(count);
     for token in 0..tokens {
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        let below = ((z ^ (z >> 31)) as u128 * (tokens - token) as u128) >> 64;
-        if (below as usize) < count - chosen.len() {
+        if random.below(tokens - token) < count - chosen.len() {
             chosen.push(token as u32);
         }
     }

@@ -44,7 +44,7 @@ trait Operation: Sync {
     /// A run on matrix units to be timed, whose result has `rows` rows of [`COLUMNS`] values.
     fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run>;
 
-    /// Where an arithmetic keeps the matrix units that were chosen.
+    /// The fields in which an arithmetic keeps the matrix units that were chosen.
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;
 }
 

@@ -61,7 +61,7 @@ impl Tuning {
     /// Remembers it for all that follows on this device.
     ///
     /// # Errors
-    /// Where there is no cache folder or it cannot be written.
+    /// [`Error::Argument`] where there is no cache folder, [`Error::Io`] where it cannot be written.
     pub fn keep(&self, device: &Device) -> Result<()> {
         let file = cache_file(device, "tuning");
         let file = file.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE or HOME"))?;

@@ -4,6 +4,7 @@
 //! through the network. Every value has at most 9 significant bits: f32, f16 and bf16 hold it exactly.
 //! Sources: FNV-1a (Fowler, Noll, Vo); splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
 
+use crate::random::Random;
 use rayon::prelude::*;
 
 /// Parameters that keys ending in `_eps` shrink, so that the epsilon of every LayerNorm shows in the result.
@@ -66,8 +67,5 @@ fn fnv1a64(text: &str) -> u64 {
 
 /// Top byte of output `i` of splitmix64.
 fn draw(seed: u64, i: u64) -> u8 {
-    let state = seed.wrapping_add((i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    let mixed = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((mixed ^ (mixed >> 31)) >> 56) as u8
+    (Random::nth(seed, i) >> 56) as u8
 }

@@ -46,9 +46,9 @@ impl Direction {
 /// How pictures are drawn.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
-    /// Whether Gaussians are made fainter by what the blur takes.
+    /// Gaussians are made fainter by what the blur takes.
     pub antialiased: bool,
-    /// Whether depth is the sum over alpha.
+    /// Depth is the sum over alpha.
     pub expected_depth: bool,
     /// Behind the scene.
     pub background: [f64; 3],
@@ -187,7 +187,7 @@ pub struct OneGradient {
     pub camera: [f64; 10],
 }
 
-/// What a splat's gradient makes of those of its Gaussian and camera: `pair` is the sum over pixels of what [`through_pixel`] has
+/// The gradients of a Gaussian and its camera that follow from a splat's: `pair` is the sum over pixels of what [`through_pixel`] has
 /// of moments, then the gradient of the offset of centre and camera through colour, and that of depth. By differences of fourth
 /// order of what `pair` is the gradient of. `gaussian` is one that is seen and stays so.
 pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: &[f64; 10]) -> OneGradient {
@@ -236,7 +236,7 @@ pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: 
     }
 }
 
-/// What a colour's gradient `d` makes of those of the coefficients `[K, 3]` and of the offset from camera to Gaussian, for a colour
+/// The gradients of the coefficients `[K, 3]` and of the offset from camera to Gaussian, for a colour
 /// that is not held at 0.
 pub fn of_colour(coeffs: &[f64], offset: DVec3, d: [f64; 3]) -> (Vec<f64>, [f64; 3]) {
     let degree = (coeffs.len() / 3).isqrt() as i32 - 1;

@@ -20,7 +20,7 @@ use zipsplat::{
 const STEPS: usize = 200;
 /// Rate of turns in radians and of shifts.
 const RATE: f64 = 5e-3;
-/// Where the loss changes by less than this in [`PATIENCE`] steps in a row, the search ends.
+/// The search ends where the loss changes by less than this in [`PATIENCE`] steps in a row.
 const FLAT: f64 = 1e-5;
 const PATIENCE: usize = 5;
 /// The least sum of the weights.
@@ -56,7 +56,7 @@ pub fn align(
 
 /// The steps of an alignment.
 pub struct Descent {
-    /// Where the camera is.
+    /// The camera as it is now.
     pub camera: Camera,
     adam: PoseAdam,
     /// `[height, width, 3]`.

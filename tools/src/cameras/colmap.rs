@@ -19,7 +19,7 @@ const BLOCK: u32 = 8;
 /// An installed COLMAP.
 pub struct Colmap {
     program: PathBuf,
-    /// Whether it is Python with pycolmap.
+    /// The program is a Python with pycolmap.
     python: bool,
     version: String,
 }
@@ -39,11 +39,11 @@ pub struct Told {
     pub features: Vec<usize>,
     /// Pairs of photos that show the same.
     pub pairs: Option<usize>,
-    /// Whether it said that no pair of photos is a start.
+    /// COLMAP said that no pair of photos is a start.
     pub no_start: bool,
-    /// Whether the disk was full, which COLMAP 3 only says.
+    /// The disk was full, which COLMAP 3 says and does not fail of.
     pub no_room: bool,
-    /// Whether the next line has the number of pairs.
+    /// The next line has the number of pairs.
     pairs_follow: bool,
     /// The last lines that were no mere progress.
     last: Vec<String>,

@@ -63,7 +63,7 @@ pub enum Pairs {
 /// Cameras, and what is known of how they were found.
 pub struct Known {
     pub poses: Poses,
-    /// Where they were found and not read.
+    /// The findings, where cameras were found and not read.
     pub found: Option<Found>,
 }
 
@@ -107,7 +107,7 @@ impl Known {
         Ok(Self { poses, found: Some(found) })
     }
 
-    /// Whether cameras are to be found; a file of that name is `./find`.
+    /// True where cameras are to be found; a file of that name is `./find`.
     pub fn to_find(poses: &Path) -> bool {
         poses == Path::new(FIND)
     }

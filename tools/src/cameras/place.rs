@@ -1,4 +1,4 @@
-//! Where found cameras are kept.
+//! The files of found cameras.
 
 use super::Found;
 use crate::outputs::Overwrite;
@@ -11,7 +11,7 @@ use zipsplat::{
     },
 };
 
-/// Where found cameras are kept: `transforms.json`, and beside it the points and COLMAP's log.
+/// The files of found cameras: `transforms.json`, and beside it the points and COLMAP's log.
 pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {

@@ -122,7 +122,7 @@ const COARSE: f64 = 1e-3;
 struct From<'a> {
     device: &'a Device,
     checkpoint: &'a Checkpoint,
-    /// Where they are what is moved.
+    /// The tokens, where these are moved.
     tokens: Option<SceneTokens>,
 }
 
@@ -164,8 +164,8 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
+        let find = self.poses.as_deref().is_some_and(Known::to_find);
         if let Some(place) = &self.cameras_out {
-            let find = self.poses.as_deref().is_some_and(Known::to_find);
             refuse("--cameras-out", !find, "cameras that are known", "--poses find")?;
             Place(place).check(self.overwrite)?;
         }
@@ -180,7 +180,6 @@ impl Reconstruct {
                 self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
             self.input.list(session, self.views, named_in)?
         };
-        let find = self.poses.as_deref().is_some_and(Known::to_find);
         if let (true, Some(views)) = (find, self.views) {
             photos = photos::spread(photos, views as usize);
         }

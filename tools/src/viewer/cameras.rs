@@ -26,7 +26,7 @@ pub struct InputCamera {
     fy: f64,
     cx: f64,
     cy: f64,
-    /// Whether its photo can be asked for.
+    /// The photo of the camera can be asked for.
     photo: bool,
     #[serde(skip)]
     frame: Frame,
@@ -42,7 +42,7 @@ impl InputCamera {
         Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: file.is_some(), frame, file }
     }
 
-    /// Whether there is a photo of it.
+    /// True where there is a photo of the camera.
     pub fn has_photo(&self) -> bool {
         self.photo
     }
@@ -50,7 +50,7 @@ impl InputCamera {
     /// The photo as the camera sees it, as a JPEG; none where there is no photo.
     ///
     /// # Errors
-    /// Where the photo cannot be read.
+    /// A photo that cannot be read.
     pub fn jpeg(&self) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;

@@ -25,7 +25,7 @@ impl Server {
     /// A server at `port`, or at a free one for 0.
     ///
     /// # Errors
-    /// Where the port is taken or may not be used.
+    /// A port that is taken or may not be used.
     pub fn new(port: u16) -> Result<Self> {
         let http = tiny_http::Server::http((Ipv4Addr::LOCALHOST, port)).map_err(Error::other)?;
         let port = http.server_addr().to_ip().map_or(port, |address: SocketAddr| address.port());
@@ -35,7 +35,7 @@ impl Server {
         Ok(Self { http, token, port })
     }
 
-    /// Where the page is.
+    /// The address of the page.
     pub fn address(&self) -> String {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
@@ -44,7 +44,7 @@ impl Server {
     /// with its words.
     ///
     /// # Errors
-    /// Where no further request can be received.
+    /// The error of a socket that can receive no further request.
     pub fn serve<E: ToString>(
         &self,
         answer: impl Fn(&str) -> std::result::Result<Option<Answer>, E>,
@@ -80,7 +80,7 @@ impl Server {
         }
     }
 
-    /// Whether a browser asks for this machine by its own name, which pages of others cannot make it do, and on behalf of no page
+    /// True where a browser asks for this machine by its own name, which pages of others cannot make it do, and on behalf of no page
     /// but ours.
     fn is_own(&self, request: &Request) -> bool {
         let names = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{}", self.port));

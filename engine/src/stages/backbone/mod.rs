@@ -25,7 +25,7 @@ pub trait Backbone: Send + Sync {
     /// Writes the inputs of a run. Cameras are given where the inputs were made for them, in the network's unit of length.
     ///
     /// # Errors
-    /// Where a transfer fails or a camera cannot be used.
+    /// A transfer that fails, or a camera that cannot be used.
     fn write(
         &self,
         run: &mut Run,

@@ -2,13 +2,14 @@
 
 use super::python;
 use crate::options::Size;
-use std::{ffi::OsStr, path::Path, process::Command};
+use std::{path::Path, process::Command};
 use zipsplat::{
     Error, Result,
     types::{Scene, write_ply},
 };
 
-const SCRIPT: &str = include_str!("../../../bench/gsplat_render.py");
+/// The files that Python runs, under the names that it imports.
+const FILES: [(&str, &str); 2] = [("gsplat_render.py", include_str!("../../../bench/gsplat_render.py")), python::SCENE];
 const NEEDED: &str = "a Python with PyTorch and gsplat, on a CUDA GPU";
 
 /// Holds that `python` can do it.
@@ -16,7 +17,7 @@ const NEEDED: &str = "a Python with PyTorch and gsplat, on a CUDA GPU";
 /// # Errors
 /// [`Error::Argument`] where it does not run or lacks something, with what it said.
 pub fn check(python: &Path) -> Result<()> {
-    run(python, &[]).map(drop)
+    run(Command::new(python).arg("-c").arg(FILES[0].1)).map(drop)
 }
 
 /// Milliseconds that gsplat takes for one of `repeats` frames in a row.
@@ -24,14 +25,15 @@ pub fn check(python: &Path) -> Result<()> {
 /// # Errors
 /// As [`check`].
 pub fn milliseconds(python: &Path, scene: &Scene, size: Size, repeats: u32) -> Result<f64> {
-    let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
+    let folder = python::folder(&FILES)?;
     let file = folder.path().join("scene.ply");
     write_ply(scene, &file)?;
-    let numbers = [size.0, size.1, repeats].map(|number| number.to_string());
-    let printed = run(python, &[file.as_os_str(), numbers[0].as_ref(), numbers[1].as_ref(), numbers[2].as_ref()])?;
+    let mut command = Command::new(python);
+    command.arg(folder.path().join(FILES[0].0)).arg(&file);
+    let printed = run(command.args([size.0, size.1, repeats].map(|number| number.to_string())))?;
     printed.trim().parse().map_err(|_| Error::argument("--gsplat", printed.trim(), "milliseconds"))
 }
 
-fn run(python: &Path, arguments: &[&OsStr]) -> Result<String> {
-    python::run("--gsplat", NEEDED, Command::new(python).arg("-c").arg(SCRIPT).args(arguments))
+fn run(command: &mut Command) -> Result<String> {
+    python::run("--gsplat", NEEDED, command)
 }

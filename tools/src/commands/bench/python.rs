@@ -1,7 +1,13 @@
 //! Scripts that an installed Python runs, to compare with.
 
-use std::process::{Command, Stdio};
+use std::{
+    fs,
+    process::{Command, Stdio},
+};
 use zipsplat::{Error, Result};
+
+/// The module that reads scenes, for scripts that take one.
+pub const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.py"));
 
 /// Runs `command` and returns what it printed. `option` named the Python, and `needed` is what it has to be.
 ///
@@ -16,4 +22,17 @@ pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> 
         return Err(failed(said.trim().lines().last().unwrap_or("it failed")));
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// A temporary folder with files: what Python runs, under the names that it imports.
+///
+/// # Errors
+/// [`Error::Io`] where they cannot be written.
+pub fn folder(files: &[(&str, &str)]) -> Result<tempfile::TempDir> {
+    let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
+    for (name, text) in files {
+        let path = folder.path().join(name);
+        fs::write(&path, text).map_err(|error| Error::io(path, error))?;
+    }
+    Ok(folder)
 }

@@ -2,7 +2,7 @@
 
 use crate::options::Size;
 use serde::Deserialize;
-use std::{fs, path::Path, process::Command};
+use std::{path::Path, process::Command};
 use zipsplat::{
     Error, Result,
     types::{Scene, write_ply},
@@ -17,8 +17,9 @@ const FILES: [(&str, &str); 3] = [
 ];
 
 /// The same for a step.
-const REFINE_FILES: [(&str, &str); 5] = [
+const REFINE_FILES: [(&str, &str); 6] = [
     ("pytorch_refine.py", include_str!("../../../bench/pytorch_refine.py")),
+    super::python::SCENE,
     ("rasterise.py", include_str!("../../../train/rasterise.py")),
     ("rasterise_numba.py", include_str!("../../../train/rasterise_numba.py")),
     ("rasterise_triton.py", include_str!("../../../train/rasterise_triton.py")),
@@ -68,7 +69,7 @@ pub fn forward(
     size: &str,
     [warmup, repeats]: [u32; 2],
 ) -> Result<Pytorch> {
-    let folder = folder(&FILES)?;
+    let folder = super::python::folder(&FILES)?;
     let list = |numbers: Vec<String>| numbers.join(",");
     let architecture = serde_json::to_string(architecture).expect("numbers and names are JSON");
     let mut command = Command::new(python);
@@ -79,16 +80,6 @@ pub fn forward(
     let printed = super::python::run("--pytorch", NEEDED, &mut command)?;
     serde_json::from_str(&printed)
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
-}
-
-/// A temporary folder with files.
-fn folder(files: &[(&str, &str)]) -> Result<tempfile::TempDir> {
-    let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
-    for (name, text) in files {
-        let path = folder.path().join(name);
-        fs::write(&path, text).map_err(|error| Error::io(path, error))?;
-    }
-    Ok(folder)
 }
 
 /// Times of pictures and of steps.
@@ -120,7 +111,7 @@ pub fn refine(
     photos: usize,
     [warmup, repeats]: [u32; 2],
 ) -> Result<Steps> {
-    let folder = folder(&REFINE_FILES)?;
+    let folder = super::python::folder(&REFINE_FILES)?;
     let file = folder.path().join("scene.ply");
     write_ply(scene, &file)?;
     let mut command = Command::new(python);
@@ -135,17 +126,19 @@ pub fn refine(
 mod tests {
     use super::*;
 
-    /// Modules of tools/train that a script imports, by way of others, too.
+    /// Modules of tools/train and tools/bench that a script imports, by way of others, too.
     #[test]
     fn scripts_find_what_they_import() {
-        let train = Path::new(env!("CARGO_MANIFEST_DIR")).join("train");
+        let tools = Path::new(env!("CARGO_MANIFEST_DIR"));
         for files in [&FILES[..], &REFINE_FILES] {
             for (name, text) in files {
                 let words = text.lines().filter_map(|line| {
                     let line = line.trim_start();
                     line.strip_prefix("from ").or_else(|| line.strip_prefix("import "))?.split([' ', ',', '.']).next()
                 });
-                let own = words.map(|word| format!("{word}.py")).filter(|file| train.join(file).exists());
+                let own = words
+                    .map(|word| format!("{word}.py"))
+                    .filter(|file| ["train", "bench"].iter().any(|folder| tools.join(folder).join(file).exists()));
                 for file in own {
                     assert!(files.iter().any(|(other, _)| *other == file), "{name} imports {file}");
                 }

@@ -1,4 +1,4 @@
-//! What `eval --pose-free` says of pictures whose cameras were aligned.
+//! The report of `eval --pose-free` on pictures whose cameras were aligned.
 
 use super::{cells, cells_of};
 use crate::{

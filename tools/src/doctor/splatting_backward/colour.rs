@@ -43,7 +43,7 @@ struct Problem {
     starts: Vec<u32>,
     /// `[slots, VALUES]`.
     slots: Vec<f32>,
-    /// Whether intersections found no room.
+    /// Intersections found no room.
     full: bool,
 }
 

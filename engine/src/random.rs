@@ -2,8 +2,11 @@
 
 use std::f64::consts::TAU;
 
+/// The golden ratio in 64 bits.
+const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
+
 /// splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
-pub(super) struct Random(u64);
+pub(crate) struct Random(u64);
 
 impl Random {
     /// The numbers of a seed.
@@ -11,11 +14,14 @@ impl Random {
         Self(seed)
     }
 
+    /// Number `i` of a seed, from 0 on.
+    pub fn nth(seed: u64, i: u64) -> u64 {
+        mixed(seed.wrapping_add((i + 1).wrapping_mul(INCREMENT)))
+    }
+
     fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0 = self.0.wrapping_add(INCREMENT);
+        mixed(self.0)
     }
 
     /// A number below `count`.
@@ -33,6 +39,12 @@ impl Random {
         let (radius, angle) = ((-2.0 * (1.0 - self.unit()).ln()).sqrt(), TAU * self.unit());
         radius * angle.cos()
     }
+}
+
+fn mixed(state: u64) -> u64 {
+    let z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
 }
 
 #[cfg(test)]
