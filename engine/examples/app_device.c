@@ -199,8 +199,8 @@ static void wait_for(VkDevice device, VkSemaphore timeline, uint64_t value) {
 static zs_scene *make_scene(void) {
     const float means[] = {-0.5f, 0, 3, 0, 0, 4, 0.5f, 0.2f, 3}, scales[] = {0.3f, 0.1f, 0.2f, 0.5f, 0.5f, 0.5f, 0.1f, 0.4f, 0.1f};
     const float quats[] = {1, 0, 0, 0, 1, 0, 0, 0.5f, 1, 0.3f, 0, 0}, opacities[] = {0.9f, 0.7f, 0.8f};
-    const float colours[] = {1.5f, -1, -1, -1, 1.5f, -1, -1, -1, 1.5f};
-    const zs_gaussians arrays = {sizeof arrays, 0, 3, means, scales, quats, opacities, colours};
+    const float colors[] = {1.5f, -1, -1, -1, 1.5f, -1, -1, -1, 1.5f};
+    const zs_gaussians arrays = {sizeof arrays, 0, 3, means, scales, quats, opacities, colors};
     zs_scene *scene;
     zs(zs_scene_create(&arrays, &scene), "scene");
     return scene;

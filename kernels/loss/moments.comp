@@ -18,25 +18,25 @@ layout(set = 0, binding = 2) writeonly buffer Moments { vec4 moments[]; };
 layout(push_constant) uniform Push { uint rows; uint width; uint channels; };
 
 // The moments of a single pixel, without variance.
-vec4 moments_of(uint pixel, uint colour) {
-    float a = frames[pixel * channels + colour];
-    return vec4(a, a - targets[pixel * 3 + colour], 0, 0);
+vec4 moments_of(uint pixel, uint color) {
+    float a = frames[pixel * channels + color];
+    return vec4(a, a - targets[pixel * 3 + color], 0, 0);
 }
 
 void main() {
     uint runs = (width + RUN - 1) / RUN;
-    uint colour = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
+    uint color = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
     if (row >= rows) return;
-    vec2 centre = moments_of(row * width + min(run * RUN + RUN / 2, width - 1), colour).xy;
+    vec2 centre = moments_of(row * width + min(run * RUN + RUN / 2, width - 1), color).xy;
     vec4 filtered[RUN];
     [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
     [[unroll]] for (int k = 0; k < REACH; k++) {
         int x = int(run * RUN) + k - RADIUS;
-        vec4 value = moments_of(row * width + clamp(x, 0, int(width) - 1), colour);
+        vec4 value = moments_of(row * width + clamp(x, 0, int(width) - 1), color);
         add_tap(filtered, k, squared(x >= 0 && x < width ? value : vec4(0), centre));
     }
     [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint x = run * RUN + p;
-        if (x < width) moments[(row * width + x) * 3 + colour] = centred(filtered[p], centre);
+        if (x < width) moments[(row * width + x) * 3 + color] = centred(filtered[p], centre);
     }
 }

@@ -16,17 +16,17 @@ layout(push_constant) uniform Push { uint rows; uint width; };
 
 void main() {
     uint runs = (width + RUN - 1) / RUN;
-    uint colour = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
+    uint color = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
     if (row >= rows) return;
     vec4 filtered[RUN];
     [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
     [[unroll]] for (int k = 0; k < REACH; k++) {
         int x = int(run * RUN) + k - RADIUS;
-        vec3 value = partials[(row * width + clamp(x, 0, int(width) - 1)) * 3 + colour];
+        vec3 value = partials[(row * width + clamp(x, 0, int(width) - 1)) * 3 + color];
         add_tap(filtered, k, vec4(x >= 0 && x < width ? value : vec3(0), 0));
     }
     [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint x = run * RUN + p;
-        if (x < width) result[(row * width + x) * 3 + colour] = filtered[p].xyz;
+        if (x < width) result[(row * width + x) * 3 + color] = filtered[p].xyz;
     }
 }

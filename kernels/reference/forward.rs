@@ -27,8 +27,8 @@ const BACKBONE_EPS: f64 = 1e-6;
 pub struct Tokens {
     /// `[views * patches, width]` per output layer, deepest first.
     pub layers: Vec<Vec<f64>>,
-    /// `[views * patches, colour_width]`.
-    pub colour: Vec<f64>,
+    /// `[views * patches, color_width]`.
+    pub color: Vec<f64>,
     /// `bb/*`, `prep/*` and `color/tokens`.
     pub taps: Taps,
 }
@@ -45,9 +45,9 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>) -> Token
         taps.insert(format!("prep/layer{j}"), layer.clone());
     }
     let embed = model.scope("color_embed.proj");
-    let colour = patch_embed(images, embed.get("weight"), embed.get("bias"), architecture.patch);
-    taps.insert("color/tokens".into(), colour.clone());
-    Tokens { layers, colour, taps }
+    let color = patch_embed(images, embed.get("weight"), embed.get("bias"), architecture.patch);
+    taps.insert("color/tokens".into(), color.clone());
+    Tokens { layers, color, taps }
 }
 
 /// One feature `[views * patches, 2 width]` per output layer, deepest first.
@@ -117,7 +117,7 @@ fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Tap
 /// tap on the way, without the prefix of the compression ratio.
 pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     let architecture = &model.architecture;
-    let (width, colour_width) = (architecture.width, architecture.colour_width);
+    let (width, color_width) = (architecture.width, architecture.color_width);
     let mut taps = Taps::new();
     let mut scene = gather_rows(&tokens.layers[0], width, nearest);
     taps.insert("scene_init".into(), scene.clone());
@@ -132,14 +132,14 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
         scene = block(&model.scope(&format!("self_attention.{l}")), &scene, options);
         taps.insert(format!("scene_sa{l}"), scene.clone());
     }
-    let queries = gather_rows(&tokens.colour, colour_width, nearest);
+    let queries = gather_rows(&tokens.color, color_width, nearest);
     let weights = model.scope("color_cross_attention");
-    let delta = cross_attention(&weights, &queries, &tokens.colour, architecture.colour_heads);
-    let colour = add(&queries, &delta);
-    let raw = head(&model.scope("gaussian_head.gaussian_head"), &scene, width, &colour, colour_width);
+    let delta = cross_attention(&weights, &queries, &tokens.color, architecture.color_heads);
+    let color = add(&queries, &delta);
+    let raw = head(&model.scope("gaussian_head.gaussian_head"), &scene, width, &color, color_width);
     let packed = 11 + 3 * (architecture.sh_degree + 1).pow(2);
     taps.insert("gauss".into(), raw.chunks(packed).flat_map(activate).collect());
-    taps.insert("color_feats".into(), colour);
+    taps.insert("color_feats".into(), color);
     taps.insert("raw".into(), raw);
     taps
 }

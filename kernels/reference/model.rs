@@ -31,9 +31,9 @@ pub struct Architecture {
     /// Attention heads of the fusion.
     pub fusion_heads: usize,
     /// Width of a colour token.
-    pub colour_width: usize,
+    pub color_width: usize,
     /// Attention heads of the colour cross-attention.
-    pub colour_heads: usize,
+    pub color_heads: usize,
     /// G, Gaussians of a token.
     pub gaussians: usize,
     /// SH degree of a Gaussian.
@@ -46,7 +46,7 @@ impl Architecture {
         let number = |value: &Value| value.as_u64().expect("a whole number") as usize;
         let params = manifest["params"].as_object().expect("parameters");
         let width = number(&params["backbone.backbone.cls_token"][2]);
-        let colour_width = number(&conf["color_skip_dim"]);
+        let color_width = number(&conf["color_skip_dim"]);
         let depth = (0..).take_while(|i| params.contains_key(&format!("backbone.backbone.blocks.{i}.ls1.gamma")));
         // Written in no checkpoint: a property of the named vision transformer.
         let (alt_start, rope_start) = match conf["vit_name"].as_str().expect("vit_name") {
@@ -69,8 +69,8 @@ impl Architecture {
             camera_blocks: 4,
             camera_heads: 16,
             fusion_heads: width / 64,
-            colour_width,
-            colour_heads: (colour_width / 64).max(1),
+            color_width,
+            color_heads: (color_width / 64).max(1),
             gaussians: number(&conf["gaussians_per_token"]),
             sh_degree: number(&conf["sh_degree"]),
         }

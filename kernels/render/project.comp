@@ -23,7 +23,7 @@ layout(local_size_x = 64) in;
 #include "shared/splat.glsl"
 #include "shared/ridge.glsl"
 
-layout(constant_id = 1) const bool COLOUR = true;
+layout(constant_id = 1) const bool COLOR = true;
 layout(constant_id = 2) const uint SH_DEGREE = 0;
 layout(constant_id = 3) const bool ANTIALIASED = false;
 
@@ -35,7 +35,7 @@ layout(scalar, set = 0, binding = 4) readonly buffer ShCoeffs { vec3 sh_coeffs[]
 layout(set = 0, binding = 5) readonly buffer Cameras { vec4 cameras[]; };
 layout(scalar, set = 0, binding = 6) writeonly buffer XyOpacities { vec3 xy_opacities[]; };
 layout(scalar, set = 0, binding = 7) writeonly buffer Conics { vec3 conics[]; };
-layout(scalar, set = 0, binding = 8) writeonly buffer Colours { vec3 colours[]; };
+layout(scalar, set = 0, binding = 8) writeonly buffer Colors { vec3 colors[]; };
 layout(set = 0, binding = 9) writeonly buffer Depths { uint depths[]; };
 layout(scalar, set = 0, binding = 10) writeonly buffer TileSets { uvec3 tile_sets[]; };
 layout(set = 0, binding = 11) writeonly buffer Indices { uint indices[]; };
@@ -85,7 +85,7 @@ void add_bands(uint n, vec3 direction, inout vec3 sum) {
 }
 
 // Seen along `offset`.
-vec3 colour(uint n, vec3 offset) {
+vec3 color(uint n, vec3 offset) {
     vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
     if (SH_DEGREE > 0) add_bands(n, unit_vector(offset), sum);
     return max(sum, 0);
@@ -142,7 +142,7 @@ TileSet project(uint n, uint camera, uint pair) {
     depths[pair] = floatBitsToUint(p.z);
     xy_opacities[pair] = vec3(place, opacity);
     conics[pair] = conic;
-    if (COLOUR) colours[pair] = colour(n, offset);
+    if (COLOR) colors[pair] = color(n, offset);
     return tiles;
 }
 

@@ -1,7 +1,7 @@
 // Takes the gradients of splats on to Gaussians and cameras.
 //
 // means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; opacities [N]; cameras
-// [C, 2, 4, 4], see shared/camera; conics [N, C, 3] of render/project; d_pairs [N, C, 10] of render/colour_backward, 0 where
+// [C, 2, 4, 4], see shared/camera; conics [N, C, 3] of render/project; d_pairs [N, C, 10] of render/color_backward, 0 where
 // nothing was drawn.
 // d_means, d_scales, d_quats, d_opacities like the Gaussians, which are added to where SCENE_GRADIENTS; d_cameras [workgroups, C, 10],
 // written where CAMERA_GRADIENTS: sums over a workgroup's Gaussians of the gradients of (w, v), where a camera-to-world pose moves as

@@ -17,7 +17,7 @@ layout(local_size_x_id = 0) in;
 #include "shared/splat.glsl"
 
 layout(constant_id = 1) const uint RUNS = 8;
-layout(constant_id = 2) const bool COLOUR = true;
+layout(constant_id = 2) const bool COLOR = true;
 layout(constant_id = 3) const bool HAS_BACKGROUND = false;
 layout(constant_id = 4) const bool ALPHA = false;
 layout(constant_id = 5) const bool DEPTH = false;
@@ -29,7 +29,7 @@ layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; 
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
 layout(scalar, set = 0, binding = 2) readonly buffer XyOpacities { vec3 xy_opacities[]; };
 layout(scalar, set = 0, binding = 3) readonly buffer Conics { vec3 conics[]; };
-layout(scalar, set = 0, binding = 4) readonly buffer Colours { vec3 colours[]; };
+layout(scalar, set = 0, binding = 4) readonly buffer Colors { vec3 colors[]; };
 layout(set = 0, binding = 5) readonly buffer Depths { float depths[]; };
 layout(scalar, set = 0, binding = 6) readonly buffer Normals { vec3 normals[]; };
 layout(set = 0, binding = 7) writeonly buffer Frames { float frames[]; };
@@ -52,7 +52,7 @@ struct Pixel {
 };
 
 // A byte a channel of the PCG hash (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
-vec3 token_colour(uint token) {
+vec3 token_color(uint token) {
     uint state = token * 747796405u + 2891336453u;
     uint word = (state >> (state >> 28) + 4 ^ state) * 277803737u;
     uint hash = word >> 22 ^ word;
@@ -61,10 +61,10 @@ vec3 token_colour(uint token) {
 
 Values values(uint pair) {
     Values values = NOTHING;
-    if (COLOUR) values.rgb = colours[pair];
+    if (COLOR) values.rgb = colors[pair];
     if (DEPTH) values.depth = depths[pair];
     if (NORMAL) values.normal = normals[pair];
-    if (TOKEN_PAIRS > 0) values.token = token_colour(pair / max(TOKEN_PAIRS, 1));
+    if (TOKEN_PAIRS > 0) values.token = token_color(pair / max(TOKEN_PAIRS, 1));
     return values;
 }
 
@@ -74,7 +74,7 @@ void blend(inout Pixel pixel, float alpha, Values values) {
     float left = pixel.transmittance * (1 - alpha);
     bool drawn = seen && left > TRANSMITTANCE_MIN;
     float weight = drawn ? alpha * pixel.transmittance : 0;
-    if (COLOUR) pixel.sum.rgb += weight * values.rgb;
+    if (COLOR) pixel.sum.rgb += weight * values.rgb;
     if (DEPTH) pixel.sum.depth += weight * values.depth;
     if (NORMAL) pixel.sum.normal += weight * values.normal;
     if (TOKEN_PAIRS > 0) pixel.sum.token += weight * values.token;
@@ -91,7 +91,7 @@ uint store(uint at, vec3 value) {
 void store(Pixel pixel, uint at) {
     float left = abs(pixel.transmittance);
     if (HAS_BACKGROUND) pixel.sum.rgb += left * background;
-    if (COLOUR) at = store(at, pixel.sum.rgb);
+    if (COLOR) at = store(at, pixel.sum.rgb);
     if (ALPHA) frames[at++] = 1 - left;
     if (DEPTH) frames[at++] = EXPECTED_DEPTH ? pixel.sum.depth / max(1 - left, LEAST_DIVISOR) : pixel.sum.depth;
     if (NORMAL) at = store(at, pixel.sum.normal / max(length(pixel.sum.normal), LEAST_DIVISOR));
@@ -119,7 +119,7 @@ void main() {
         if (!subgroupAny(live)) break;
     }
 
-    const uint channels = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0) + (NORMAL ? 3 : 0) + (TOKEN_PAIRS > 0 ? 3 : 0);
+    const uint channels = (COLOR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0) + (NORMAL ? 3 : 0) + (TOKEN_PAIRS > 0 ? 3 : 0);
     for (uint run = 0; run < RUNS; run++) {
         uvec2 at = position(run);
         if (any(greaterThanEqual(at, size))) continue;

@@ -18,7 +18,7 @@ layout(local_size_x_id = 0) in;
 #include "shared/splat.glsl"
 
 layout(constant_id = 1) const uint RUNS = 8;
-layout(constant_id = 2) const bool COLOUR = true;
+layout(constant_id = 2) const bool COLOR = true;
 layout(constant_id = 3) const bool ALPHA = false;
 layout(constant_id = 4) const bool DEPTH = false;
 layout(constant_id = 5) const bool EXPECTED_DEPTH = false;
@@ -29,7 +29,7 @@ layout(scalar, set = 0, binding = 2) readonly buffer TileSets { uvec3 tile_sets[
 layout(set = 0, binding = 3) readonly buffer Slots { uint slots[]; };
 layout(scalar, set = 0, binding = 4) readonly buffer XyOpacities { vec3 xy_opacities[]; };
 layout(scalar, set = 0, binding = 5) readonly buffer Conics { vec3 conics[]; };
-layout(scalar, set = 0, binding = 6) readonly buffer Colours { vec3 colours[]; };
+layout(scalar, set = 0, binding = 6) readonly buffer Colors { vec3 colors[]; };
 layout(set = 0, binding = 7) readonly buffer Depths { float depths[]; };
 layout(set = 0, binding = 8) readonly buffer Frames { float frames[]; };
 layout(set = 0, binding = 9) readonly buffer DFrames { float d_frames[]; };
@@ -39,8 +39,8 @@ layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row
 
 #include "shared/runs.glsl"
 
-const uint CHANNELS = (COLOUR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
-const uint VALUES = (COLOUR ? 3 : 0) + (DEPTH ? 1 : 0);
+const uint CHANNELS = (COLOR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
+const uint VALUES = (COLOR ? 3 : 0) + (DEPTH ? 1 : 0);
 
 struct Pixel {
     float transmittance; // negative once the pixel is done
@@ -66,7 +66,7 @@ Pixel pixel(uvec2 position) {
     pixel.transmittance = 1;
     uint row = gl_WorkGroupID.z * row_count + position.y - first_tile_row * TILE;
     uint at = (row * size.x + position.x) * CHANNELS;
-    if (COLOUR) {
+    if (COLOR) {
         pixel.d_rgb = load(at);
         pixel.behind = dot(vec3(frames[at], frames[at + 1], frames[at + 2]), pixel.d_rgb);
         at += 3;
@@ -92,7 +92,7 @@ void put(uint slot, Gradient gradient) {
     if (slot >= capacity) return;
     moments[2 * slot] = gradient.first;
     moments[2 * slot + 1] = gradient.second;
-    if (COLOUR) {
+    if (COLOR) {
         for (uint c = 0; c < 3; c++) d_values[slot * VALUES + c] = gradient.rgb[c];
     }
     if (DEPTH) d_values[slot * VALUES + VALUES - 1] = gradient.depth;
@@ -119,7 +119,7 @@ void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, in
     vec3 moment = g * vec3(1, sight.e, sight.y);
     sum.first += moment;
     sum.second += vec3(moment.yz * sight.e, moment.z * sight.y);
-    if (COLOUR) sum.rgb += weight * pixel.d_rgb;
+    if (COLOR) sum.rgb += weight * pixel.d_rgb;
     if (DEPTH) sum.depth += weight * pixel.d_depth;
     pixel.transmittance = drawn ? left : seen ? -pixel.transmittance : pixel.transmittance;
     if (seen && !drawn) open--;
@@ -138,7 +138,7 @@ void main() {
     uint i = tile_offsets[list], end = tile_offsets[list + 1];
     for (; i < end && subgroupAny(open > 0); i++) {
         uint pair = pair_indices[i];
-        vec3 rgb = COLOUR ? colours[pair] : vec3(0);
+        vec3 rgb = COLOR ? colors[pair] : vec3(0);
         float depth = DEPTH ? depths[pair] : 0;
         Falloff splat = falloff(xy_opacities[pair], conics[pair]);
         Gradient sum = nothing;
@@ -153,7 +153,7 @@ void main() {
         if (subgroupAny(reached)) {
             sum.first = subgroupAdd(sum.first);
             sum.second = subgroupAdd(sum.second);
-            if (COLOUR) sum.rgb = subgroupAdd(sum.rgb);
+            if (COLOR) sum.rgb = subgroupAdd(sum.rgb);
             if (DEPTH) sum.depth = subgroupAdd(sum.depth);
         }
         if (subgroupElect()) put(slot_of(pair), sum);

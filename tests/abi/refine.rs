@@ -40,7 +40,7 @@ fn place(count: usize) -> Place {
     let mut moved = random_scene(60, 1, 0.3);
     let frames = Renderer::new(device()).render(&moved, &cameras, &RenderRequest::default()).expect("pictures");
     let photo = |frame: zipsplat::stages::render::Frame| {
-        Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.expect("colour")).expect("a photo")
+        Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.expect("color")).expect("a photo")
     };
     let photos = frames.into_iter().map(photo).collect();
     moved.sh_coeffs.iter_mut().flatten().enumerate().for_each(|(i, value)| *value += 0.3 * (2.4 * i as f32).sin());

@@ -62,14 +62,14 @@ fn held_out_photos_are_compared() {
     let json = folder.run(line).json();
     let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("the table was written");
     let lines: Vec<&str> = csv.lines().collect();
-    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_colour_psnr");
+    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_color_psnr");
     assert_eq!(lines.len(), 1 + 4, "{csv}");
     let inputs: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     assert_eq!((inputs.len(), inputs[0]), (2, "images/000.png"));
     for (row, line) in lines[1..].iter().enumerate() {
         let cells: Vec<&str> = line.split(',').collect();
         assert!(!inputs.contains(&cells[0]), "{} is an input", cells[0]);
-        for (cell, name) in cells[1..].iter().zip(["psnr", "ssim", "nearest_psnr", "mean_colour_psnr"]) {
+        for (cell, name) in cells[1..].iter().zip(["psnr", "ssim", "nearest_psnr", "mean_color_psnr"]) {
             let (written, told) = (cell.parse::<f64>().expect("a number"), json["views"][row][name].as_f64());
             assert!(told.is_some_and(|told| (told - written).abs() < 1e-3), "{name}: {written} and {told:?}");
         }
@@ -214,7 +214,7 @@ fn a_camera_is_found_by_its_photo() {
     let mut renderer = splats(&folder);
     let truth = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
     let frame = renderer.render_loaded(&[truth], &RenderRequest::default()).expect("drawn").remove(0);
-    let photo = Image::from_rgb_f32(84, 56, &frame.rgb.expect("colour")).expect("a picture");
+    let photo = Image::from_rgb_f32(84, 56, &frame.rgb.expect("color")).expect("a picture");
     let rotation = DMat3::from_rotation_y(0.06) * DMat3::from_rotation_x(-0.04) * DMat3::from_rotation_z(0.05);
     let start = Camera { pose: Pose { rotation, translation: DVec3::new(0.06, -0.04, 0.05) }, ..truth };
     let aligned = align(&mut renderer, &photo, &start, &|| Ok(())).expect("aligned");

@@ -64,7 +64,7 @@ fn depth_and_alpha_are_what_the_renderer_gives() {
 }
 
 #[test]
-fn colours_have_several_spellings() {
+fn colors_have_several_spellings() {
     let folder = folder();
     let draw = |color: &str| {
         folder.run(&format!("render @/scene.ply --cameras @/cameras.json --background {color} -o @/out")).success();
@@ -229,8 +229,8 @@ fn normals_and_tokens_are_written_where_asked() {
     for name in ["out/000.normal.png", "out/000.tokens.png"] {
         let picture = image::open(folder.path(name)).expect("a picture").to_rgb8();
         assert_eq!(picture.dimensions(), (48, 32));
-        let colours: std::collections::BTreeSet<_> = picture.pixels().map(|pixel| pixel.0).collect();
-        assert!(colours.len() > 20, "{name}: {} colours", colours.len());
+        let colors: std::collections::BTreeSet<_> = picture.pixels().map(|pixel| pixel.0).collect();
+        assert!(colors.len() > 20, "{name}: {} colours", colors.len());
     }
     folder.run("render @/scene.ply --wiggle --normals --video @/out.gif").fails(3, &["--normals", "-o FOLDER"]);
 }

@@ -160,9 +160,9 @@ fn save(
         let byte = |x: &f64| if x.is_finite() { (x / white * 255.0).round().clamp(0.0, 255.0) as u8 } else { 255 };
         let bytes: Vec<u8> = values.iter().map(byte).collect();
         let height = bytes.len() / (width * channels);
-        let colour = if channels == 3 { image::ColorType::Rgb8 } else { image::ColorType::L8 };
+        let color = if channels == 3 { image::ColorType::Rgb8 } else { image::ColorType::L8 };
         let path = folder.join(format!("{stem}.{what}.png"));
-        image::save_buffer(&path, &bytes[..height * width * channels], width as u32, height as u32, colour)?;
+        image::save_buffer(&path, &bytes[..height * width * channels], width as u32, height as u32, color)?;
         paths.push(path);
     }
     Ok(paths.try_into().expect("three pictures"))

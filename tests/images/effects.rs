@@ -20,7 +20,7 @@ const SIZE: [usize; 2] = [70, 53];
 fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) -> (Vec<f64>, Vec<u8>) {
     let mut splats = project::project(&reference_gaussians(scene), &reference_camera(camera), false);
     for (i, splat) in splats.iter_mut().enumerate() {
-        splat.iter_mut().for_each(|splat| splat.colour = value(i));
+        splat.iter_mut().for_each(|splat| splat.color = value(i));
     }
     let rendering = rasterise::rasterise(&splats, SIZE, [0.0; 3]);
     (rendering.rgb, rendering.unstable)
@@ -50,24 +50,24 @@ fn normals_are_blended_and_of_length_one() {
 }
 
 #[test]
-fn tokens_have_colours_of_their_own() {
+fn tokens_have_colors_of_their_own() {
     // PCG by its definition in 64 bits, a byte a channel.
-    let colour = |token: usize| {
+    let color = |token: usize| {
         let state = (token as u64 * 747_796_405 + 2_891_336_453) % (1 << 32);
         let word = ((state >> ((state >> 28) + 4)) ^ state) * 277_803_737 % (1 << 32);
         let hash = word >> 22 ^ word;
         [0, 8, 16].map(|shift| (hash >> shift & 255) as f64 / 255.0)
     };
-    assert_ne!(colour(0), colour(1));
+    assert_ne!(color(0), color(1));
     let camera = camera(SIZE[0] as u32, SIZE[1] as u32);
     let scene = random_scene(300, 0, 0.3);
     for group in [1, 32, u32::MAX] {
         let request = RenderRequest { token_group: NonZeroU32::new(group), ..RenderRequest::default() };
         // With two cameras a token has twice as many pairs.
         let frames = render(&scene, &[camera, camera], &request);
-        let (truth, unstable) = blended(&scene, &camera, |i| colour(i / group as usize));
+        let (truth, unstable) = blended(&scene, &camera, |i| color(i / group as usize));
         for frame in frames {
-            hold("tokens", &frame.token_colours.unwrap(), &truth, &unstable, ImageTolerance::RGB);
+            hold("tokens", &frame.token_colors.unwrap(), &truth, &unstable, ImageTolerance::RGB);
         }
     }
 }
@@ -92,7 +92,7 @@ fn what_is_not_asked_for_changes_nothing() {
             alpha: all.alpha.clone().filter(|_| on(1)),
             depth: all.depth.clone().filter(|_| on(2)),
             normals: all.normals.clone().filter(|_| on(3)),
-            token_colours: all.token_colours.clone().filter(|_| on(4)),
+            token_colors: all.token_colors.clone().filter(|_| on(4)),
             ..all
         };
         assert_eq!(render(&scene, &cameras, &request), [expected], "{request:?}");
@@ -127,30 +127,30 @@ fn contents(plan: &Plan) -> (Vec<String>, Vec<(String, u64)>) {
 
 #[test]
 fn what_is_not_asked_for_costs_nothing() {
-    let colour = RenderRequest::default();
-    let (kernels, tensors) = contents(&plan(&colour));
+    let color = RenderRequest::default();
+    let (kernels, tensors) = contents(&plan(&color));
     let has = |tensors: &[(String, u64)], name: &str| tensors.iter().any(|(other, _)| other.ends_with(name));
-    assert!(has(&tensors, "/colours") && !has(&tensors, "/normals"), "{tensors:?}");
+    assert!(has(&tensors, "/colors") && !has(&tensors, "/normals"), "{tensors:?}");
 
-    let (with_normals, its_tensors) = contents(&plan(&RenderRequest { normals: true, ..colour }));
+    let (with_normals, its_tensors) = contents(&plan(&RenderRequest { normals: true, ..color }));
     assert!(has(&its_tensors, "/normals") && with_normals.len() == kernels.len() + 1);
     assert!(with_normals.contains(&"render/normals".into()) && !kernels.contains(&"render/normals".into()));
-    let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..colour }));
-    assert!(!has(&alone, "/colours"), "{alone:?}");
+    let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..color }));
+    assert!(!has(&alone, "/colors"), "{alone:?}");
 
     // These are in no pass and no tensor but the picture itself.
     let specialised = [
-        RenderRequest { alpha: true, ..colour },
-        RenderRequest { depth: Some(Depth::Expected), ..colour },
-        RenderRequest { token_group: NonZeroU32::new(4), ..colour },
-        RenderRequest { background: [1.0; 3], ..colour },
-        RenderRequest { antialiased: true, ..colour },
+        RenderRequest { alpha: true, ..color },
+        RenderRequest { depth: Some(Depth::Expected), ..color },
+        RenderRequest { token_group: NonZeroU32::new(4), ..color },
+        RenderRequest { background: [1.0; 3], ..color },
+        RenderRequest { antialiased: true, ..color },
     ];
     for request in specialised {
         let (its_kernels, mut its_tensors) = contents(&plan(&request));
         let frames = its_tensors.iter_mut().find(|(name, _)| name.ends_with("/frames")).unwrap();
         assert_eq!(frames.1, 4 * 64 * 64 * request.channels() as u64);
-        frames.1 = 4 * 64 * 64 * colour.channels() as u64;
+        frames.1 = 4 * 64 * 64 * color.channels() as u64;
         assert_eq!((its_kernels, its_tensors), (kernels.clone(), tensors.clone()), "{request:?}");
     }
 }

@@ -34,7 +34,7 @@ pub fn render(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Vec
 }
 
 pub fn bits(frames: &[Frame]) -> Vec<Vec<u32>> {
-    let planes = frames.iter().flat_map(|f| [&f.rgb, &f.alpha, &f.depth, &f.normals, &f.token_colours]).flatten();
+    let planes = frames.iter().flat_map(|f| [&f.rgb, &f.alpha, &f.depth, &f.normals, &f.token_colors]).flatten();
     planes.map(|plane| plane.iter().map(|v| v.to_bits()).collect()).collect()
 }
 
@@ -59,18 +59,18 @@ fn equals_the_goldens() {
             for (depth, depth_key) in [(Depth::Accumulated, "D"), (Depth::Expected, "ED")] {
                 let request = RenderRequest { antialiased, depth: Some(depth), ..ALL };
                 let frames = renderer.render(&scene, &cameras, &request).unwrap();
-                let [colour, z] = tolerances(&file, depth);
+                let [color, z] = tolerances(&file, depth);
                 let case = format!("v153/{mode}");
-                compare(&golden, &case, "rgb", &frames, |f| &f.rgb, colour);
-                compare(&golden, &case, "alpha", &frames, |f| &f.alpha, colour);
+                compare(&golden, &case, "rgb", &frames, |f| &f.rgb, color);
+                compare(&golden, &case, "alpha", &frames, |f| &f.alpha, color);
                 compare(&golden, &case, depth_key, &frames, |f| &f.depth, z);
             }
         }
         let background = <[f32; 3]>::try_from(golden.f32("bg")).unwrap();
         let frames =
             renderer.render(&scene, &cameras, &RenderRequest { background, ..RenderRequest::default() }).unwrap();
-        let [colour, _] = tolerances(&file, Depth::Accumulated);
-        compare(&golden, "v153/classic", "rgb_bg", &frames, |f| &f.rgb, colour);
+        let [color, _] = tolerances(&file, Depth::Accumulated);
+        compare(&golden, "v153/classic", "rgb_bg", &frames, |f| &f.rgb, color);
     }
 }
 

@@ -67,18 +67,18 @@ fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
 struct Reprojection {
     surfaces: usize,
     seen: usize,
-    colour_errors: Vec<f64>,
+    color_errors: Vec<f64>,
     /// The same against the colour of another place of the picture.
     chance_errors: Vec<f64>,
 }
 
 fn reproject(capture: &Capture, from: usize, to: usize) -> Reprojection {
     let Intrinsics { width, height, .. } = capture.cameras[from].intrinsics;
-    let colour = |view: usize, x: u32, y: u32| {
+    let color = |view: usize, x: u32, y: u32| {
         let at = 3 * (y * width + x) as usize;
         DVec3::from_slice(&[0, 1, 2].map(|c| f64::from(capture.images[view].rgb[at + c]) / 255.0))
     };
-    let mut result = Reprojection { surfaces: 0, seen: 0, colour_errors: Vec::new(), chance_errors: Vec::new() };
+    let mut result = Reprojection { surfaces: 0, seen: 0, color_errors: Vec::new(), chance_errors: Vec::new() };
     for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
         let Some(point) = capture.point(from, x, y) else { continue };
         result.surfaces += 1;
@@ -88,10 +88,10 @@ fn reproject(capture: &Capture, from: usize, to: usize) -> Reprojection {
             continue;
         }
         result.seen += 1;
-        let here = colour(from, x, y);
+        let here = color(from, x, y);
         let error = |other: DVec3| (here - other).abs().element_sum() / 3.0;
-        result.colour_errors.push(error(colour(to, u, v)));
-        result.chance_errors.push(error(colour(to, (u + width / 2) % width, (v + height / 3) % height)));
+        result.color_errors.push(error(color(to, u, v)));
+        result.chance_errors.push(error(color(to, (u + width / 2) % width, (v + height / 3) % height)));
     }
     result
 }
@@ -101,12 +101,12 @@ fn mean(values: &[f64]) -> f64 {
 }
 
 #[test]
-fn points_land_on_the_same_colours_in_other_views() {
+fn points_land_on_the_same_colors_in_other_views() {
     let (mut errors, mut chance) = (Vec::new(), Vec::new());
     for seed in 100..125 {
         let capture = capture(seed, &options(6, 64));
         let found = reproject(&capture, 2, 3);
-        errors.extend(found.colour_errors);
+        errors.extend(found.color_errors);
         chance.extend(found.chance_errors);
     }
     let (error, chance) = (mean(&errors), mean(&chance));

@@ -30,7 +30,7 @@ fn a_stream_is_read_back() {
         let record = Record::read(&header, &mut rest).expect("a scene");
         let capture = capture(seed, &options);
         assert_eq!((record.seed, record.family, record.path), (seed, capture.family, capture.path));
-        assert_eq!(record.colours, capture.images.iter().flat_map(|image| image.rgb.clone()).collect::<Vec<_>>());
+        assert_eq!(record.colors, capture.images.iter().flat_map(|image| image.rgb.clone()).collect::<Vec<_>>());
         assert_eq!(record.overlap, capture.overlap);
         for (half, depth) in record.depths.iter().zip(capture.depths.iter().flatten()) {
             assert!((half.to_f32() - depth).abs() <= depth / 2048.0, "depth {depth} became {half}");

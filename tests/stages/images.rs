@@ -117,7 +117,7 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
 }
 
 /// The colour of a far place in a direction.
-fn colour(direction: DVec3) -> [f64; 3] {
+fn color(direction: DVec3) -> [f64; 3] {
     let d = direction.normalize();
     [d.x, d.y, d.x * d.y].map(|value| 127.5 + 110.0 * (3.0 * value).sin())
 }
@@ -139,7 +139,7 @@ fn squares_show_what_their_cameras_see() {
             DVec3::new((f64::from(x) + 0.5 - i.cx) / i.fx, (f64::from(y) + 0.5 - i.cy) / i.fy, 1.0)
         };
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-        let rgb = pixels.flat_map(|(x, y)| colour(ray(&intrinsics, x, y)).map(|value| value.round() as u8)).collect();
+        let rgb = pixels.flat_map(|(x, y)| color(ray(&intrinsics, x, y)).map(|value| value.round() as u8)).collect();
         let photo = Image::new(width, height, rgb).unwrap();
         let views = squares(&photo, &camera, 56, "camera").unwrap();
         assert_eq!((views.len(), square_count(width, height)), (count, count));
@@ -153,7 +153,7 @@ fn squares_show_what_their_cameras_see() {
                 let inside = |place: f64, length: u32| (4.0..f64::from(length) - 4.0).contains(&place);
                 if inside(at[0], width) && inside(at[1], height) {
                     let pixel = 3 * (y * 56 + x) as usize;
-                    let truth = colour(d);
+                    let truth = color(d);
                     let apart = (0..3).map(|c| (f64::from(image.rgb[pixel + c]) - truth[c]).abs()).fold(0.0, f64::max);
                     assert!(apart < 4.0, "{apart} levels at ({x}, {y}) of a square of {width}x{height}");
                 }

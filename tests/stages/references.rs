@@ -197,7 +197,7 @@ fn projections() {
             compare("depth", &|splat| vec![splat.depth], 1);
             compare("conic", &|splat| splat.conic.to_vec(), 3);
             compare("opac", &|splat| vec![splat.opacity], 1);
-            compare("color", &|splat| splat.colour.to_vec(), 3);
+            compare("color", &|splat| splat.color.to_vec(), 3);
             if antialiased {
                 compare("comp", &|splat| vec![splat.compensation], 1);
             }

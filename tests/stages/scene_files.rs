@@ -205,7 +205,7 @@ fn foreign_files_are_read() {
 }
 
 #[test]
-fn colour_without_view_dependence_needs_no_f_rest() {
+fn color_without_view_dependence_needs_no_f_rest() {
     let scene = scene(3, 0);
     let kept = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
     let properties: Vec<_> = (kept.map(String::from).into_iter())

@@ -79,7 +79,7 @@ fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) 
     let scale = (slack / 32.0f32).exp() - 1.0;
     assert_within("scale", found.scales.as_flattened(), truth.scales.as_flattened(), |truth| scale * truth);
     assert_within("opacity", &found.opacities, &truth.opacities, |_| slack / 510.0);
-    assert_within("colour", &coefficient(found, 0), &coefficient(truth, 0), |_| slack / (510.0 * 0.15));
+    assert_within("color", &coefficient(found, 0), &coefficient(truth, 0), |_| slack / (510.0 * 0.15));
     for k in 1..truth.sh_coeffs_per_gaussian() {
         // Half a level, then half a bucket of 8 or 16 levels.
         let levels = if k < 4 { 4.5 } else { 8.5 };
@@ -139,7 +139,7 @@ fn spz_gives_far_scenes_coarser_positions() {
 }
 
 #[test]
-fn splat_keeps_one_colour_most_important_first() {
+fn splat_keeps_one_color_most_important_first() {
     let truth = scene(2);
     let found = round_trip(&truth, "scene.splat", &WriteOptions::default());
     let weight = |scene: &Scene, i: usize| scene.scales[i].iter().product::<f32>() * scene.opacities[i];
@@ -158,9 +158,9 @@ fn splat_keeps_one_colour_most_important_first() {
     let (sh_constant, k) = (0.282_094_8, truth.sh_coeffs_per_gaussian());
     let dc: Vec<f32> = order.iter().flat_map(|&i| truth.sh_coeffs[k * i]).collect();
     assert_eq!(found.sh_degree, 0);
-    let colour = |dc: f32| (0.5 + sh_constant * dc).clamp(0.0, 1.0);
-    let colours = |values: &[f32]| values.iter().map(|&dc| colour(dc)).collect::<Vec<f32>>();
-    assert_within("colour", &colours(found.sh_coeffs.as_flattened()), &colours(&dc), |_| 1.001 / 510.0);
+    let color = |dc: f32| (0.5 + sh_constant * dc).clamp(0.0, 1.0);
+    let colors = |values: &[f32]| values.iter().map(|&dc| color(dc)).collect::<Vec<f32>>();
+    assert_within("color", &colors(found.sh_coeffs.as_flattened()), &colors(&dc), |_| 1.001 / 510.0);
 }
 
 #[test]

@@ -21,7 +21,7 @@ const STEPS: [(&str, &str); 18] = [
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
     ("render/cameras_backward", "render/backward"),
-    ("render/colour_backward", "render/backward"),
+    ("render/color_backward", "render/backward"),
     ("render/project_backward", "render/backward"),
     ("render/rasterise_backward", "render/backward"),
     ("render/tile_counts", "render/intersect"),

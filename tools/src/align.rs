@@ -4,7 +4,7 @@ pub mod adam;
 
 use crate::{
     capture::{draw, draw_all},
-    metrics::{mean_colour, psnr, values},
+    metrics::{mean_color, psnr, values},
 };
 use clap::ValueEnum;
 use glam::{DMat3, DQuat, DVec3};
@@ -91,7 +91,7 @@ pub enum Doubt {
     /// The camera went about as far as it may.
     Bound,
     /// The picture is no more like the photo than a single colour is, the mean of the nearest input photo.
-    Colour,
+    Color,
 }
 
 /// Turns and moves `camera` until its picture of the scene that a renderer holds has the least squared error to `photo`, of
@@ -119,7 +119,7 @@ pub fn align(
         shift: 0.0,
         doubt,
     };
-    if psnr(&truth, &mean_colour(&truth)) > -20.0 * TEXTURE.log10() {
+    if psnr(&truth, &mean_color(&truth)) > -20.0 * TEXTURE.log10() {
         return Ok(stay(Some(Doubt::Flat)));
     }
     let halves = successors(Some((photo.width, photo.height)), |(width, height)| Some((width / 2, height / 2)));

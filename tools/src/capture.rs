@@ -1,7 +1,7 @@
 //! Captures: photos with cameras, some to reconstruct from and the others to compare with.
 
 use crate::{
-    metrics::{mean_colour, psnr, ssim, values},
+    metrics::{mean_color, psnr, ssim, values},
     options::Size,
     photos,
     refinement::placed,
@@ -73,7 +73,7 @@ pub struct Score {
     pub psnr: f64,
     pub ssim: f64,
     pub nearest_psnr: f64,
-    pub mean_colour_psnr: f64,
+    pub mean_color_psnr: f64,
 }
 
 impl Choice {
@@ -225,7 +225,7 @@ impl Capture {
             psnr: psnr(drawn, &truth),
             ssim: ssim(drawn, &truth, view.image.width as usize, view.image.height as usize),
             nearest_psnr: psnr(&near, &truth),
-            mean_colour_psnr: psnr(&mean_colour(&near), &truth),
+            mean_color_psnr: psnr(&mean_color(&near), &truth),
         }
     }
 }
@@ -262,7 +262,7 @@ impl Score {
             psnr: mean(|score| score.psnr),
             ssim: mean(|score| score.ssim),
             nearest_psnr: mean(|score| score.nearest_psnr),
-            mean_colour_psnr: mean(|score| score.mean_colour_psnr),
+            mean_color_psnr: mean(|score| score.mean_color_psnr),
         }
     }
 }

@@ -56,7 +56,7 @@ mod tests {
     use super::parse;
 
     #[test]
-    fn colours_are_read() {
+    fn colors_are_read() {
         for (text, color) in [
             ("#ffffff", [1.0; 3]),
             ("#F80", [1.0, 136.0 / 255.0, 0.0]),

@@ -22,7 +22,7 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
 }
 
 /// A picture `[..][rgb]` of one colour, the mean of another's.
-pub fn mean_colour(picture: &[f32]) -> Vec<f32> {
+pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     let mut sums = [0.0; 3];
     picture.iter().enumerate().for_each(|(i, value)| sums[i % 3] += f64::from(*value));
     (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()

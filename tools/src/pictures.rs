@@ -184,8 +184,8 @@ fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usiz
         let half: Vec<f32> = normals.iter().map(|n| 0.5 + 0.5 * n).collect();
         outputs::save_picture(&path(".normal"), &Image::from_rgb_f32(width, height, &half)?)?;
     }
-    if let Some(colours) = &frame.token_colours {
-        outputs::save_picture(&path(".tokens"), &Image::from_rgb_f32(width, height, colours)?)?;
+    if let Some(colors) = &frame.token_colors {
+        outputs::save_picture(&path(".tokens"), &Image::from_rgb_f32(width, height, colors)?)?;
     }
     let cell = SHEET_SIDE / sheet_columns(frames) as u32;
     if width.max(height) <= cell {

@@ -65,17 +65,17 @@ def main():
 
 
 def average(means):
-    names = ("psnr", "ssim", "nearest_psnr", "mean_colour_psnr")
+    names = ("psnr", "ssim", "nearest_psnr", "mean_color_psnr")
     return {name: sum(mean[name] for mean in means) / len(means) for name in names}
 
 
 def gain(mean):
     """dB above the better of the two trivial predictions."""
-    return mean["psnr"] - max(mean["nearest_psnr"], mean["mean_colour_psnr"])
+    return mean["psnr"] - max(mean["nearest_psnr"], mean["mean_color_psnr"])
 
 
 def cells(mean):
-    return [f"{mean['psnr']:.2f}", f"{mean['ssim']:.3f}", f"{mean['nearest_psnr']:.2f}", f"{mean['mean_colour_psnr']:.2f}"]
+    return [f"{mean['psnr']:.2f}", f"{mean['ssim']:.3f}", f"{mean['nearest_psnr']:.2f}", f"{mean['mean_color_psnr']:.2f}"]
 
 
 if __name__ == "__main__":

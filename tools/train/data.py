@@ -36,7 +36,7 @@ class Shards:
         v, h, w = self.shape = header["vhw"][0].tolist()
         self.record = np.dtype(
             [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (v, 4)),
-             ("poses", "<f4", (v, 3, 4)), ("overlap", "<f4", (v, v)), ("colours", "u1", (v, h, w, 3)),
+             ("poses", "<f4", (v, 3, 4)), ("overlap", "<f4", (v, v)), ("colors", "u1", (v, h, w, 3)),
              ("depths", "<f2", (v, h, w))]
         )  # fmt: skip
 
@@ -68,7 +68,7 @@ class Pool:
     which training stood still because there were too few scenes.
     """
 
-    FIELDS = ("intrinsics", "poses", "overlap", "colours", "depths")
+    FIELDS = ("intrinsics", "poses", "overlap", "colors", "depths")
     KINDS = {"u1": torch.uint8, "f2": torch.float16, "f4": torch.float32}
 
     def __init__(self, shards, capacity, device, block=32, reuse=0.0):
@@ -219,10 +219,10 @@ def batch(rows, context, targets, points, cells, patch, loose=None):
     centres = cell_centres(*depth.shape[1:], *cells, patch, depth.device)
     bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
     return Batch(
-        pick(rows["colours"], context).movedim(-1, 2).float() / 255,
+        pick(rows["colors"], context).movedim(-1, 2).float() / 255,
         cameras,
         intrinsics,
-        pick(rows["colours"], targets).float() / 255,
+        pick(rows["colors"], targets).float() / 255,
         pick(rows["depths"], targets).float() / scale[..., None],
         inverse(pick(relative, targets)),
         pick(rows["intrinsics"], targets),

@@ -38,7 +38,7 @@ def widen_colors(tensors, model, cells):
     """`tensors` for `model`, whose colour branch is twice as wide, with its head on top.
 
     The new channels are the old ones again. One a cell also carries what the old ones cannot tell of the cell's brightness,
-    and the head adds that to the colour of the cell's Gaussian. What else is new starts without effect.
+    and the head adds that to the color of the cell's Gaussian. What else is new starts without effect.
     """
     a, new = model.architecture, model.state_dict()
     count = cells[0] * cells[1]

@@ -14,7 +14,7 @@ def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
     """Weights to start training from.
 
     All Gaussians of a token start at one place (but for `jitter`), nearly transparent, `depth` in front of the first
-    camera, each in the colour that its one of the `cells` (rows, columns) of the patch has in the picture; `size` and
+    camera, each in the color that its one of the `cells` (rows, columns) of the patch has in the picture; `size` and
     `opacity` are raw values, before activation.
     """
     a = model.architecture
@@ -54,7 +54,7 @@ def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
 def see_colors(model, cells):
     """Lets the colours of a patch's cells through to its Gaussians.
 
-    The colour branch carries them beside the tokens; the head's MLP starts as the identity, as gelu(x) - gelu(-x) = x.
+    The color branch carries them beside the tokens; the head's MLP starts as the identity, as gelu(x) - gelu(-x) = x.
     """
     a = model.architecture
     count, inputs = cells[0] * cells[1], a.width + a.color_width

@@ -115,7 +115,7 @@ def anchor(means, anchors, tokens):
     return F.smooth_l1_loss(middles(signed_log(means), *anchors.shape[1:3]), signed_log(anchors), beta=0.1)
 
 
-def colour(constants, batch, tokens):
+def color(constants, batch, tokens):
     """How far the Gaussians' constant colours are from the mean colours of their cells: what stands in for pictures."""
     patches, cells = batch.anchors.shape[1:3]
     views, height, width = batch.images.shape[1], *batch.images.shape[-2:]
@@ -157,7 +157,7 @@ def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perce
         "position": F.relu(torch.log1p(means.abs()) - 3).square().mean(),
     }
     if pictures is None:
-        parts["colour"] = colour(gaussians[..., 11:14], batch, tokens)
+        parts["color"] = color(gaussians[..., 11:14], batch, tokens)
     else:
         parts |= seen(means, pictures, batch, sample, perceptual)
         parts["scale"] = F.relu(scales - 0.1).square().mean()
@@ -168,7 +168,7 @@ def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perce
 
 def seen(means, pictures, batch, sample, perceptual):
     """The parts that need the targets drawn."""
-    rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colours))
+    rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colors))
     surface = batch.depth > 0
     # sum of weight * (depth - truth): a Gaussian answers for its own depth, and for its weight where it is wrong.
     depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)

@@ -141,7 +141,7 @@ class Trainer:
             gaussians, tokens = model(given_batch.images, ratio, priors, given)
         if not draw:
             return gaussians, tokens, None
-        size = given_batch.colours.shape[2:4]
+        size = given_batch.colors.shape[2:4]
         pictures = rasterise(
             gaussians, given_batch.viewmats, given_batch.target_intrinsics, size, self.architecture.sh_degree
         )
@@ -173,7 +173,7 @@ class Trainer:
         with torch.no_grad():
             parts |= {"loss": loss, "norm": norm, "median_scale": gaussians[:, ::7, 3:6].median()}
             if draw:
-                error = (pictures.rgb.clamp(0, 1) - data.colours).square().mean((1, 2, 3, 4))
+                error = (pictures.rgb.clamp(0, 1) - data.colors).square().mean((1, 2, 3, 4))
                 parts |= {"psnr": -10 * error.log10().mean(), "reached": pictures.reached.float().mean()}
             return {name: value.detach() for name, value in parts.items()}
 
@@ -245,7 +245,7 @@ class Trainer:
             **row,
         }
         self.log.append(row)
-        shown = ("loss", "psnr", "l1", "anchor", "ray", "colour", "chamfer", "depth", "reached", "median_scale", "norm")
+        shown = ("loss", "psnr", "l1", "anchor", "ray", "color", "chamfer", "depth", "reached", "median_scale", "norm")
         print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
@@ -269,7 +269,7 @@ class Trainer:
                     given_scenes = torch.full((len(part.images),), given, device=self.device)
                     _, _, pictures = self.forward(self.average, part, ratio, given_scenes)
                     rgb = pictures.rgb.clamp(0, 1)
-                    psnr.append(-10 * (rgb - part.colours).square().mean((2, 3, 4)).log10().flatten())
+                    psnr.append(-10 * (rgb - part.colors).square().mean((2, 3, 4)).log10().flatten())
                     if ratio == 1 and start == 0:
                         grid.append((rgb, pictures.depth))
                 scores[f"{'priors' if given else 'plain'}_r{ratio:g}"] = torch.cat(psnr).mean().item()
@@ -284,7 +284,7 @@ class Trainer:
         for i in range(min(6, len(given))):
             tiles = [data.images[i, 0].movedim(0, -1), data.images[i, -1].movedim(0, -1)]
             for t in range(min(2, given.shape[1])):
-                tiles += [data.colours[i, t], given[i, t], plain[i, t], nearness[i, t]]
+                tiles += [data.colors[i, t], given[i, t], plain[i, t], nearness[i, t]]
             lines.append(torch.cat(tiles, 1))
         if self.rank > 0:
             return

@@ -18,7 +18,7 @@ function half(value) {
 
 function emptyScene(count, degree) {
     const scene = { count, degree };
-    for (const [name, width] of [["means", 3], ["scales", 3], ["quats", 4], ["opacities", 1], ["colours", 3]])
+    for (const [name, width] of [["means", 3], ["scales", 3], ["quats", 4], ["opacities", 1], ["colors", 3]])
         scene[name] = new Float32Array(count * width);
     scene.rest = new Uint16Array(count * 3 * ((degree + 1) ** 2 - 1));
     return scene;
@@ -81,7 +81,7 @@ function readPly(bytes, progress) {
     for (let i = 0; i < count; ++i) {
         for (const [field, readers] of fields)
             for (let j = 0; j < readers.length; ++j) field[i * readers.length + j] = readers[j](i);
-        scene.colours.set([0.5 + SH_0 * r(i), 0.5 + SH_0 * g(i), 0.5 + SH_0 * b(i)], 3 * i);
+        scene.colors.set([0.5 + SH_0 * r(i), 0.5 + SH_0 * g(i), 0.5 + SH_0 * b(i)], 3 * i);
         scene.scales.set([Math.exp(s0(i)), Math.exp(s1(i)), Math.exp(s2(i))], 3 * i);
         scene.opacities[i] = 1 / (1 + Math.exp(-opacity(i)));
         for (let j = 0; j < rest.length; ++j) scene.rest[i * rest.length + j] = half(rest[j](i));
@@ -116,7 +116,7 @@ async function readSpz(packed, progress) {
     let end = 16;
     const sections = [9, 1, 3, 3, rotationBytes, rest].map(width => bytes.subarray(end, end += width * count));
     if (end > bytes.length) throw new Error(`The SPZ is cut off: ${count} Gaussians take ${end} bytes, it has ${bytes.length}.`);
-    const [positions, alphas, colours, scales, rotations, harmonics] = sections;
+    const [positions, alphas, colors, scales, rotations, harmonics] = sections;
     const scene = emptyScene(count, degree), signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
     const quat = [0, 0, 0, 0];
     for (let i = 0; i < count; ++i) {
@@ -124,7 +124,7 @@ async function readSpz(packed, progress) {
             const at = 9 * i + 3 * j, c = 3 * i + j;
             const fixed = (positions[at] << 8 | positions[at + 1] << 16 | positions[at + 2] << 24) >> 8;
             scene.means[c] = (j === 0 ? fixed : -fixed) / one;
-            scene.colours[c] = 0.5 + SH_0 * (colours[c] / 255 - 0.5) / 0.15;
+            scene.colors[c] = 0.5 + SH_0 * (colors[c] / 255 - 0.5) / 0.15;
             scene.scales[c] = Math.exp(scales[c] / 16 - 10);
         }
         scene.opacities[i] = alphas[i] / 255;
@@ -156,7 +156,7 @@ function readSplat(bytes, progress) {
         for (let j = 0; j < 3; ++j) {
             scene.means[3 * i + j] = view.getFloat32(32 * i + 4 * j, true);
             scene.scales[3 * i + j] = view.getFloat32(32 * i + 12 + 4 * j, true);
-            scene.colours[3 * i + j] = bytes[32 * i + 24 + j] / 255;
+            scene.colors[3 * i + j] = bytes[32 * i + 24 + j] / 255;
         }
         scene.opacities[i] = bytes[32 * i + 27] / 255;
         for (let j = 0; j < 4; ++j) scene.quats[4 * i + j] = (bytes[32 * i + 28 + j] - 128) / 128;

@@ -15,7 +15,7 @@ uniform vec2 focal, size;
 uniform int degree;
 layout(location = 0) in uint index;
 out vec2 place; // in standard deviations from the centre
-flat out vec4 colour;
+flat out vec4 color;
 
 const float BLUR = 0.3, ALPHA_MIN = 1.0 / 255.0, NEAR = 0.01, SCALE_MAX = 1e8;
 
@@ -93,18 +93,18 @@ void main() {
 
     vec3 rgb = uintBitsToFloat(third.xyz);
     if (degree > 0) rgb += bands(normalize(offset));
-    colour = vec4(max(rgb, 0.0), opacity);
+    color = vec4(max(rgb, 0.0), opacity);
 }`;
 
 const SPLAT_FRAGMENT = `#version 300 es
 precision highp float;
 in vec2 place;
-flat in vec4 colour;
+flat in vec4 color;
 out vec4 blended;
 void main() {
-    float alpha = min(0.999, colour.a * exp(-0.5 * dot(place, place)));
+    float alpha = min(0.999, color.a * exp(-0.5 * dot(place, place)));
     if (alpha < 1.0 / 255.0) discard;
-    blended = vec4(colour.rgb * alpha, alpha);
+    blended = vec4(color.rgb * alpha, alpha);
 }`;
 
 const SHOW_VERTEX = `#version 300 es

@@ -9,7 +9,7 @@ const scenes = new Map();
 
 // A scene as texels of 4 words; renderer.js has the shader that reads them.
 function pack(scene) {
-    const { count, means, scales, quats, opacities, colours, rest } = scene;
+    const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
     const snorm = q => Math.round(32767 * q) & 0xffff;
     let dropped = 0;
@@ -17,7 +17,7 @@ function pack(scene) {
         const [w, x, y, z] = quats.subarray(4 * i, 4 * i + 4), length = Math.hypot(w, x, y, z);
         values.set(means.subarray(3 * i, 3 * i + 3), 12 * i);
         values.set(scales.subarray(3 * i, 3 * i + 3), 12 * i + 4);
-        values.set(colours.subarray(3 * i, 3 * i + 3), 12 * i + 8);
+        values.set(colors.subarray(3 * i, 3 * i + 3), 12 * i + 8);
         values[12 * i + 3] = opacities[i];
         gaussians[12 * i + 7] = snorm(w / length) | snorm(x / length) << 16;
         gaussians[12 * i + 11] = snorm(y / length) | snorm(z / length) << 16;

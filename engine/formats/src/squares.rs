@@ -83,8 +83,8 @@ fn sample(photo: &Image, lens: &Intrinsics, to: &Intrinsics, turn: &DMat3) -> Re
         for (i, j) in (0..SAMPLES).flat_map(|j| (0..SAMPLES).map(move |i| (i, j))) {
             let (u, v) = (f64::from(x) + offset(i), f64::from(y) + offset(j));
             let ray = *turn * DVec3::new((u - to.cx) / to.fx, (v - to.cy) / to.fy, 1.0);
-            let colour = bilinear(photo, lens.fx * ray.x / ray.z + lens.cx, lens.fy * ray.y / ray.z + lens.cy);
-            sum.iter_mut().zip(colour).for_each(|(sum, value)| *sum += value);
+            let color = bilinear(photo, lens.fx * ray.x / ray.z + lens.cx, lens.fy * ray.y / ray.z + lens.cy);
+            sum.iter_mut().zip(color).for_each(|(sum, value)| *sum += value);
         }
         sum.map(|value| (value / f64::from(SAMPLES * SAMPLES)).round() as u8)
     };

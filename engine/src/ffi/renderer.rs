@@ -258,23 +258,23 @@ impl zs_picture {
         let width = frame.width as usize;
         let alpha = frame.alpha.as_deref().unwrap_or_default();
         let row_bytes = width * format.bytes();
-        for (y, colours) in rgb.chunks_exact(3 * width).enumerate() {
+        for (y, colors) in rgb.chunks_exact(3 * width).enumerate() {
             // SAFETY: the caller's promise; the stride was checked not to wrap.
             let row = unsafe {
                 std::slice::from_raw_parts_mut(self.pixels.cast::<u8>().offset(y as isize * stride), row_bytes)
             };
-            encode_row(row, colours, alpha.get(y * width..).unwrap_or_default(), format);
+            encode_row(row, colors, alpha.get(y * width..).unwrap_or_default(), format);
         }
         Ok(())
     }
 }
 
 /// One row; `alpha` has values where the format has them.
-fn encode_row(row: &mut [u8], colours: &[f32], alpha: &[f32], format: zs_pixel_format) {
+fn encode_row(row: &mut [u8], colors: &[f32], alpha: &[f32], format: zs_pixel_format) {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0) as u8;
     let alpha_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
     let alphas = alpha.iter().copied().chain(std::iter::repeat(1.0));
-    let pixels = row.chunks_exact_mut(format.bytes()).zip(colours.chunks_exact(3)).zip(alphas);
+    let pixels = row.chunks_exact_mut(format.bytes()).zip(colors.chunks_exact(3)).zip(alphas);
     for ((pixel, rgb), alpha) in pixels {
         let ([r, g, b], a) = ([rgb[0], rgb[1], rgb[2]].map(byte), alpha_byte(alpha));
         match format {

@@ -23,12 +23,12 @@ pub fn dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     let (height, count) = (a.len() / (3 * width), a.len() as f64);
     let (mut sum, mut gradient) = (0.0, vec![0.0; a.len()]);
     for i in 0..a.len() {
-        let (x, y, colour) = (i / 3 % width, i / 3 / width, i % 3);
+        let (x, y, color) = (i / 3 % width, i / 3 / width, i % 3);
         let seen: Vec<(f64, usize)> = (0..121)
             .filter_map(|tap| {
                 let (x, y) = ((x + tap % 11).checked_sub(5)?, (y + tap / 11).checked_sub(5)?);
                 let weight = weights[tap % 11] * weights[tap / 11] / (total * total);
-                (x < width && y < height).then_some((weight, (y * width + x) * 3 + colour))
+                (x < width && y < height).then_some((weight, (y * width + x) * 3 + color))
             })
             .collect();
         let mean = |of: &dyn Fn(usize) -> f64| seen.iter().map(|&(weight, j)| weight * of(j)).sum::<f64>();

@@ -124,7 +124,7 @@ pub struct Ellipse {
     /// Peak alpha.
     pub opacity: f64,
     /// RGB.
-    pub colour: [f64; 3],
+    pub color: [f64; 3],
     /// Camera z.
     pub depth: f64,
 }
@@ -146,7 +146,7 @@ pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], backgrou
         if left * (1.0 - alpha) <= MIN_TRANSMITTANCE {
             break;
         }
-        let value = (0..3).map(|c| d[c] * splat.colour[c]).sum::<f64>() + d[3] + d[4] * splat.depth;
+        let value = (0..3).map(|c| d[c] * splat.color[c]).sum::<f64>() + d[3] + d[4] * splat.depth;
         seen.push((n, alpha, full > MAX_ALPHA, left, value, e, dy));
         left *= 1.0 - alpha;
     }
@@ -238,7 +238,7 @@ pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: 
 
 /// The gradients of the coefficients `[K, 3]` and of the offset from camera to Gaussian, for a colour
 /// that is not held at 0.
-pub fn of_colour(coeffs: &[f64], offset: DVec3, d: [f64; 3]) -> (Vec<f64>, [f64; 3]) {
+pub fn of_color(coeffs: &[f64], offset: DVec3, d: [f64; 3]) -> (Vec<f64>, [f64; 3]) {
     let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
     let basis = sh::basis(degree, offset.normalize());
     let of_coeffs = basis.iter().flat_map(|b| d.map(|d| b * d)).collect();

@@ -78,7 +78,7 @@ pub struct Splat {
     /// First and one past the last tile of that box, x and y.
     pub tiles: [[u32; 2]; 2],
     /// RGB seen from the camera, not clamped above.
-    pub colour: [f64; 3],
+    pub color: [f64; 3],
 }
 
 /// Every Gaussian's splat; `None` for those that the camera cannot see.
@@ -121,7 +121,7 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
         compensation,
         radii: radii.map(|r| r as u32),
         tiles: tiles(centre, radii, camera.size),
-        colour: sh::colour(&gaussians.sh_coeffs[i * coeffs..][..coeffs], mean - camera.centre()),
+        color: sh::color(&gaussians.sh_coeffs[i * coeffs..][..coeffs], mean - camera.centre()),
     })
 }
 

@@ -75,7 +75,7 @@ fn blend(splats: &[&Splat], [x, y]: [f64; 2]) -> Pixel {
             break;
         }
         let weight = alpha * pixel.transmittance;
-        (0..3).for_each(|channel| pixel.rgb[channel] += weight * splat.colour[channel]);
+        (0..3).for_each(|channel| pixel.rgb[channel] += weight * splat.color[channel]);
         pixel.depth += weight * splat.depth;
         pixel.transmittance = transmittance;
     }

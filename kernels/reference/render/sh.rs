@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 /// Colour of `coeffs [K, 3]` (K a square) seen along `direction` (camera to Gaussian, any length): `max(0, 0.5 + sum)`.
-pub fn colour(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
+pub fn color(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
     let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
     let basis = basis(degree, direction.normalize());
     std::array::from_fn(|channel| {

@@ -17,7 +17,7 @@ use zipsplat_tests::{
 struct Projection {
     xy_opacities: Vec<[f32; 3]>,
     conics: Vec<[f32; 3]>,
-    colours: Vec<[f32; 3]>,
+    colors: Vec<[f32; 3]>,
     depths: Vec<f32>,
     tile_sets: Vec<[u32; 3]>,
 }
@@ -34,7 +34,7 @@ fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
         cameras: rec.input::<CameraRows>("cameras", cameras.len()),
         xy_opacities: rec.tensor::<[f32; 3]>("xy_opacities", pairs),
         conics: rec.tensor::<[f32; 3]>("conics", pairs),
-        colours: rec.tensor::<[f32; 3]>("colours", pairs),
+        colors: rec.tensor::<[f32; 3]>("colors", pairs),
         depths: rec.tensor::<f32>("depths", pairs),
         tile_sets: rec.tensor::<[u32; 3]>("tile_sets", pairs),
         indices: rec.tensor::<u32>("indices", pairs),
@@ -43,13 +43,12 @@ fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
         camera_count: cameras.len() as u32,
         width: cameras[0].intrinsics.width,
         height: cameras[0].intrinsics.height,
-        colour: true,
+        color: true,
         sh_degree: scene.sh_degree,
         antialiased,
     };
     rec.dispatch(kernel, pairs);
-    for output in [kernel.xy_opacities, kernel.conics, kernel.colours, kernel.depths, kernel.tile_sets, kernel.indices]
-    {
+    for output in [kernel.xy_opacities, kernel.conics, kernel.colors, kernel.depths, kernel.tile_sets, kernel.indices] {
         rec.output(output);
     }
     let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
@@ -64,7 +63,7 @@ fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
     Projection {
         xy_opacities: run.read(kernel.xy_opacities).unwrap(),
         conics: run.read(kernel.conics).unwrap(),
-        colours: run.read(kernel.colours).unwrap(),
+        colors: run.read(kernel.colors).unwrap(),
         depths: run.read(kernel.depths).unwrap(),
         tile_sets: run.read(kernel.tile_sets).unwrap(),
     }
@@ -105,7 +104,7 @@ fn compare(golden: &Golden, key: &str, got: &Projection, gaussians: usize, camer
     let xy_opacities = mine(&got.xy_opacities);
     assert_close(&name("means2d"), &columns(&xy_opacities, 3, 0, 2), &pick(&truth("means2d"), 2), tolerance);
     assert_close(&name("opac"), &columns(&xy_opacities, 3, 2, 3), &pick(&truth("opac"), 1), tolerance);
-    assert_close(&name("color"), &mine(&got.colours), &pick(&truth("color"), 3), tolerance);
+    assert_close(&name("color"), &mine(&got.colors), &pick(&truth("color"), 3), tolerance);
     let depths: Vec<f32> = drawn.iter().map(|(_, pair)| got.depths[*pair]).collect();
     assert_close(&name("depth"), &depths, &pick(&truth("depth"), 1), tolerance);
     let conics: Vec<f64> = mine(&got.conics)

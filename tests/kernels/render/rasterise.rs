@@ -27,7 +27,7 @@ fn splats() -> Vec<Splat> {
             compensation: 1.0,
             radii: [0; 2],
             tiles: [[0; 2]; 2],
-            colour: [wave(i, 1.0), wave(i, 1.1), wave(i, 1.2)],
+            color: [wave(i, 1.0), wave(i, 1.1), wave(i, 1.2)],
         }
     };
     (0..150).map(splat).collect()
@@ -47,7 +47,7 @@ fn equals_brute_force_for_any_number_of_runs() {
             tile_offsets: rec.input::<u32>("tile_offsets", tiles + 1),
             xy_opacities: rec.input::<[f32; 3]>("xy_opacities", splats.len()),
             conics: rec.input::<[f32; 3]>("conics", splats.len()),
-            colours: rec.input::<[f32; 3]>("colours", splats.len()),
+            colors: rec.input::<[f32; 3]>("colors", splats.len()),
             depths: rec.input::<f32>("depths", splats.len()),
             normals: rec.input::<[f32; 3]>("normals", 1),
             frames: rec.tensor::<[f32; 5]>("frames", SIZE[0] * SIZE[1]),
@@ -57,7 +57,7 @@ fn equals_brute_force_for_any_number_of_runs() {
             row_count: SIZE[1] as u32,
             background: [0.1, 0.2, 0.3],
             runs,
-            colour: true,
+            color: true,
             has_background: true,
             alpha: true,
             depth: true,
@@ -80,7 +80,7 @@ fn equals_brute_force_for_any_number_of_runs() {
             [a, -b / a, c - b * b / a]
         };
         run.write(kernel.conics, &each(completed)).unwrap();
-        run.write(kernel.colours, &each(|s| s.colour)).unwrap();
+        run.write(kernel.colors, &each(|s| s.color)).unwrap();
         run.write(kernel.depths, &splats.iter().map(|s| s.depth as f32).collect::<Vec<_>>()).unwrap();
         run.write(kernel.normals, &[[0.0f32; 3]]).unwrap();
         run.execute().unwrap();

@@ -22,7 +22,7 @@ fn spz() {
         let step = (1.001 / 32.0f32).exp() - 1.0;
         assert_within("scale", found.scales.as_flattened(), &scales, |truth| step * truth);
         assert_within("opacity", &found.opacities, &truth.opacities, |_| 1.001 / 510.0);
-        assert_within("colour", &coefficient(&found, 0), &coefficient(&truth, 0), |_| 1.001 / (510.0 * 0.15));
+        assert_within("color", &coefficient(&found, 0), &coefficient(&truth, 0), |_| 1.001 / (510.0 * 0.15));
         assert_rotations(&found.quats, &truth.quats, rotation);
         for k in 1..9 {
             // Some of the writers round down to a bucket. On our axes the end of the range may be either one.
@@ -56,7 +56,7 @@ fn packed_ply() {
     assert_within("scale", &ln(&found), &ln(&truth), |_| scale);
     assert_within("opacity", &found.opacities, &truth.opacities, |_| 0.51 / 255.0);
     let color = step(&coefficient(&truth, 0), 256.0);
-    assert_within("colour", &coefficient(&found, 0), &coefficient(&truth, 0), |_| color);
+    assert_within("color", &coefficient(&found, 0), &coefficient(&truth, 0), |_| color);
     assert_rotations(&found.quats, &truth.quats, 0.01);
     for k in 1..9 {
         // A bucket of 256; its middle is read, but of the first and the last the ends of the range.
@@ -73,9 +73,9 @@ fn splat() {
     // This writer truncates.
     assert_within("opacity", &found.opacities, &truth.opacities, |_| 1.001 / 255.0);
     assert_rotations(&found.quats, &truth.quats, 4.0 / 128.0);
-    let colour = |dc: &f32| (0.5 + 0.282_094_8 * dc).clamp(0.0, 1.0);
-    let colours = |scene: &Scene| coefficient(scene, 0).iter().map(colour).collect::<Vec<f32>>();
-    assert_within("colour", &colours(&found), &colours(&truth), |_| 1.001 / 255.0);
+    let color = |dc: &f32| (0.5 + 0.282_094_8 * dc).clamp(0.0, 1.0);
+    let colors = |scene: &Scene| coefficient(scene, 0).iter().map(color).collect::<Vec<f32>>();
+    assert_within("color", &colors(&found), &colors(&truth), |_| 1.001 / 255.0);
 }
 
 #[test]

@@ -58,12 +58,12 @@ fn nodes_turn_move_and_scale() {
         assert!(ours.abs_diff_eq(glam::DMat3::from_quat(turn) * theirs, 1e-6), "rotation {i}");
         // The colour seen along a turned direction is the one that was seen along the direction.
         for direction in [axis, DVec3::X, DVec3::new(-1.0, 2.0, 0.5).normalize()] {
-            let colour = |scene: &Scene, direction: DVec3| {
+            let color = |scene: &Scene, direction: DVec3| {
                 let coeffs = &scene.sh_coeffs[16 * i..][..16];
                 let basis = sh::basis(3, direction);
                 basis.iter().zip(coeffs).map(|(basis, rgb)| basis * f64::from(rgb[1])).sum::<f64>()
             };
-            assert!((colour(&found, turn * direction) - colour(&truth, direction)).abs() < 1e-5, "colour {i}");
+            assert!((color(&found, turn * direction) - color(&truth, direction)).abs() < 1e-5, "colour {i}");
         }
     }
 }

@@ -102,7 +102,7 @@ pub struct Eval {
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
-    /// Table to write: view, psnr, ssim, nearest_psnr, mean_colour_psnr, a row for each photo compared; with --pose-free also
+    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, a row for each photo compared; with --pose-free also
     /// before_psnr, before_ssim, degrees, distance, doubt
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -291,13 +291,13 @@ fn table(scores: &[Score], mean: &Score) -> Table {
 }
 
 fn cells_of(score: &Score) -> [String; 5] {
-    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_colour_psnr])
+    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr])
 }
 
 /// PSNR, SSIM and the PSNR of the two predictions.
-fn cells(view: &str, [psnr, ssim, nearest, colour]: [f64; 4]) -> [String; 5] {
+fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4]) -> [String; 5] {
     let db = |value: f64| format!("{value:.2} dB");
-    [view.to_owned(), db(psnr), format!("{ssim:.3}"), db(nearest), db(colour)]
+    [view.to_owned(), db(psnr), format!("{ssim:.3}"), db(nearest), db(color)]
 }
 
 /// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.

@@ -47,7 +47,7 @@ pub struct Render {
     #[command(flatten)]
     path: CameraArgs,
     /// Colour behind the scene: red, green and blue from 0 to 1, '#rrggbb', or a basic colour of CSS such as white
-    #[arg(long, value_name = "COLOUR", default_value = "0,0,0", value_parser = color::parse)]
+    #[arg(long, value_name = "COLOR", default_value = "0,0,0", value_parser = color::parse)]
     background: [f32; 3],
     /// Make what is thinner than a pixel fainter, as Mip-Splatting does
     #[arg(long)]

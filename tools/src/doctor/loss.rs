@@ -122,13 +122,13 @@ impl Problem {
         let mut errors = vec![0.0; 1 + count];
         let mean = Bounded::rounded(1.0 / count as f64);
         let mut sums = [0.0; 2]; // of errors, of magnitudes
-        for colour in 0..3 {
-            let (by_dssim, values) = self.colour(colour);
+        for color in 0..3 {
+            let (by_dssim, values) = self.color(color);
             for value in values {
                 sums = [sums[0] + dssim_weight * value.error, sums[1] + dssim_weight * value.value];
             }
             for (i, by_dssim) in by_dssim.into_iter().enumerate() {
-                let at = 3 * i + colour;
+                let at = 3 * i + color;
                 let [a, b] = [self.frames[at], self.targets[at]].map(Bounded::exact);
                 let (d, w) = (a - b, Bounded::rounded(weight));
                 let (value, gradient) = match self.loss {
@@ -145,12 +145,12 @@ impl Problem {
     }
 
     /// The gradient of the sum of 1 - SSIM in one colour, and its terms.
-    fn colour(&self, colour: usize) -> (Vec<Bounded>, Vec<Bounded>) {
+    fn color(&self, color: usize) -> (Vec<Bounded>, Vec<Bounded>) {
         let pair = |i: usize| [self.frames[i], self.targets[i]].map(Bounded::exact);
         let rows: Vec<Vec<[Bounded; 4]>> = (0..self.frames.len() / (3 * WIDTH))
             .map(|y| {
                 let none = Bounded::exact(0.0);
-                let of = |x: usize| pair((y * WIDTH + x) * 3 + colour);
+                let of = |x: usize| pair((y * WIDTH + x) * 3 + color);
                 moments(&(0..WIDTH).map(|x| [of(x)[0], of(x)[0] - of(x)[1], none, none]).collect::<Vec<_>>())
             })
             .collect();
@@ -162,7 +162,7 @@ impl Problem {
             partials.map(|row| (0..WIDTH).map(|x| filtered(&row, x, |v| v)).collect()).collect();
         let columns = turned(&spread);
         let gradient = (0..self.frames.len() / 3).map(|i| {
-            let [a, b] = pair(3 * i + colour);
+            let [a, b] = pair(3 * i + color);
             let sums = filtered(&columns[i % WIDTH], i / WIDTH, |v| v);
             let half = sums[0] + (a - Bounded::exact(MIDDLE)) * sums[1] + (a - b) * sums[2];
             half + half

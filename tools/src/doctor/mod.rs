@@ -198,7 +198,7 @@ pub fn catalogue() -> Vec<Area> {
         splatting::area(),
         loss::area(),
         splatting_backward::rasterise(),
-        splatting_backward::colour(),
+        splatting_backward::color(),
         splatting_backward::project(),
         splatting_backward::cameras(),
         head_backward::activations(),

@@ -69,11 +69,11 @@ impl Palette<'_> {
         if let Some(texture) = self.photo(rng, role) {
             return texture;
         }
-        let colours = colours(rng, role);
+        let colors = colors(rng, role);
         let (pattern, period) = pattern(rng, role);
         let period = period * self.detail * rng.scale(0.6, 1.6);
         let stain = (rng.range(0.1, 0.6), period * rng.scale(0.15, 3.0));
-        Texture { pattern, period, offset: offset(rng), colours, stain }
+        Texture { pattern, period, offset: offset(rng), colors, stain }
     }
 
     fn photo(&self, rng: &mut Rng, role: Role) -> Option<Texture> {
@@ -92,19 +92,19 @@ impl Palette<'_> {
         let stain = (rng.range(0.05, 0.4), period * rng.scale(0.03, 0.5));
         let tint = Vec3A::ONE + 0.15 * Vec3A::new(rng.signed(), rng.signed(), rng.signed());
         let pattern = Pattern::Photo(rng.count(0, crops - 1));
-        Some(Texture { pattern, period, offset: offset(rng), colours: [tint; 3], stain })
+        Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
     /// Grass or earth where it is level, rock where it is steep.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
-        let colours = [colours(rng, Role::Ground)[0], colours(rng, Role::Foliage)[1], colours(rng, Role::Stone)[1]];
+        let colors = [colors(rng, Role::Ground)[0], colors(rng, Role::Foliage)[1], colors(rng, Role::Stone)[1]];
         let texture = Texture {
             pattern: Pattern::Slope { photo },
             period: self.detail * rng.scale(2.0, 6.0),
             offset: offset(rng),
-            colours,
+            colors,
             stain: (rng.range(0.2, 0.7), self.detail * rng.scale(2.0, 8.0)),
         };
         Material { texture, specular: 0.0, shininess: 8.0, glow: 0.0 }
@@ -207,7 +207,7 @@ fn offset(rng: &mut Rng) -> Vec3A {
 }
 
 /// Three colours that go together, linear.
-fn colours(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
+fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     let (hues, saturation, value) = match role {
         Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),
         Role::Floor | Role::Wood => ([0.04, 0.11], [0.25, 0.7], [0.3, 0.8]),
@@ -221,13 +221,13 @@ fn colours(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     };
     let hue = rng.range(hues[0], hues[1]);
     let contrasting = role == Role::Anything || role == Role::Fabric || role == Role::Picture;
-    let mut colour = |shift: f32, low: f32, high: f32| {
+    let mut color = |shift: f32, low: f32, high: f32| {
         let saturation = rng.range(saturation[0], saturation[1]);
         let brightness = value[0] + (value[1] - value[0]) * rng.range(low, high);
         from_hsv(hue + shift * rng.signed(), saturation, brightness)
     };
     let shift = if contrasting { 0.3 } else { 0.04 };
-    let mut three = [colour(0.02, 0.0, 0.4), colour(shift, 0.4, 0.8), colour(shift, 0.7, 1.0)];
+    let mut three = [color(0.02, 0.0, 0.4), color(shift, 0.4, 0.8), color(shift, 0.7, 1.0)];
     if contrasting && rng.chance(0.5) {
         three.swap(0, 2);
     }

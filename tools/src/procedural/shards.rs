@@ -67,7 +67,7 @@ pub struct Record {
     /// `[V][V]`.
     pub overlap: Vec<f32>,
     /// `[V][H][W][3]`.
-    pub colours: Vec<u8>,
+    pub colors: Vec<u8>,
     /// `[V][H][W]`.
     pub depths: Vec<f16>,
 }
@@ -128,7 +128,7 @@ impl Record {
             intrinsics: floats(part(16 * v)).as_chunks().0.to_vec(),
             poses: floats(part(48 * v)).as_chunks().0.to_vec(),
             overlap: floats(part(4 * v * v)),
-            colours: part(3 * v * pixels).to_vec(),
+            colors: part(3 * v * pixels).to_vec(),
             depths: part(2 * v * pixels).chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]])).collect(),
         })
     }

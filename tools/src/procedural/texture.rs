@@ -61,19 +61,19 @@ pub(super) struct Texture {
     pub period: f32,
     /// Metres; keeps equal patterns from repeating.
     pub offset: Vec3A,
-    pub colours: [Vec3A; 3],
+    pub colors: [Vec3A; 3],
     /// Stains: how much, and metres per period.
     pub stain: (f32, f32),
 }
 
 impl Texture {
     /// Albedo.
-    pub fn colour(&self, place: &Place, photos: &Photos) -> Vec3A {
+    pub fn color(&self, place: &Place, photos: &Photos) -> Vec3A {
         let p = (place.position + self.offset) / self.period;
         let uv = (place.uv + self.offset.xy()) / self.period;
         let width = place.footprint / self.period;
-        let [first, second, third] = self.colours;
-        let colour = match self.pattern {
+        let [first, second, third] = self.colors;
+        let color = match self.pattern {
             Pattern::Checker => first.lerp(second, checker(uv, width)),
             Pattern::Stripes(share) => second.lerp(first, pulse(uv.x, share, width)),
             Pattern::Bricks { aspect, mortar, shift } => self.bricks(uv, width, aspect, mortar, shift),
@@ -116,13 +116,13 @@ impl Texture {
         };
         let (amount, size) = self.stain;
         let stain = fbm((place.position + self.offset) / size, 3, place.footprint / size);
-        colour * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
+        color * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
     }
 
     /// From the first colour at 0 through the second to the third at 1.
     fn ramp(&self, t: f32) -> Vec3A {
         let t = 2.0 * t.clamp(0.0, 1.0);
-        let [first, second, third] = self.colours;
+        let [first, second, third] = self.colors;
         if t < 1.0 { first.lerp(second, t) } else { second.lerp(third, t - 1.0) }
     }
 
@@ -132,7 +132,7 @@ impl Texture {
         let (i, j) = (along.floor() as i32, row as i32);
         let covered = pulse(along, 1.0 - mortar / aspect, width / aspect) * pulse(uv.y, 1.0 - mortar, width);
         let shade = 0.5 + fade(width) * (hash_unit(i, j, 3) - 0.5);
-        let [first, second, third] = self.colours;
+        let [first, second, third] = self.colors;
         third.lerp(first.lerp(second, shade), covered)
     }
 }

@@ -24,7 +24,7 @@ pub(super) enum Key {
 #[derive(Clone, Debug)]
 pub(super) struct Light {
     pub key: Key,
-    pub colour: Vec3A,
+    pub color: Vec3A,
     /// Ambient light from above and from below.
     pub ambient: [Vec3A; 2],
 }
@@ -96,7 +96,7 @@ impl World {
     /// Light along a unit direction; `pixel` is the angle that one pixel covers.
     pub(super) fn look(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Seen {
         let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
-            return Seen { light: self.sky.colour(direction), distance: None, region: u32::MAX };
+            return Seen { light: self.sky.color(direction), distance: None, region: u32::MAX };
         };
         let primitive = &self.primitives[index];
         let point = origin + direction * t;
@@ -111,7 +111,7 @@ impl World {
             uv: primitive.shape.surface_coordinates(local, local_normal),
             footprint: t * pixel / facing.abs().max(0.1).sqrt(),
         };
-        let albedo = primitive.material.texture.colour(&place, photos);
+        let albedo = primitive.material.texture.color(&place, photos);
         let surface = Surface { point, normal, direction, material: &primitive.material, reach: 2e-4 + 2e-4 * t };
         let (light, lit) = self.shade(&surface, albedo);
         let haze = 1.0 - (-t / self.sky.haze).exp();
@@ -145,7 +145,7 @@ impl World {
                 0.0 => 0.0,
                 strength => strength * normal.dot(half).max(0.0).powf(material.shininess),
             };
-            light += self.light.colour * falloff * cosine * (albedo + highlight);
+            light += self.light.color * falloff * cosine * (albedo + highlight);
         }
         (light, lit)
     }
@@ -178,7 +178,7 @@ fn face(normal: Vec3A) -> u32 {
 }
 
 impl Sky {
-    fn colour(&self, direction: Vec3A) -> Vec3A {
+    fn color(&self, direction: Vec3A) -> Vec3A {
         let up = direction.z;
         let clear = self.horizon.lerp(self.zenith, smoothstep(-0.05, 0.6, up));
         if up <= 0.0 || self.clouds <= 0.0 {

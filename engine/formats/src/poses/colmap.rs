@@ -315,7 +315,7 @@ fn binary_points(bytes: &[u8]) -> Parsed<Vec<Point>> {
     for _ in 0..values.u64("number of points")? {
         values.u64("point id")?;
         let at = [values.f64("x")?, values.f64("y")?, values.f64("z")?].map(|value| value as f32);
-        points.push((at, values.take("colour")?));
+        points.push((at, values.take("color")?));
         values.f64("error")?;
         let track = values.u64("length of a track")?;
         values.skip(track, TRACK_BYTES, "elements of a track")?;

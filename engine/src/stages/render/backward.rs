@@ -11,7 +11,7 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::{
         limits::TILE,
-        render::{CamerasBackward, ColourBackward, ProjectBackward, RasteriseBackward, TileCounts},
+        render::{CamerasBackward, ColorBackward, ProjectBackward, RasteriseBackward, TileCounts},
     },
     ops::scan::exclusive_scan,
 };
@@ -124,7 +124,7 @@ impl Backward<'_> {
                 xy_opacities: splats.xy_opacities,
                 conics: splats.conics,
                 // What is not asked for is not touched; something has to be bound.
-                colours: splats.colours.unwrap_or(splats.conics),
+                colors: splats.colors.unwrap_or(splats.conics),
                 depths: splats.depths,
                 frames: band(frames),
                 d_frames: band(d_frames),
@@ -136,7 +136,7 @@ impl Backward<'_> {
                 row_count: rows as u32,
                 capacity: capacity as u32,
                 runs,
-                colour: request.rgb,
+                color: request.rgb,
                 alpha: request.alpha,
                 depth: request.depth.is_some(),
                 expected_depth: request.depth == Some(Depth::Expected),
@@ -167,11 +167,11 @@ impl Backward<'_> {
             let [d_means, d_scales, d_quats, d_opacities] =
                 d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));
             let means = of(scene.means, 3);
-            let kernel = ColourBackward {
+            let kernel = ColorBackward {
                 means,
                 sh_coeffs: of(scene.sh_coeffs, 3 * stride),
                 cameras,
-                colours: splats.colours.map_or(d_pairs, |colours| pair(colours, 3)),
+                colors: splats.colors.map_or(d_pairs, |colors| pair(colors, 3)),
                 status: lists.status,
                 slots: slots.starts.slice::<u32>(first * shape.cameras, len * shape.cameras + 1),
                 moments: slots.moments,
@@ -180,7 +180,7 @@ impl Backward<'_> {
                 d_sh_coeffs: gradients.scene.map_or(d_means, |d| of(d.sh_coeffs, 3 * stride)),
                 gaussians: len as u32,
                 camera_count: shape.cameras as u32,
-                colour: request.rgb,
+                color: request.rgb,
                 depth: request.depth.is_some(),
                 sh_degree: scene.sh_degree,
                 scene_gradients: gradients.scene.is_some(),

@@ -55,7 +55,7 @@ impl RenderRequest {
     /// `used_degree` are not all zero.
     pub(super) fn left_out(&self, stored_degree: u32, used_degree: u32) -> Vec<LeftOut> {
         let asked = [
-            ("colour", self.rgb),
+            ("color", self.rgb),
             ("alpha", self.alpha),
             ("depth", self.depth.is_some()),
             ("normals", self.normals),
@@ -100,7 +100,7 @@ pub struct Frame {
     /// `[height, width, 3]` x, y, z in the world's frame, of length 1; 0 where nothing is.
     pub normals: Option<Vec<f32>>,
     /// `[height, width, 3]` red, green, blue in 0..1: tokens in colours of their own, on black.
-    pub token_colours: Option<Vec<f32>>,
+    pub token_colors: Option<Vec<f32>>,
 }
 
 impl Frame {
@@ -126,7 +126,7 @@ impl Frame {
             alpha: take(request.alpha, 1),
             depth: take(request.depth.is_some(), 1),
             normals: take(request.normals, 3),
-            token_colours: take(request.token_group.is_some(), 3),
+            token_colors: take(request.token_group.is_some(), 3),
         }
     }
 }

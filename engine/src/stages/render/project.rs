@@ -28,7 +28,7 @@ pub(super) struct Splats {
     pub xy_opacities: Tensor,
     pub conics: Tensor,
     /// `[pairs, 3]` where asked for.
-    pub colours: Option<Tensor>,
+    pub colors: Option<Tensor>,
     /// `[pairs, 3]` where asked for.
     pub normals: Option<Tensor>,
     pub depths: Tensor,
@@ -53,7 +53,7 @@ pub(super) fn record(
         pairs,
         xy_opacities: tensor(rec, "xy_opacities", 3),
         conics: tensor(rec, "conics", 3),
-        colours: request.rgb.then(|| tensor(rec, "colours", 3)),
+        colors: request.rgb.then(|| tensor(rec, "colors", 3)),
         normals: request.normals.then(|| tensor(rec, "normals", 3)),
         depths: tensor(rec, "depths", 1),
         tile_sets: tensor(rec, "tile_sets", 3),
@@ -77,7 +77,7 @@ pub(super) fn record(
             xy_opacities: pair(splats.xy_opacities, 3),
             conics: pair(splats.conics, 3),
             // A kernel without colours does not touch what is bound in their place.
-            colours: pair(splats.colours.unwrap_or(splats.xy_opacities), 3),
+            colors: pair(splats.colors.unwrap_or(splats.xy_opacities), 3),
             depths: pair(splats.depths, 1),
             tile_sets: pair(splats.tile_sets, 3),
             indices: pair(splats.indices, 1),
@@ -86,7 +86,7 @@ pub(super) fn record(
             camera_count: shape.cameras as u32,
             width: shape.width,
             height: shape.height,
-            colour: request.rgb,
+            color: request.rgb,
             sh_degree: scene.sh_degree,
             antialiased: request.antialiased,
         };

@@ -39,7 +39,7 @@ pub(super) fn record(
             xy_opacities: splats.xy_opacities,
             conics: splats.conics,
             // What is not asked for is not touched; something has to be bound.
-            colours: splats.colours.unwrap_or(splats.conics),
+            colors: splats.colors.unwrap_or(splats.conics),
             depths: request.depth.map_or(splats.conics, |_| splats.depths),
             normals: splats.normals.unwrap_or(splats.conics),
             frames: frames.slice::<f32>(first * row, shape.cameras * rows * row),
@@ -49,7 +49,7 @@ pub(super) fn record(
             row_count: rows as u32,
             background: request.background,
             runs,
-            colour: request.rgb,
+            color: request.rgb,
             has_background: request.background != [0.0; 3],
             alpha: request.alpha,
             depth: request.depth.is_some(),

@@ -15,7 +15,7 @@ pub struct AlignedScore {
     psnr: f64,
     ssim: f64,
     nearest_psnr: f64,
-    mean_colour_psnr: f64,
+    mean_color_psnr: f64,
     /// With the camera given.
     before_psnr: f64,
     before_ssim: f64,
@@ -36,12 +36,12 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
         before_ssim: before.ssim,
         degrees: found.turn.to_degrees(),
         distance: capture.unit.length * found.shift,
-        doubt: found.doubt.or((score.psnr <= score.mean_colour_psnr).then_some(Doubt::Colour)),
+        doubt: found.doubt.or((score.psnr <= score.mean_color_psnr).then_some(Doubt::Color)),
         view: score.view,
         psnr: score.psnr,
         ssim: score.ssim,
         nearest_psnr: score.nearest_psnr,
-        mean_colour_psnr: score.mean_colour_psnr,
+        mean_color_psnr: score.mean_color_psnr,
     };
     found.iter().zip(before).zip(after).map(row).collect()
 }
@@ -90,26 +90,26 @@ impl Alignment {
         let mut table =
             Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour", "degrees", "distance", "doubt"]);
         for row in &self.rows {
-            let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_colour_psnr];
-            let [view, psnr, ssim, nearest, colour] = cells(&row.view, score);
+            let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_color_psnr];
+            let [view, psnr, ssim, nearest, color] = cells(&row.view, score);
             let doubt = match row.doubt {
                 None => "",
                 Some(Doubt::Flat) => "flat",
                 Some(Doubt::Bound) => "bound",
-                Some(Doubt::Colour) => "colour",
+                Some(Doubt::Color) => "color",
             };
             let [degrees, distance] = [format!("{:.2}", row.degrees), format!("{:.4}", row.distance)];
-            table.row([view, psnr, ssim, nearest, colour, degrees, distance, doubt.into()]);
+            table.row([view, psnr, ssim, nearest, color, degrees, distance, doubt.into()]);
         }
-        let [view, psnr, ssim, nearest, colour] = cells_of(mean);
-        table.row([view, psnr, ssim, nearest, colour, String::new(), String::new(), String::new()]);
+        let [view, psnr, ssim, nearest, color] = cells_of(mean);
+        table.row([view, psnr, ssim, nearest, color, String::new(), String::new(), String::new()]);
         table
     }
 
     /// The warning where some figures say little.
     pub fn doubts(&self) -> Option<String> {
         let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
-        let [flat, bound, colour] = [Doubt::Flat, Doubt::Bound, Doubt::Colour].map(count);
+        let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);
         let reasons = [
             (flat, "of a photo without texture, which is not aligned".to_owned()),
             (
@@ -119,7 +119,7 @@ impl Alignment {
                     MOST_TURN.to_degrees()
                 ),
             ),
-            (colour, "no more like its photo than one colour".to_owned()),
+            (color, "no more like its photo than one colour".to_owned()),
         ];
         let reasons: Vec<String> = (reasons.iter().filter(|(count, _)| *count > 0))
             .map(|(count, reason)| format!("{count} {reason}"))

@@ -26,11 +26,11 @@ pub enum Fault {
     /// Pixels have their centres at their corners.
     HalfPixel,
     /// Each Gaussian has its neighbour's colour.
-    NeighbourColour,
+    NeighbourColor,
     /// Colours have 11 bits.
-    HalfColours,
+    HalfColors,
     /// Colours below 0 are drawn.
-    NegativeColours,
+    NegativeColors,
     /// Only band 0 counts.
     NoBands,
     /// Colours are seen along the camera's axes, not the world's.
@@ -97,10 +97,10 @@ pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, be
     match fault {
         Fault::Missing => drop(most_visible(&splats, pinhole.size).map(|place| splats.remove(place))),
         Fault::BackToFront => splats.reverse(),
-        Fault::NeighbourColour => {
-            let colours: Vec<_> = splats.iter().map(|splat| splat.colour).collect();
-            let next = colours.iter().cycle().skip(1);
-            splats.iter_mut().zip(next).for_each(|(splat, colour)| splat.colour = *colour);
+        Fault::NeighbourColor => {
+            let colors: Vec<_> = splats.iter().map(|splat| splat.color).collect();
+            let next = colors.iter().cycle().skip(1);
+            splats.iter_mut().zip(next).for_each(|(splat, color)| splat.color = *color);
         }
         _ => {}
     }
@@ -129,13 +129,13 @@ fn changed(mut splat: Splat, scene: &Gaussians, n: usize, camera: &Pinhole, faul
     let direction = DVec3::from(scene.means[n]) - camera.centre();
     match fault {
         Fault::HalfPixel => splat.mean = splat.mean.map(|at| at + 0.5),
-        Fault::HalfColours => splat.colour = splat.colour.map(half),
-        Fault::NoBands => splat.colour = sh::colour(&coeffs[..3], direction),
-        Fault::DirectionInCamera => splat.colour = sh::colour(coeffs, camera.rotation * direction),
-        Fault::NegativeColours => {
+        Fault::HalfColors => splat.color = splat.color.map(half),
+        Fault::NoBands => splat.color = sh::color(&coeffs[..3], direction),
+        Fault::DirectionInCamera => splat.color = sh::color(coeffs, camera.rotation * direction),
+        Fault::NegativeColors => {
             let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
             let basis = sh::basis(degree, direction.normalize());
-            splat.colour =
+            splat.color =
                 [0, 1, 2].map(|c| 0.5 + basis.iter().zip(coeffs.chunks(3)).map(|(b, k)| b * k[c]).sum::<f64>());
         }
         Fault::CancellingDeterminant => {
@@ -169,7 +169,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
             break;
         }
         let weight = alpha * left;
-        (0..3).for_each(|c| pixel[c] += weight * splat.colour[c]);
+        (0..3).for_each(|c| pixel[c] += weight * splat.color[c]);
         pixel[4] += weight * splat.depth;
         left = after;
     }

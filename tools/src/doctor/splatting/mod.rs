@@ -108,11 +108,11 @@ pub fn area() -> Area {
     let still = || camera(70, 53);
     let keep = |_: usize, _: &mut [f32; 3], _: &mut [f32; 3], _: &mut f32| ();
     let seen = || Catches::from([Blank, LastTile, Missing, HalfPixel]);
-    let many = || seen().and(&[BackToFront, NeighbourColour, Unrotated, TransposedPixels]);
+    let many = || seen().and(&[BackToFront, NeighbourColor, Unrotated, TransposedPixels]);
     for (count, degree) in [(1, 0), (10, 1), (100, 2), (1000, 3)] {
         let more: &[Fault] =
-            if count == 1 { &[] } else { &[BackToFront, NeighbourColour, Unrotated, FaintDrawn, NoBands] };
-        let faults = || seen().and(&[OtherAntialiasing, HalfColours]).and(more);
+            if count == 1 { &[] } else { &[BackToFront, NeighbourColor, Unrotated, FaintDrawn, NoBands] };
+        let faults = || seen().and(&[OtherAntialiasing, HalfColors]).and(more);
         add(&format!("random, degree {degree}"), faults(), (scene(count, degree, keep), still()), false);
         add(&format!("random, degree {degree}, antialiased"), faults(), (scene(count, degree, keep), still()), true);
     }
@@ -149,7 +149,7 @@ pub fn area() -> Area {
         add(&format!("rotations of length {length:e}"), many(), (stretched, still()), false);
     }
     let level = scene(300, 0, |_, m, s, _| (m[2], *s) = (3.0, [0.1; 3]));
-    add("equal depths", seen().and(&[BackToFront, NeighbourColour]), (level, still()), false);
+    add("equal depths", seen().and(&[BackToFront, NeighbourColor]), (level, still()), false);
     let near = scene(40, 0, |i, m, s, _| {
         // Not 0.01 itself, which f32 rounds to below it.
         let z = f32::from_bits(0.01f32.to_bits() + i as u32 - if i < 20 { 20 } else { 19 });
@@ -174,7 +174,7 @@ pub fn area() -> Area {
     add("opaque layers", walls.into(), (scene(4, 0, wall), still()), false);
     let mut dark = scene(80, 3, keep);
     dark.sh_coeffs.iter_mut().flatten().for_each(|c| *c = 2.0 * *c - 1.0);
-    add("colours below zero", many().and(&[NegativeColours, NoBands]), (dark, still()), false);
+    add("colours below zero", many().and(&[NegativeColors, NoBands]), (dark, still()), false);
     for (width, height) in [(1, 1), (1, 2048), (2048, 1), (17, 33)] {
         let sides = [Blank, LastTile, Missing, HalfPixel];
         add(&format!("{width} x {height} pixels"), sides.into(), (scene(40, 0, keep), camera(width, height)), false);

@@ -28,7 +28,7 @@ struct Splat {
     /// Inverse covariance as squares: A, k, P.
     conic: [Bounded; 3],
     opacity: Bounded,
-    colour: [Bounded; 3],
+    color: [Bounded; 3],
     depth: Bounded,
 }
 
@@ -61,7 +61,7 @@ pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBou
     let mut splats: Vec<(f64, Splat)> = Vec::new();
     for (n, reference) in seen.iter().enumerate() {
         if let Some(reference) = reference {
-            splats.push((reference.depth, splat(scene, n, camera, antialiased, reference.colour)));
+            splats.push((reference.depth, splat(scene, n, camera, antialiased, reference.color)));
         }
     }
     splats.sort_by(|a, b| (a.0 as f32).total_cmp(&(b.0 as f32)));
@@ -71,7 +71,7 @@ pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBou
 }
 
 /// kernels/render/project.comp, line by line.
-fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, colour: [f64; 3]) -> Splat {
+fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f64; 3]) -> Splat {
     let rotation = camera.pose.rotation;
     let offset = offset(scene, n, camera);
     let p = [0, 1, 2].map(|r| Bounded::dot(rotation.col(r).to_array().map(Bounded::rounded), offset));
@@ -109,7 +109,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, colour: [f
         row: None,
         conic: [scaled(yy / det), xy / yy, scaled(Bounded::exact(1.0) / yy)],
         opacity: if antialiased { opacity * (sharp / det).sqrt() } else { opacity },
-        colour: colours(scene, n, colour),
+        color: colors(scene, n, color),
         depth: p[2],
     };
     if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
@@ -167,7 +167,7 @@ pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded
 /// The reference's colour with its bound. A basis function of band l has a slope of at most
 /// `sqrt((2l + 1) l (l + 1) / 4 pi)`, 2.6 for the bands there are, and a value of at most 1.5; the direction is off by
 /// two roundings of the difference of centre and camera, and by its normalisation.
-fn colours(scene: &Scene, n: usize, colour: [f64; 3]) -> [Bounded; 3] {
+fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
     let coeffs = &scene.sh_coeffs[n * k..][..k];
@@ -175,7 +175,7 @@ fn colours(scene: &Scene, n: usize, colour: [f64; 3]) -> [Bounded; 3] {
         let higher: f64 = coeffs[1..].iter().map(|rgb| f64::from(rgb[c]).abs()).sum();
         let all = higher + f64::from(coeffs[0][c]).abs();
         // Up to 20 roundings in a basis function, as many in the sum.
-        Bounded { value: colour[c], error: 2.6 * off * higher + 40.0 * U * (0.5 + 1.5 * all) }
+        Bounded { value: color[c], error: 2.6 * off * higher + 40.0 * U * (0.5 + 1.5 * all) }
     })
 }
 
@@ -188,8 +188,8 @@ struct Pixel {
 
 impl Pixel {
     /// Allows that light of `weight`, of these colours and this depth, is there or not.
-    fn allow(&mut self, weight: f64, colour: [f64; 3], depth: f64) {
-        self.rgb.iter_mut().zip(colour).for_each(|(sum, colour)| sum.error += weight * colour);
+    fn allow(&mut self, weight: f64, color: [f64; 3], depth: f64) {
+        self.rgb.iter_mut().zip(color).for_each(|(sum, color)| sum.error += weight * color);
         self.depth.error += weight * depth;
         self.left.error += weight;
     }
@@ -211,7 +211,7 @@ fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
             continue;
         }
         if alpha.value - alpha.error < MIN_ALPHA {
-            pixel.allow((alpha.value + alpha.error) * pixel.most(), splat.colour.map(high), high(splat.depth));
+            pixel.allow((alpha.value + alpha.error) * pixel.most(), splat.color.map(high), high(splat.depth));
         }
         if alpha.value < MIN_ALPHA {
             continue;
@@ -220,15 +220,15 @@ fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
         if (after.value - MIN_TRANSMITTANCE).abs() <= after.error {
             // It stops here or not: whatever lies behind may be drawn with the light that is left, or be missing.
             let behind = || splats[at..].iter().map(|(_, splat)| splat);
-            let colour = behind().flat_map(|s| s.colour).map(high).fold(0.0, f64::max);
-            pixel.allow(pixel.most(), [colour; 3], behind().map(|s| high(s.depth)).fold(0.0, f64::max));
+            let color = behind().flat_map(|s| s.color).map(high).fold(0.0, f64::max);
+            pixel.allow(pixel.most(), [color; 3], behind().map(|s| high(s.depth)).fold(0.0, f64::max));
         }
         if after.value <= MIN_TRANSMITTANCE {
             break;
         }
         let weight = alpha * pixel.left;
-        for (sum, colour) in pixel.rgb.iter_mut().zip(splat.colour) {
-            *sum = *sum + weight * colour;
+        for (sum, color) in pixel.rgb.iter_mut().zip(splat.color) {
+            *sum = *sum + weight * color;
         }
         pixel.depth = pixel.depth + weight * splat.depth;
         pixel.left = pixel.left * (Bounded::exact(1.0) - alpha);

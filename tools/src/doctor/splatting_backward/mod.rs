@@ -1,12 +1,12 @@
 //! Gradients of pictures, kernel by kernel: pixels to splats, splats to Gaussians and cameras.
 
 mod cameras;
-mod colour;
+mod color;
 mod project;
 mod rasterise;
 
 pub use cameras::area as cameras;
-pub use colour::area as colour;
+pub use color::area as color;
 pub use project::area as project;
 pub use rasterise::area as rasterise;
 

@@ -39,7 +39,7 @@ struct Splat {
     place: [f32; 2],
     conic: [f32; 3],
     opacity: f32,
-    colour: [f32; 3],
+    color: [f32; 3],
     depth: f32,
 }
 
@@ -86,7 +86,7 @@ impl Splat {
             ridge: self.ridge().into(),
             conic: self.conic.map(f64::from),
             opacity: self.opacity.into(),
-            colour: self.colour.map(f64::from),
+            color: self.color.map(f64::from),
             depth: self.depth.into(),
         }
     }
@@ -155,7 +155,7 @@ fn pixel(
             continue;
         }
         let weight = alpha * left;
-        let rgb = splat.colour.map(Bounded::exact);
+        let rgb = splat.color.map(Bounded::exact);
         let value = weight * (Bounded::dot(rgb, [d[0], d[1], d[2]]) + Bounded::exact(splat.depth) * d[4] + d[3]);
         behind = behind - value;
         let held = full.value > MAX_ALPHA && !is(Fault::Unclamped);
@@ -219,7 +219,7 @@ fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let weights = through_pixel(&ellipses, at, [1.0, 0.0, 0.0, 0.0, 0.0], [0.0; 3]);
     let mut frame = [0.0; 5];
     for (splat, weight) in ellipses.iter().zip(weights.iter().map(|gradient| gradient[6])) {
-        (0..3).for_each(|c| frame[c] += weight * splat.colour[c]);
+        (0..3).for_each(|c| frame[c] += weight * splat.color[c]);
         frame[3] += weight;
         frame[4] += weight * splat.depth;
     }
@@ -252,7 +252,7 @@ impl case::Problem for Problem {
             slots: trial.input(&starts),
             xy_opacities: trial.input(&of(&|splat| [splat.place[0], splat.place[1], splat.opacity])),
             conics: trial.input(&of(&|splat| splat.conic)),
-            colours: trial.input(&of(&|splat| splat.colour)),
+            colors: trial.input(&of(&|splat| splat.color)),
             depths: trial.input(&depths),
             frames: trial.input(&self.frames),
             d_frames: trial.input(&self.d_frames),
@@ -264,7 +264,7 @@ impl case::Problem for Problem {
             row_count: HEIGHT,
             capacity: capacity as u32,
             runs: TILE * TILE / device.limits().subgroup_size,
-            colour: true,
+            color: true,
             alpha: true,
             depth: true,
             expected_depth: false,
@@ -312,7 +312,7 @@ fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
             place: [uniform(0.0, WIDTH as f32), uniform(0.0, HEIGHT as f32)],
             conic: [uniform(0.01, 1.0), uniform(-1.0, 1.0), uniform(0.01, 1.0)],
             opacity: uniform(0.1, 0.95),
-            colour: [(); 3].map(|()| uniform(0.0, 1.0)),
+            color: [(); 3].map(|()| uniform(0.0, 1.0)),
             depth: 1.0 + i as f32 / 8.0,
         };
         change(i, &mut splat);

@@ -77,7 +77,7 @@ fn daylight(rng: &mut Rng) -> (Light, Sky) {
     let sun = Vec3A::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
     let low = 1.0 - elevation / 1.25;
     let strength = rng.range(0.5, 2.0);
-    let colour = strength * Vec3A::new(1.0, 0.95 - 0.12 * low, 0.85 - 0.3 * low);
+    let color = strength * Vec3A::new(1.0, 0.95 - 0.12 * low, 0.85 - 0.3 * low);
     let blue = rng.range(0.0, 1.0);
     let zenith = rng.range(0.6, 1.0) * Vec3A::new(0.85 - 0.62 * blue, 0.9 - 0.43 * blue, 1.0);
     let horizon = rng.range(0.8, 1.1) * Vec3A::new(0.95 - 0.2 * blue, 0.97 - 0.1 * blue, 1.0);
@@ -89,17 +89,17 @@ fn daylight(rng: &mut Rng) -> (Light, Sky) {
         offset: 10.0 * Vec3A::splat(rng.unit()),
         haze: rng.scale(150.0, 3000.0),
     };
-    (Light { key: Key::Sun(sun), colour, ambient }, sky)
+    (Light { key: Key::Sun(sun), color, ambient }, sky)
 }
 
 /// A lamp in a room, and light from its walls. No sky is seen.
 fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     let warmth = rng.range(0.0, 0.3);
-    let colour = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
+    let color = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
     let ambient = [rng.range(0.35, 0.6), rng.range(0.25, 0.45)].map(|level| level * Vec3A::new(1.0, 0.98, 0.95));
     let grey = Vec3A::splat(0.5);
     let sky = Sky { zenith: grey, horizon: grey, clouds: 0.0, offset: Vec3A::ZERO, haze: 1e5 };
-    (Light { key: Key::Lamp(lamp, reference), colour, ambient }, sky)
+    (Light { key: Key::Lamp(lamp, reference), color, ambient }, sky)
 }
 
 /// Up to `count` places in a disc that keep `gap` from each other.

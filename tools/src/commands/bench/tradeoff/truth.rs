@@ -157,8 +157,8 @@ fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
         camera_blocks: a.camera_depth,
         camera_heads: a.camera_heads,
         fusion_heads: a.fusion_heads,
-        colour_width: a.color_width,
-        colour_heads: a.color_heads,
+        color_width: a.color_width,
+        color_heads: a.color_heads,
         gaussians: a.gaussians_per_token,
         sh_degree: a.sh_degree,
     };

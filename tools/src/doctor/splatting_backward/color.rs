@@ -14,11 +14,11 @@ use glam::DVec3;
 use zipsplat::{
     Result,
     gpu::Device,
-    kernels::render::ColourBackward,
+    kernels::render::ColorBackward,
     stages::render::camera_rows,
     types::{Camera, Pose},
 };
-use zipsplat_reference::{render::backward::of_colour, widen};
+use zipsplat_reference::{render::backward::of_color, widen};
 
 const REASON: &str = "gamma_n of a sum over n tiles; harmonics have slopes of at most 2.6 on the sphere, and their polynomials values, \
     slopes and second slopes of at most 1.5, 5 and 12, which the rounding of the direction and of 40 operations moves";
@@ -38,7 +38,7 @@ struct Problem {
     camera: Camera,
     means: Vec<[f32; 3]>,
     coeffs: Vec<f32>,
-    colours: Vec<[f32; 3]>,
+    colors: Vec<[f32; 3]>,
     /// `[N + 1]`.
     starts: Vec<u32>,
     /// `[slots, VALUES]`.
@@ -76,13 +76,13 @@ impl Problem {
             }))
             .collect();
         let slots = noise.values(starts[count] as usize * VALUES);
-        let colour = |i: usize| [0, 1, 2].map(|c| if (i + c).is_multiple_of(4) { 0.0 } else { 0.5 });
+        let color = |i: usize| [0, 1, 2].map(|c| if (i + c).is_multiple_of(4) { 0.0 } else { 0.5 });
         Self {
             degree,
             camera: Camera { pose: Pose::IDENTITY, ..crate::noise::camera(64, 64) },
             means: scene.means,
             coeffs: scene.sh_coeffs.as_flattened().to_vec(),
-            colours: (0..count).map(colour).collect(),
+            colors: (0..count).map(color).collect(),
             starts,
             slots,
             full: false,
@@ -125,10 +125,10 @@ impl Problem {
         let (mut sum, ..) = self.sum(n, fault);
         let width = 3 * self.bases();
         let coeffs = widen(&self.coeffs[n * width..][..width]);
-        let held = |c: usize| self.colours[n][c] <= 0.0 && fault != Some(Fault::Unheld);
+        let held = |c: usize| self.colors[n][c] <= 0.0 && fault != Some(Fault::Unheld);
         let d = [0, 1, 2].map(|c| if held(c) { 0.0 } else { sum[6 + c] });
         let offset = DVec3::from(self.means[n].map(f64::from)) - self.camera.pose.translation;
-        let (mut of_coeffs, mut of_offset) = of_colour(&coeffs, offset, d);
+        let (mut of_coeffs, mut of_offset) = of_color(&coeffs, offset, d);
         match fault {
             Some(Fault::NoBands) => of_coeffs[3..].fill(0.0),
             Some(Fault::NoDirection) => of_offset = [0.0; 3],
@@ -149,7 +149,7 @@ impl Problem {
         let mut pair = magnitudes.map(|magnitude| gamma(count) * magnitude);
         let width = 3 * self.bases();
         let coeffs = &self.coeffs[n * width..][..width];
-        let held = |c: usize| self.colours[n][c] <= 0.0;
+        let held = |c: usize| self.colors[n][c] <= 0.0;
         let d = [0, 1, 2].map(|c| match held(c) {
             true => Bounded::exact(0.0),
             false => Bounded { value: sum[6 + c], error: pair[6 + c] },
@@ -187,11 +187,11 @@ impl case::Problem for Problem {
         let d_sh_coeffs = added_to(&mut trial, self.coeffs.len(), BEFORE);
         // Something has to be bound where there is no slot.
         let or_some = |values: Vec<f32>| if values.is_empty() { vec![f32::NAN; VALUES] } else { values };
-        let kernel = ColourBackward {
+        let kernel = ColorBackward {
             means: trial.input(&self.means),
             sh_coeffs: trial.input(&self.coeffs),
             cameras: trial.input(&[camera_rows(&self.camera)]),
-            colours: trial.input(&self.colours),
+            colors: trial.input(&self.colors),
             status: trial.input(&status),
             slots: trial.input(&self.starts),
             moments: trial.input(&or_some(part(0, 6))),
@@ -200,7 +200,7 @@ impl case::Problem for Problem {
             d_sh_coeffs,
             gaussians: count as u32,
             camera_count: 1,
-            colour: true,
+            color: true,
             depth: true,
             sh_degree: self.degree,
             scene_gradients: true,
@@ -266,5 +266,5 @@ pub fn area() -> Area {
         full: true,
         ..Problem::new(65, 1, |_| 3)
     });
-    Area { kernel: "render/colour_backward", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    Area { kernel: "render/color_backward", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }

@@ -16,7 +16,7 @@ layout(local_size_x = 64) in;
 #include "shared/spherical_harmonics.glsl"
 #include "shared/spherical_harmonics_backward.glsl"
 
-layout(constant_id = 1) const bool COLOUR = true;
+layout(constant_id = 1) const bool COLOR = true;
 layout(constant_id = 2) const bool DEPTH = false;
 layout(constant_id = 3) const uint SH_DEGREE = 0;
 layout(constant_id = 4) const bool SCENE_GRADIENTS = true;
@@ -24,7 +24,7 @@ layout(constant_id = 4) const bool SCENE_GRADIENTS = true;
 layout(scalar, set = 0, binding = 0) readonly buffer Means { vec3 means[]; };
 layout(scalar, set = 0, binding = 1) readonly buffer ShCoeffs { vec3 sh_coeffs[]; };
 layout(set = 0, binding = 2) readonly buffer Cameras { vec4 cameras[]; };
-layout(scalar, set = 0, binding = 3) readonly buffer Colours { vec3 colours[]; };
+layout(scalar, set = 0, binding = 3) readonly buffer Colors { vec3 colors[]; };
 layout(set = 0, binding = 4) readonly buffer Status { uint status[]; };
 layout(set = 0, binding = 5) readonly buffer Slots { uint slots[]; };
 layout(scalar, set = 0, binding = 6) readonly buffer Moments { vec3 moments[]; };
@@ -33,7 +33,7 @@ layout(scalar, set = 0, binding = 8) writeonly buffer DPairs { PairGradient d_pa
 layout(scalar, set = 0, binding = 9) buffer DShCoeffs { vec3 d_sh_coeffs[]; };
 layout(push_constant) uniform Push { uint gaussians; uint camera_count; };
 
-const uint VALUES = (COLOUR ? 3 : 0) + (DEPTH ? 1 : 0);
+const uint VALUES = (COLOR ? 3 : 0) + (DEPTH ? 1 : 0);
 const uint COEFFS = (SH_DEGREE + 1) * (SH_DEGREE + 1);
 
 PairGradient over_tiles(uint pair) {
@@ -43,7 +43,7 @@ PairGradient over_tiles(uint pair) {
     for (uint slot = slots[pair]; slot < end; slot++) {
         sum.first += moments[2 * slot];
         sum.second += moments[2 * slot + 1];
-        if (COLOUR) {
+        if (COLOR) {
             for (uint c = 0; c < 3; c++) sum.rgb[c] += d_values[slot * VALUES + c];
         }
         if (DEPTH) sum.depth += d_values[slot * VALUES + VALUES - 1];
@@ -82,13 +82,13 @@ void main() {
     for (uint camera = 0; camera < camera_count; camera++) {
         uint pair = n * camera_count + camera;
         PairGradient sum = over_tiles(pair);
-        if (COLOUR && sum.rgb != vec3(0)) {
-            sum.rgb = mix(vec3(0), sum.rgb, greaterThan(colours[pair], vec3(0)));
+        if (COLOR && sum.rgb != vec3(0)) {
+            sum.rgb = mix(vec3(0), sum.rgb, greaterThan(colors[pair], vec3(0)));
             sum.rgb = to_coefficients(n, camera, sum.rgb, d_coeffs);
         }
         d_pairs[pair] = sum;
     }
-    if (COLOUR && SCENE_GRADIENTS) {
+    if (COLOR && SCENE_GRADIENTS) {
         for (uint k = 0; k < COEFFS; k++) d_sh_coeffs[n * COEFFS + k] += d_coeffs[k];
     }
 }
