@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
+use zipsplat::gpu::Arena;
 use zipsplat::refine::{Rates, Refine, Refined, Refining, Stopped, refine_scene};
 use zipsplat::stages::render::{Frame, RenderRequest, Renderer};
 use zipsplat::types::{Camera, Image, Pose, Scene};
@@ -42,7 +43,7 @@ fn moved(scene: &Scene) -> Scene {
 }
 
 fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &Refine) -> Refined {
-    refine_scene(device(), scene, photos, cameras, request, |_| ControlFlow::Continue(())).unwrap()
+    refine_scene(&Arena::new(device()), scene, photos, cameras, request, |_| ControlFlow::Continue(())).unwrap()
 }
 
 #[test]
@@ -88,7 +89,7 @@ fn the_best_so_far_is_returned_when_asked_to_stop() {
         if at.step == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let start = moved(&scene);
-    let refined = refine_scene(device(), &start, &photos, &cameras, &Refine::default(), progress).unwrap();
+    let refined = refine_scene(&Arena::new(device()), &start, &photos, &cameras, &Refine::default(), progress).unwrap();
     assert_eq!((refined.stopped, refined.best_step, refined.losses.len()), (Some(Stopped::Cancelled), 3, 3));
     assert_eq!(steps, [1, 2, 3]);
     assert_ne!(refined.scene, start);
@@ -115,7 +116,7 @@ fn what_cannot_be_refined_is_refused() {
     let (scene, photos) = photos(&cameras);
     let error = |scene: &Scene, count: usize, request: &Refine| {
         let never = |_: Refining| -> ControlFlow<()> { panic!("a step") };
-        refine_scene(device(), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
+        refine_scene(&Arena::new(device()), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
     };
     assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
     assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));

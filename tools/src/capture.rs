@@ -206,6 +206,11 @@ impl Capture {
         self.views.cameras.clone()
     }
 
+    /// The inputs as they are compared, and their cameras.
+    pub fn learnt(&self) -> (Vec<Image>, Vec<Camera>) {
+        self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
+    }
+
     /// The input that was taken nearest to a photo.
     pub fn nearest(&self, view: &Posed) -> &Posed {
         let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);

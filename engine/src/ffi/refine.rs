@@ -10,12 +10,13 @@ use super::{
     status::{Failure, zs_status},
 };
 use crate::{
+    gpu::Arena,
     refine::{Refine, Refined, Refining, Stopped, refine_scene},
     types::Camera,
 };
 use std::{ffi::c_void, ops::ControlFlow};
 
-/// One photo is held out where there are 9 or more, else none.
+/// One photo in eight is held out where there are 9 or more, else none.
 pub const ZS_HOLD_OUT_AUTO: i32 = -1;
 
 /// Why a refinement ended.
@@ -194,7 +195,7 @@ pub unsafe extern "C" fn zs_refine(
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
         let told = |now: Refining| options.tell(&now);
-        let found = refine_scene(&context.device, &scene.scene, &photos, &cameras, &request, told)?;
+        let found = refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, told)?;
         if !info.is_null() {
             // SAFETY: as above.
             unsafe { write_versioned(info, zs_refine_info::of(&found)) }?;

@@ -20,7 +20,7 @@ pub use tokens::FrozenHead;
 
 use crate::{
     Error, Result,
-    gpu::{Device, Profile},
+    gpu::{Arena, Profile},
     reconstruct::SceneTokens,
     stages::loss::Loss,
     types::{Camera, Image, Scene},
@@ -34,8 +34,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// From so many photos on one is held out, unless cameras are refined.
+/// From so many photos on one of [`HELD_OUT_OF`], at least one, is held out, unless cameras are refined.
 const HOLD_OUT_FROM: usize = 9;
+const HELD_OUT_OF: usize = 8;
 /// Gaussians by which the distance from the cameras is measured, at most.
 const SAMPLE: usize = 4096;
 
@@ -48,8 +49,8 @@ pub struct Refine {
     pub views_per_step: usize,
     /// Most pixels of a photo along x and y; a larger one is compared at the largest size that fits. `None`: as they are.
     pub size: Option<[u32; 2]>,
-    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: 1 of 9 or more, and none where
-    /// cameras are refined, since those of held-out photos stay as wrong as they are.
+    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: one photo in eight of 9 or more;
+    /// none of fewer, or where cameras are refined, since those of held-out photos stay as wrong as they are.
     pub hold_out: Option<usize>,
     /// The loss that is made less.
     pub loss: Loss,
@@ -78,7 +79,7 @@ pub struct Refine {
 }
 
 impl Default for Refine {
-    /// 100 steps of 4 photos, one held out of 9 or more.
+    /// 100 steps of 4 photos, one in eight held out.
     fn default() -> Self {
         Self {
             steps: 100,
@@ -199,29 +200,32 @@ impl Refined {
 /// Refines a scene's Gaussians so that each of `photos` is what the camera of the same index sees. Cameras are those of the
 /// whole photos, in the world of the scene.
 ///
-/// `progress` is called after every step and may end the refinement: what was best until then is returned.
+/// Plans run in `arena`, which may be a model's own, so that no more memory is taken than the largest of all plans needs; where
+/// somebody else uses it now, in another one. `progress` is called after every step and may end the refinement: what was best
+/// until then is returned.
 ///
 /// # Errors
 /// [`Error::Argument`] where the scene, a photo, a camera or the request cannot be used; [`Error::Memory`] where the device
 /// has too little.
 pub fn refine_scene(
-    device: &Device,
+    arena: &Arena,
     scene: &Scene,
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
-    mut progress: impl FnMut(Refining) -> ControlFlow<()>,
+    progress: impl FnMut(Refining) -> ControlFlow<()>,
 ) -> Result<Refined> {
-    let begin = Instant::now();
     scene.validate()?;
     if scene.is_empty() {
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
-    let request = resolved(request, photos, cameras)?;
     let unit = distance(scene, cameras);
-    let grown = request.grow.map(|most| padded(scene, most));
-    let gaussians = Gaussians::new(device, grown.as_ref().unwrap_or(scene), unit, &request)?;
-    Refinement::new(gaussians, (scene.clone(), unit), photos, cameras, request)?.finish(&mut progress, begin)
+    let make = |arena: &Arena, request: &Refine| {
+        let grown = request.grow.map(|most| padded(scene, most));
+        let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), unit, request)?;
+        Ok((gaussians, (scene.clone(), unit)))
+    };
+    run(arena, make, photos, cameras, request, progress)
 }
 
 /// Refines a scene's tokens so that each of `photos` is what the camera of the same index sees, as [`refine_scene`] does: the head
@@ -230,36 +234,49 @@ pub fn refine_scene(
 /// # Errors
 /// The errors of [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
 pub fn refine_tokens(
+    arena: &Arena,
     head: &FrozenHead,
     tokens: &SceneTokens,
+    photos: &[Image],
+    cameras: &[Camera],
+    request: &Refine,
+    progress: impl FnMut(Refining) -> ControlFlow<()>,
+) -> Result<Refined> {
+    if let Some(most) = request.grow {
+        return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
+    }
+    let make = |arena: &Arena, request: &Refine| {
+        let (gaussians, scene) = tokens::gaussians(arena, head, tokens, request)?;
+        let unit = distance(&scene, cameras);
+        Ok((gaussians, (scene, unit)))
+    };
+    run(arena, make, photos, cameras, request, progress)
+}
+
+/// Refines what `make` puts on the device, which is a scene in Gaussians and its distance from the cameras.
+fn run(
+    arena: &Arena,
+    make: impl FnOnce(&Arena, &Refine) -> Result<(Gaussians, (Scene, f64))>,
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
     mut progress: impl FnMut(Refining) -> ControlFlow<()>,
 ) -> Result<Refined> {
     let begin = Instant::now();
-    let request = resolved(request, photos, cameras)?;
-    if let Some(most) = request.grow {
-        return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
-    }
-    let (gaussians, scene) = tokens::gaussians(head, tokens, &request)?;
-    let unit = distance(&scene, cameras);
-    Refinement::new(gaussians, (scene, unit), photos, cameras, request)?.finish(&mut progress, begin)
-}
-
-/// The request with what follows from the photos filled in, where they have cameras and enough of them are learnt from.
-fn resolved(request: &Refine, photos: &[Image], cameras: &[Camera]) -> Result<Refine> {
-    let count = photos.len();
-    if count == 0 || count != cameras.len() {
-        let expected = format!("one for each of {count} photos, at least one");
+    if photos.is_empty() || photos.len() != cameras.len() {
+        let expected = format!("one for each of {} photos, at least one", photos.len());
         return Err(Error::argument("cameras", cameras.len(), expected));
     }
-    filled(request, count)
+    let request = filled(request, photos.len())?;
+    let (arena, _claim) = arena.claimed();
+    let (gaussians, scene) = make(&arena, &request)?;
+    Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
 }
 
 /// The request with what follows from the number of photos filled in.
 fn filled(request: &Refine, count: usize) -> Result<Refine> {
-    let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !request.cameras));
+    let default = if request.cameras || count < HOLD_OUT_FROM { 0 } else { (count / HELD_OUT_OF).max(1) };
+    let held_out = request.hold_out.unwrap_or(default);
     if held_out >= count {
         return Err(Error::argument("held-out photos", held_out, format!("fewer than the {count} photos")));
     }

@@ -19,10 +19,11 @@ use clap::{ArgGroup, Args};
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
+    gpu::Arena,
     reconstruct::{Request, Shape},
     refine::{FrozenHead, Refine, Refined, Stopped},
     stages::render::Renderer,
-    types::{Camera, Image, World, WriteOptions, contact_sheet},
+    types::{Image, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -92,6 +93,10 @@ pub struct Eval {
     /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
+    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: one in eight of 9 or more, none
+    /// with --refine-cameras]
+    #[arg(long, value_name = "K", requires = "refine")]
+    hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,
     /// Give the network and the refinement wrong cameras, to see what that costs: those of all inputs but the first are turned by
@@ -164,14 +169,14 @@ impl Eval {
         let refined = match (self.refine, &tokens) {
             (Some(Steps { count, .. }), Some(tokens)) => {
                 let head = FrozenHead::load(&device, &checkpoint)?;
-                Some(self.refine(session, Refinable::Tokens(&head, tokens), &capture, count)?)
+                Some(self.refine(session, model.arena(), Refinable::Tokens(&head, tokens), &capture, count)?)
             }
             (Some(Steps { count, .. }), None) => {
                 let cloud = choice.points(&capture.unit)?;
                 let start = Start::or_best(self.start, cloud.as_ref(), self.weights.is_embedded());
                 started = start.name();
-                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
-                Some(self.refine(session, Refinable::Scene(&device, &start), &capture, count)?)
+                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &capture.learnt().1)?;
+                Some(self.refine(session, model.arena(), Refinable::Scene(&start), &capture, count)?)
             }
             (None, _) => None,
         };
@@ -228,14 +233,14 @@ impl Eval {
             capture.unit
         ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
             + &refined.as_ref().map_or_else(String::new, |refined| {
-                format!("\n{}", refinement::summary(refined, started, &input_cameras(&capture)))
+                format!("\n{}", refinement::summary(refined, started, &capture.learnt().1))
             });
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
-            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started, &input_cameras(&capture))),
+            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started, &capture.learnt().1)),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
-            "peak_bytes": result.peak_bytes,
+            "peak_bytes": result.peak_bytes, "seconds": took.as_secs_f64(),
             "mean": mean, "aligned": alignment, "views": scores,
         });
         session.report(&json, text)
@@ -263,25 +268,20 @@ impl Eval {
     fn refine(
         &self,
         session: &mut Session<'_>,
+        arena: &Arena,
         from: Refinable<'_>,
         capture: &Capture,
         steps: usize,
     ) -> Result<Refined> {
-        let cameras = input_cameras(capture);
-        let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
-        let request = self.moved.request(Refine { steps, ..Refine::default() });
-        let refined = refinement::refine(session, from, &photos, &cameras, &request)?;
+        let (photos, cameras) = capture.learnt();
+        let request = self.moved.request(Refine { steps, hold_out: self.hold_out, ..Refine::default() });
+        let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) => Err(Error::Cancelled),
             _ => Ok(refined),
         }
     }
-}
-
-/// Cameras of the whole input photos as they are compared.
-fn input_cameras(capture: &Capture) -> Vec<Camera> {
-    capture.inputs.iter().map(|input| input.camera).collect()
 }
 
 fn table(scores: &[Score], mean: &Score) -> Table {

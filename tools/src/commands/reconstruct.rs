@@ -20,7 +20,7 @@ use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
-    gpu::Device,
+    gpu::Arena,
     reconstruct::{MAX_VIEWS, Request, SceneTokens, Shape},
     refine::{FrozenHead, Refine, Refined, Stopped},
     stages::render::Renderer,
@@ -87,8 +87,8 @@ pub struct Reconstruct {
     #[arg(long)]
     explain: bool,
     /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
-    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
-    /// the step that predicts it best. Ctrl-C in between writes the best so far
+    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one in eight is held out, and the scene is
+    /// that of the step that predicts these best. Ctrl-C in between writes the best so far
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         )]
     refine: Option<Option<Steps>>,
@@ -99,7 +99,8 @@ pub struct Reconstruct {
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
     #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
+    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: one in eight of 9 or more, none with
+    /// --refine-cameras]
     #[arg(long, value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]
@@ -120,7 +121,7 @@ const COARSE: f64 = 1e-3;
 
 /// The weights and settings that the scene was made with.
 struct From<'a> {
-    device: &'a Device,
+    arena: &'a Arena,
     checkpoint: &'a Checkpoint,
     /// The tokens, where these are moved.
     tokens: Option<SceneTokens>,
@@ -239,7 +240,7 @@ impl Reconstruct {
         turned.iter().for_each(|first| scene.place(1.0, first));
         let refined = match (self.refine(), frames.first()) {
             (Some(steps), Some(first)) => {
-                let from = From { device: &device, checkpoint: &checkpoint, tokens };
+                let from = From { arena: model.arena(), checkpoint: &checkpoint, tokens };
                 let cloud = poses.as_ref().and_then(|poses| poses.points.as_ref()).map(read_cloud).transpose()?;
                 let cloud = cloud.map(|cloud| placed(cloud, &first.camera.pose.inverse(), 1.0));
                 Some(self.refine_scene(session, steps, from, (scene.clone(), cloud.as_ref()), (&photos, &frames))?)
@@ -371,13 +372,13 @@ impl Reconstruct {
         let request = self.moved.request(request);
         let mut started = refinement::TOKENS;
         let refined = if let Some(tokens) = &from.tokens {
-            let head = FrozenHead::load(from.device, from.checkpoint)?;
-            refinement::refine(session, Refinable::Tokens(&head, tokens), &photos, &cameras, &request)?
+            let head = FrozenHead::load(from.arena.device(), from.checkpoint)?;
+            refinement::refine(session, from.arena, Refinable::Tokens(&head, tokens), &photos, &cameras, &request)?
         } else {
             let start = Start::or_best(self.start, cloud, self.weights.is_embedded());
             started = start.name();
             let start = start.scene(Some(scene), cloud, &cameras)?;
-            refinement::refine(session, Refinable::Scene(from.device, &start), &photos, &cameras, &request)?
+            refinement::refine(session, from.arena, Refinable::Scene(&start), &photos, &cameras, &request)?
         };
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {

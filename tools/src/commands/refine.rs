@@ -15,7 +15,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    gpu::Device,
+    gpu::{Arena, Device},
     refine::{self, Refined, Stopped},
     types::{
         Camera, Image, Pose, Scene, SceneFormat, World, WriteOptions,
@@ -28,7 +28,8 @@ use zipsplat::{
 ///
 /// The scene may come from anywhere. Its world is that of the cameras, or the camera of a photo, as its file says or
 /// --relative-to does. Where structure from motion left a point cloud, --start points begins with a Gaussian at each of its
-/// points and needs no scene. Of 9 photos or more one is held out, and what is written is the step that predicts it best.
+/// points and needs no scene. Of 9 photos or more one in eight is held out, and what is written is the step that predicts these
+/// best.
 /// Ctrl-C ends early and writes the best so far.
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -69,7 +70,8 @@ pub struct Refine {
     /// Photos of a step
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Photos to hold out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
+    /// Photos to hold out, evenly spread; 0 learns from all [default: one in eight of 9 or more, none with
+    /// --refine-cameras]
     #[arg(long, value_name = "K")]
     hold_out: Option<usize>,
     #[command(flatten)]
@@ -196,8 +198,8 @@ impl Refine {
             ..refine::Refine::default()
         };
         let request = self.moved.request(request);
-        let from = Refinable::Scene(device, &started.scene);
-        Ok((refinement::refine(session, from, photos, &started.cameras, &request)?, request))
+        let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
+        Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))
     }
 
     fn report(
