@@ -7,6 +7,7 @@ mod errors;
 mod eval;
 mod host;
 mod info;
+mod mapping;
 mod measure;
 mod outputs;
 mod reconstruct;
