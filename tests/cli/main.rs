@@ -5,6 +5,7 @@ mod cancel;
 mod convert;
 mod errors;
 mod eval;
+mod heic;
 mod host;
 mod info;
 mod mapping;
