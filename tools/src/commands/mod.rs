@@ -18,7 +18,7 @@ use crate::session::Session;
 use clap::Subcommand;
 use zipsplat::{Error, Result};
 
-/// What to do.
+/// The commands.
 #[derive(Subcommand)]
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
