@@ -28,6 +28,7 @@
 
 pub mod ffi;
 pub mod ops;
+pub mod perceptual;
 mod random;
 pub mod reconstruct;
 pub mod refine;
