@@ -160,7 +160,7 @@ fn reference(network: LpipsNetwork, weights: &HashMap<String, Vec<f32>>) -> Vec<
 
 #[test]
 fn equals_the_reference() {
-    for (network, size) in [(NETWORKS[0], [16, 16]), (NETWORKS[0], [23, 18]), (NETWORKS[1], [33, 39])] {
+    for (network, size) in [(NETWORKS[0], [17, 16]), (NETWORKS[1], [33, 39])] {
         let (weights, pair) = (weights(network), Pair::random(size));
         let layers = reference(network, &weights);
         let (a, b) = (widen(&pair.a), widen(&pair.b));
@@ -231,9 +231,9 @@ fn equal_pictures_are_at_no_distance() {
 
 #[test]
 fn parts_give_the_same_bits() {
-    // Features of the first layers are 11 MB, and a weight 9.4.
-    let narrow = Limits { max_binding_bytes: 10 << 20, ..device().limits().clone() };
-    let (network, pair) = (LpipsNetwork::Vgg, Pair::random([210, 208]));
+    // Features of the first layer are 4.3 MB, and a weight 3.5.
+    let narrow = Limits { max_binding_bytes: 4 << 20, ..device().limits().clone() };
+    let (network, pair) = (LpipsNetwork::Alex, Pair::random([520, 524]));
     let weights = weights(network);
     let read = |name: &str, out: &mut [f32]| out.copy_from_slice(&weights[name]);
     let [got, truth] = [&narrow, device().limits()].map(|limits| pair.compared(limits, network, read, true, Some(1.0)));

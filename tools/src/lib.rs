@@ -15,6 +15,7 @@ pub mod metrics;
 mod noise;
 mod options;
 mod outputs;
+mod perceptual;
 mod photos;
 mod pictures;
 mod plot;
