@@ -2,6 +2,7 @@
 
 mod cameras;
 mod cancel;
+mod compare;
 mod convert;
 mod errors;
 mod eval;

@@ -17,6 +17,7 @@ pub mod metrics;
 mod noise;
 mod options;
 mod outputs;
+mod perceptual;
 mod photos;
 mod pictures;
 mod plot;

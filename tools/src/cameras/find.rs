@@ -52,12 +52,12 @@ pub struct Finding {
     pub find_size: u32,
 }
 
-/// Which photos are matched with which.
+/// Pairs of photos that are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pairs {
     /// Every one with every other
     All,
-    /// Those that are near each other in the order of their names, as frames of a video are
+    /// Photos near each other in the order of their names, as frames of a video are
     Near,
 }
 
