@@ -10,7 +10,6 @@ use crate::{
     refinement::{self, MOST_PIXELS, Moved, Refinable, Start, Steps, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
-    unit::Unit,
     video::FrameFolder,
     views::{FitOption, Views},
 };
@@ -26,7 +25,7 @@ use zipsplat::{
     stages::render::Renderer,
     types::{
         Camera, PointCloud, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, read_cloud},
+        poses::{Frame, Unit, read_cloud},
         spz_coarsening,
     },
     weights::Checkpoint,
@@ -223,7 +222,7 @@ impl Reconstruct {
         let Views { images, cameras, note } = views;
         note.iter().for_each(|note| session.note(note));
         let unit = match (&poses, frames.first()) {
-            (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.camera.pose)?),
+            (Some(poses), Some(first)) => Some(poses.unit(self.unit, &cameras, &first.camera.pose)?),
             _ => None,
         };
         unit.iter().filter_map(Unit::doubt).for_each(|note| session.note(note));
