@@ -28,7 +28,6 @@ mod released;
 mod session;
 mod signals;
 mod table;
-mod unit;
 mod video;
 mod viewer;
 mod views;

@@ -5,6 +5,7 @@ mod camera_path;
 mod colmap;
 mod matrix;
 mod transforms;
+mod unit;
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
@@ -17,6 +18,7 @@ use super::{Image, Lens, PointCloud, file::read_file};
 use crate::{Error, Result};
 
 pub use transforms::{write_frames, write_transforms};
+pub use unit::{Source, Unit};
 
 /// The posed photos of a capture.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -79,6 +81,15 @@ fn undistorted(frames: &[Frame]) -> Option<String> {
 }
 
 impl Poses {
+    /// The unit of a reconstruction from `views` of this capture, as [`Unit::of`] finds it.
+    ///
+    /// # Errors
+    /// As [`Unit::of`].
+    pub fn unit(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<Unit> {
+        let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
+        Unit::of(given, &cameras, self.points.as_deref(), views, origin)
+    }
+
     /// The cameras of `photos`, each that of its frame in [`Poses::frames_of`].
     ///
     /// # Errors

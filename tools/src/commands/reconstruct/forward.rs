@@ -6,7 +6,6 @@ use crate::{
     options::Size,
     session::Session,
     table::{bytes, counted},
-    unit::Unit,
     views::Views,
 };
 use indicatif::HumanCount;
@@ -20,7 +19,7 @@ use zipsplat::{
     stages::render::DeviceScene,
     types::{
         Scene,
-        poses::{Frame, Poses},
+        poses::{Frame, Poses, Unit},
     },
     weights::Checkpoint,
 };
@@ -166,7 +165,7 @@ impl Planned<'_> {
         let Views { images, cameras, note } = views;
         session.notes(note);
         let unit = match (poses, frames.first()) {
-            (Some(poses), Some(first)) => Some(Unit::of(command.unit, poses, &cameras, &first.camera.pose)?),
+            (Some(poses), Some(first)) => Some(poses.unit(command.unit, &cameras, &first.camera.pose)?),
             _ => None,
         };
         session.notes(unit.as_ref().and_then(Unit::doubt));
