@@ -34,9 +34,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// From so many photos on one of [`HELD_OUT_OF`], at least one, is held out, unless cameras are refined.
+/// From so many photos on one is held out, unless cameras are refined.
 const HOLD_OUT_FROM: usize = 9;
-const HELD_OUT_OF: usize = 8;
 /// Gaussians by which the distance from the cameras is measured, at most.
 const SAMPLE: usize = 4096;
 
@@ -49,8 +48,8 @@ pub struct Refine {
     pub views_per_step: usize,
     /// Most pixels of a photo along x and y; a larger one is compared at the largest size that fits. `None`: as they are.
     pub size: Option<[u32; 2]>,
-    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: one photo in eight of 9 or more;
-    /// none of fewer, or where cameras are refined, since those of held-out photos stay as wrong as they are.
+    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: 1 of 9 or more, and none where
+    /// cameras are refined, since those of held-out photos stay as wrong as they are.
     pub hold_out: Option<usize>,
     /// The loss that is made less.
     pub loss: Loss,
@@ -79,7 +78,7 @@ pub struct Refine {
 }
 
 impl Default for Refine {
-    /// 100 steps of 4 photos, one in eight held out.
+    /// 100 steps of 4 photos, one held out of 9 or more.
     fn default() -> Self {
         Self {
             steps: 100,
@@ -275,8 +274,7 @@ fn run(
 
 /// The request with what follows from the number of photos filled in.
 fn filled(request: &Refine, count: usize) -> Result<Refine> {
-    let default = if request.cameras || count < HOLD_OUT_FROM { 0 } else { (count / HELD_OUT_OF).max(1) };
-    let held_out = request.hold_out.unwrap_or(default);
+    let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !request.cameras));
     if held_out >= count {
         return Err(Error::argument("held-out photos", held_out, format!("fewer than the {count} photos")));
     }

@@ -93,8 +93,7 @@ pub struct Eval {
     /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
-    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: one in eight of 9 or more, none
-    /// with --refine-cameras]
+    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]

@@ -87,8 +87,8 @@ pub struct Reconstruct {
     #[arg(long)]
     explain: bool,
     /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
-    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one in eight is held out, and the scene is
-    /// that of the step that predicts these best. Ctrl-C in between writes the best so far
+    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
+    /// the step that predicts it best. Ctrl-C in between writes the best so far
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         )]
     refine: Option<Option<Steps>>,
@@ -99,8 +99,7 @@ pub struct Reconstruct {
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
     #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: one in eight of 9 or more, none with
-    /// --refine-cameras]
+    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]

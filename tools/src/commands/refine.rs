@@ -28,8 +28,7 @@ use zipsplat::{
 ///
 /// The scene may come from anywhere. Its world is that of the cameras, or the camera of a photo, as its file says or
 /// --relative-to does. Where structure from motion left a point cloud, --start points begins with a Gaussian at each of its
-/// points and needs no scene. Of 9 photos or more one in eight is held out, and what is written is the step that predicts these
-/// best.
+/// points and needs no scene. Of 9 photos or more one is held out, and what is written is the step that predicts it best.
 /// Ctrl-C ends early and writes the best so far.
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -70,8 +69,7 @@ pub struct Refine {
     /// Photos of a step
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Photos to hold out, evenly spread; 0 learns from all [default: one in eight of 9 or more, none with
-    /// --refine-cameras]
+    /// Photos to hold out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K")]
     hold_out: Option<usize>,
     #[command(flatten)]
