@@ -143,6 +143,28 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
+/// The photos that lie in a folder itself, in natural order; there may be none.
+///
+/// # Errors
+/// Where the folder cannot be read.
+pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = visible(folder)?;
+    found.retain(|path| path.is_file() && is_photo(path));
+    found.sort_by(by_name);
+    Ok(found)
+}
+
+/// The folders in a folder, in natural order.
+///
+/// # Errors
+/// Where the folder cannot be read.
+pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = visible(folder)?;
+    found.retain(|path| path.is_dir());
+    found.sort_by(by_name);
+    Ok(found)
+}
+
 /// The files and folders of a folder, but for hidden ones. Those are no photos whatever they are called: macOS puts `._000.jpg`
 /// beside `000.jpg` on foreign disks.
 fn visible(folder: &Path) -> Result<Vec<PathBuf>> {

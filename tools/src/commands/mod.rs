@@ -1,5 +1,6 @@
 //! The commands, one file each.
 
+mod batch;
 mod bench;
 mod cameras;
 mod convert;
@@ -29,6 +30,7 @@ pub enum Command {
     Info(info::Info),
     Convert(convert::Convert),
     Eval(eval::Eval),
+    Batch(batch::Batch),
     Bench(bench::Bench),
     Doctor(doctor::Doctor),
     Scene(scene::Scene),
@@ -54,6 +56,7 @@ impl Command {
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),
+            Command::Batch(command) => command.run(session),
             Command::Bench(command) => command.run(session),
             Command::Doctor(command) => command.run(session),
             Command::Scene(command) => command.run(session),
