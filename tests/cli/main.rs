@@ -3,11 +3,14 @@
 mod batch;
 mod cameras;
 mod cancel;
+mod compare;
 mod convert;
 mod errors;
 mod eval;
+mod heic;
 mod host;
 mod info;
+mod mapping;
 mod measure;
 mod outputs;
 mod reconstruct;

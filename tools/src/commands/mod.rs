@@ -3,6 +3,7 @@
 mod batch;
 mod bench;
 mod cameras;
+mod compare;
 mod convert;
 mod doctor;
 mod eval;
@@ -19,7 +20,7 @@ use crate::session::Session;
 use clap::Subcommand;
 use zipsplat::{Error, Result};
 
-/// What to do.
+/// The commands.
 #[derive(Subcommand)]
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
@@ -31,6 +32,7 @@ pub enum Command {
     Convert(convert::Convert),
     Eval(eval::Eval),
     Batch(batch::Batch),
+    Compare(compare::Compare),
     Bench(bench::Bench),
     Doctor(doctor::Doctor),
     Scene(scene::Scene),
@@ -57,6 +59,7 @@ impl Command {
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),
             Command::Batch(command) => command.run(session),
+            Command::Compare(command) => command.run(session),
             Command::Bench(command) => command.run(session),
             Command::Doctor(command) => command.run(session),
             Command::Scene(command) => command.run(session),
