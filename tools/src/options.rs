@@ -168,6 +168,11 @@ impl Quality {
         }
     }
 
+    /// Gaussians that are kept of every token, where not all are.
+    pub fn kept(&self) -> Option<u32> {
+        self.keep
+    }
+
     /// Leaves out the Gaussians that were not asked for.
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
         if let Some(keep) = self.keep {
