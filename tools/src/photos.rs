@@ -37,15 +37,37 @@ pub struct PhotoArgs {
     /// are taken
     #[arg(required = true)]
     photos: Vec<PathBuf>,
+    #[command(flatten)]
+    reading: Reading,
+}
+
+/// How folders and videos are read.
+#[derive(Args)]
+pub struct Reading {
     /// Also take the photos of folders in folders
     #[arg(long)]
     recursive: bool,
     /// Program that reads videos
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
-    ffmpeg: PathBuf,
+    pub ffmpeg: PathBuf,
 }
 
 impl PhotoArgs {
+    /// As [`Reading::list`].
+    ///
+    /// # Errors
+    /// As [`Reading::list`].
+    pub fn list(
+        &self,
+        session: &mut Session<'_>,
+        frames: Option<u32>,
+        named_in: Option<(&Path, Overwrite)>,
+    ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
+        self.reading.list(session, &self.photos, frames, named_in)
+    }
+}
+
+impl Reading {
     /// The photos as [`list`] has them, and the folder of the frames of videos: of each video `frames`, or a usual number. The
     /// folder lies beside the file that will name them, where there is one, and may exist where that says so.
     ///
@@ -54,14 +76,15 @@ impl PhotoArgs {
     pub fn list(
         &self,
         session: &mut Session<'_>,
+        paths: &[PathBuf],
         frames: Option<u32>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
         let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
         let make = || named_in.map_or_else(FrameFolder::temporary, beside);
-        let folder = self.photos.iter().any(|path| is_video(path)).then(make).transpose()?;
+        let folder = paths.iter().any(|path| is_video(path)).then(make).transpose()?;
         let mut photos = Vec::new();
-        for path in &self.photos {
+        for path in paths {
             match &folder {
                 Some(folder) if is_video(path) => {
                     let count = frames.map_or(FRAMES, |frames| frames as usize);
