@@ -50,7 +50,7 @@ fn place(count: usize) -> Place {
 
 impl Place {
     fn in_rust(&self, request: &Refine, stop_after: usize) -> Refined {
-        let progress = |now: zipsplat::refine::Refining| match now.step == stop_after {
+        let progress = |now: zipsplat::refine::Refining<'_>| match now.step == stop_after {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
         };

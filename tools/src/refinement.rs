@@ -227,7 +227,7 @@ pub fn refine(
 ) -> Result<Refined> {
     let mut refined = None;
     let staged = session.stage("refine", |stage| {
-        let progress = |at: Refining| -> ControlFlow<()> {
+        let progress = |at: Refining<'_>| -> ControlFlow<()> {
             stage.name(&told(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
@@ -244,7 +244,7 @@ pub fn refine(
 }
 
 /// How far a refinement is, for a progress bar.
-fn told(at: &Refining) -> String {
+fn told(at: &Refining<'_>) -> String {
     let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
     format!("refine{loss}{psnr}, {:.0} s left", at.left.as_secs_f64())

@@ -194,7 +194,7 @@ pub unsafe extern "C" fn zs_refine(
             unsafe { image.image(&format!("image {i}")) }
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        let told = |now: Refining| options.tell(&now);
+        let told = |now: Refining<'_>| options.tell(&now);
         let found = refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, told)?;
         if !info.is_null() {
             // SAFETY: as above.
@@ -231,7 +231,7 @@ impl zs_refine_options {
     }
 
     /// Tells the caller how far it is.
-    fn tell(&self, now: &Refining) -> ControlFlow<()> {
+    fn tell(&self, now: &Refining<'_>) -> ControlFlow<()> {
         let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
         let now = zs_refining {
             struct_size: size_of::<zs_refining>() as u32,

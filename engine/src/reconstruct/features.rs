@@ -1,11 +1,14 @@
 //! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
 //! be refined.
 
-use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
+use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, read_patches, write_choice};
 use crate::{
     Result,
     gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
-    stages::render::{SceneMemory, SceneTensors},
+    stages::{
+        ViewGrid,
+        render::{SceneMemory, SceneTensors},
+    },
     types::Image,
 };
 use std::{ops::ControlFlow, sync::Arc};
@@ -24,6 +27,11 @@ impl Features {
     /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.memory.bytes()
+    }
+
+    /// The views and their patches.
+    pub fn grid(&self) -> ViewGrid {
+        self.shape.grid
     }
 }
 
@@ -115,6 +123,7 @@ impl Model {
         let gaussians = scene.scene(degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
+            patches: read_patches(&run, choice, shape, &request)?,
             times,
             outline: Profile::outline(run.plan()),
             left_out: shape.left_out(),

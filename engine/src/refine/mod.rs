@@ -71,6 +71,8 @@ pub struct Refine {
     /// Intersections of Gaussians with tiles of a photo that there is room for at first; it grows with what is drawn. `None`: by the
     /// number of Gaussians.
     pub room: Option<usize>,
+    /// Steps after which `progress` is shown the scene, over and over. `None`: never.
+    pub show: Option<usize>,
     /// Seed of the photos' order.
     pub seed: u64,
     /// Whether a step is timed by kernel.
@@ -94,6 +96,7 @@ impl Default for Refine {
             coarse: true,
             together: None,
             room: None,
+            show: None,
             seed: 0,
             profile: false,
         }
@@ -138,7 +141,7 @@ impl Default for Rates {
 
 /// How far a refinement is.
 #[derive(Clone, Copy, Debug)]
-pub struct Refining {
+pub struct Refining<'a> {
     /// Steps that are done.
     pub step: usize,
     /// All steps.
@@ -149,6 +152,8 @@ pub struct Refining {
     pub psnr: Option<f64>,
     /// Time that is left, as steps took so far.
     pub left: Duration,
+    /// The Gaussians after this step, where [`Refine::show`] asks for them.
+    pub scene: Option<&'a Scene>,
 }
 
 /// Why a refinement ended before its last step.
@@ -212,7 +217,7 @@ pub fn refine_scene(
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
-    progress: impl FnMut(Refining) -> ControlFlow<()>,
+    progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
 ) -> Result<Refined> {
     scene.validate()?;
     if scene.is_empty() {
@@ -239,7 +244,7 @@ pub fn refine_tokens(
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
-    progress: impl FnMut(Refining) -> ControlFlow<()>,
+    progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
 ) -> Result<Refined> {
     if let Some(most) = request.grow {
         return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
@@ -259,7 +264,7 @@ fn run(
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
-    mut progress: impl FnMut(Refining) -> ControlFlow<()>,
+    mut progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
 ) -> Result<Refined> {
     let begin = Instant::now();
     if photos.is_empty() || photos.len() != cameras.len() {
