@@ -62,7 +62,7 @@ fn held_out_photos_are_compared() {
     let json = folder.run(line).json();
     let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("the table was written");
     let lines: Vec<&str> = csv.lines().collect();
-    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_color_psnr");
+    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips");
     assert_eq!(lines.len(), 1 + 4, "{csv}");
     let inputs: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     assert_eq!((inputs.len(), inputs[0]), (2, "images/000.png"));

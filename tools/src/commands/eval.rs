@@ -8,6 +8,7 @@ use crate::{
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
+    perceptual::LpipsOption,
     photos,
     refinement::{self, Moved, Refinable, Start, Steps},
     session::Session,
@@ -106,7 +107,9 @@ pub struct Eval {
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
-    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, a row for each photo compared; with --pose-free also
+    #[command(flatten)]
+    lpips: LpipsOption,
+    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row for each photo compared; with --pose-free also
     /// before_psnr, before_ssim, degrees, distance, doubt
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -144,6 +147,7 @@ impl Eval {
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
         self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let device = session.device()?;
+        let mut lpips = self.lpips.open(&device)?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
         let seeing = Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares };
@@ -189,7 +193,7 @@ impl Eval {
             _ => renderer.load(&scene)?,
         }
         let targets = &capture.targets;
-        let (drawn, alignment) = if self.pose_free {
+        let (drawn, mut alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
                 let found =
                     |view: &Posed| self.align.align(&mut renderer, &view.image, &view.camera, &|| stage.check());
@@ -201,7 +205,12 @@ impl Eval {
             let picture = |view: &Posed| draw(&mut renderer, &view.camera);
             (session.stage("compare", |stage| stage.each(targets, picture))?.0, None)
         };
-        let scores = capture.scores(&drawn);
+        let mut scores = capture.scores(&drawn);
+        if let Some(lpips) = &mut lpips {
+            session.stage("compare", |_| capture.look(&mut scores, &drawn, lpips))?;
+            let rows = alignment.iter_mut().flat_map(|alignment| &mut alignment.rows);
+            rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
+        }
 
         match (&self.csv, &alignment) {
             (Some(path), Some(alignment)) => outputs::save_csv(path, &alignment.rows)?,
@@ -284,19 +293,20 @@ impl Eval {
 }
 
 fn table(scores: &[Score], mean: &Score) -> Table {
-    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour"]);
+    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour"]);
     scores.iter().chain([mean]).for_each(|score| table.row(cells_of(score)));
     table
 }
 
-fn cells_of(score: &Score) -> [String; 5] {
-    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr])
+fn cells_of(score: &Score) -> [String; 6] {
+    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
 }
 
-/// PSNR, SSIM and the PSNR of the two predictions.
-fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4]) -> [String; 5] {
+/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
+fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
     let db = |value: f64| format!("{value:.2} dB");
-    [view.to_owned(), db(psnr), format!("{ssim:.3}"), db(nearest), db(color)]
+    let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
+    [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
 /// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.
