@@ -2,14 +2,17 @@
 
 mod features;
 mod network;
+mod patches;
 mod request;
 
 pub use features::{Features, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
+pub use patches::Patches;
 pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
 use crate::{
     Error, Result,
+    cameras::FoundCamera,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
     ops::{Arithmetic, Parameters},
     stages::{
@@ -38,6 +41,8 @@ pub struct Reconstruction {
     pub left_out: Vec<LeftOut>,
     /// Bytes of the arena, the weights and the Gaussians.
     pub peak_bytes: u64,
+    /// Where in the views the tokens come from, where no cameras were given: that is what they are found by.
+    pub patches: Option<Patches>,
 }
 
 /// A network with its weights on a device.
@@ -70,6 +75,18 @@ impl Reconstruction {
     /// A transfer that fails.
     pub fn scene(&self) -> Result<Scene> {
         self.gaussians.read()
+    }
+
+    /// The cameras of the views, in the scene's world, found from where the Gaussians of each token are and where its patch is:
+    /// [`Patches::cameras`]. `scene` is [`Reconstruction::scene`], all of it.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where cameras were given to the reconstruction, or the scene is another.
+    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<FoundCamera>>> {
+        let expected = "a scene that was reconstructed without cameras";
+        let patches =
+            self.patches.as_ref().ok_or_else(|| Error::argument("cameras to find", "given ones", expected))?;
+        patches.cameras(scene, focal)
     }
 }
 
@@ -166,6 +183,7 @@ impl Model {
         run.replace_resident(scenes[free].resident().clone());
         self.write_inputs(run, tensors, shape, images, request)?;
         let times = run.execute_with(progress)?;
+        let patches = Patches::of(run, tensors.choice, shape, request)?;
         let gaussians = scenes[free].scene(tensors.scene().sh_degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
@@ -174,6 +192,7 @@ impl Model {
             left_out: shape.left_out(),
             peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
             gaussians,
+            patches,
         })
     }
 
@@ -278,14 +297,18 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) 
         run.write(unit, &[request.unit as f32])?;
     }
     if let Some(tensor) = choice.indices {
-        let indices = match &request.selection {
-            Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
-            Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
-            Selection::Given(indices) => indices.clone(),
-        };
-        run.write(tensor, &indices)?;
+        run.write(tensor, &indices_for(shape, request))?;
     }
     Ok(())
+}
+
+/// The tokens that are kept, or k-means begins with.
+fn indices_for(shape: Shape, request: &Request) -> Vec<u32> {
+    match &request.selection {
+        Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
+        Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
+        Selection::Given(indices) => indices.clone(),
+    }
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.

@@ -3,6 +3,7 @@
 
 mod arguments;
 mod calls;
+mod cameras;
 mod compile;
 mod cycles;
 mod examples;

@@ -12,6 +12,7 @@ mod info;
 mod mapping;
 mod measure;
 mod outputs;
+mod placed;
 mod reconstruct;
 mod refine;
 mod render;

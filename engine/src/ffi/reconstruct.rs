@@ -4,13 +4,13 @@ use super::{
     model::{report, zs_model, zs_progress},
     picture::{zs_camera, zs_image},
     pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
-    scene::zs_scene,
+    scene::{Seen, zs_scene},
     status::{Failure, zs_status},
 };
 use crate::{
     Error,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
     types::{
         Camera, Pose,
         preprocess::{View, fit, view_cameras},
@@ -152,14 +152,15 @@ pub unsafe extern "C" fn zs_reconstruct(
         // SAFETY: the caller's pixels.
         let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
         let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let request = Request { ratio, selection, cameras, unit };
         let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
         // Gives its memory back before the next one needs some.
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
-        let gaussians = model.reconstruct(&images, &request, progress)?.gaussians;
+        let Reconstruction { gaussians, patches, .. } = model.reconstruct(&images, &request, progress)?;
         let mut scene = gaussians.read()?;
-        let Some(pose) = placed else { return Ok(zs_scene::on_device(scene, latest, gaussians)) };
+        let seen = patches.map(|patches| Seen { patches, maps });
+        let Some(pose) = placed else { return Ok(zs_scene::on_device(scene, latest, gaussians).seen(seen)) };
         scene.place(1.0, &pose);
         Ok(scene.into())
     };

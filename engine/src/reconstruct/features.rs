@@ -1,7 +1,7 @@
 //! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
 //! be refined.
 
-use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
+use super::{Model, Patches, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
 use crate::{
     Result,
     gpu::{Arena, Claim, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
@@ -112,6 +112,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &request)?;
         let times = run.execute_with(progress)?;
+        let patches = Patches::of(&run, choice, shape, &request)?;
         let gaussians = scene.scene(degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
@@ -120,6 +121,7 @@ impl Model {
             left_out: shape.left_out(),
             peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
             gaussians,
+            patches,
         })
     }
 

@@ -40,6 +40,8 @@ pub(super) struct Choice {
     pub unit: Option<Tensor>,
     /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
     pub indices: Option<Tensor>,
+    /// `[tokens]` u32: the tokens that k-means chose, where it did; read after a run.
+    pub chosen: Option<Tensor>,
 }
 
 /// The tensors that the first half of the network leaves for the second.
@@ -139,9 +141,9 @@ impl Network {
         scene: &SceneTensors,
     ) -> Choice {
         let unit = rec.input::<f32>("unit", 1);
-        let (indices, tokens) = self.head_tokens(rec, shape, features);
+        let (choice, tokens) = self.head_tokens(rec, shape, features);
         rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, unit, scene));
-        Choice { unit: Some(unit), indices }
+        Choice { unit: Some(unit), ..choice }
     }
 
     /// Records the way from features to the tokens that the head reads, which stay on the device in `into`.
@@ -152,27 +154,29 @@ impl Network {
         features: &FeatureTensors,
         into: Tensor,
     ) -> Choice {
-        let (indices, tokens) = self.head_tokens(rec, shape, features);
+        let (choice, tokens) = self.head_tokens(rec, shape, features);
         let joined = join_columns(rec, tokens, Element::F32);
         rec.copy(joined.tensor, into);
-        Choice { unit: None, indices }
+        choice
     }
 
     /// The input that says which tokens are kept, and what the head reads of those: scene tokens and their colours.
-    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, [Rows; 2]) {
+    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
-        let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
+        let clustered = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
                 Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, tokens, rounds))
             }
-            (given, _) => given,
+            _ => None,
         });
-        let chosen = chosen.map(|indices| (indices, tokens));
+        // Without cameras they are found by where the tokens come from.
+        clustered.filter(|_| !shape.cameras).into_iter().for_each(|chosen| rec.output(chosen));
+        let chosen = clustered.or(indices).map(|indices| (indices, tokens));
         let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
-        (indices, [scene, colors])
+        (Choice { unit: None, indices, chosen: clustered }, [scene, colors])
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {
