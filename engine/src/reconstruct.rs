@@ -30,6 +30,9 @@ pub struct Reconstruction {
     pub gaussians: DeviceScene,
     /// Tokens that became Gaussians.
     pub tokens: usize,
+    /// The patch of the photos that each of them is of, counted along rows, then down, then over views. Gaussians are in the order of
+    /// their tokens, as many of each.
+    pub patches: Vec<u32>,
     /// Time of each stage.
     pub times: StageTimes,
     /// Commands, bytes and arithmetic of each kernel of each stage; the times are zero.
@@ -169,6 +172,7 @@ impl Model {
         let gaussians = scenes[free].scene(tensors.scene().sh_degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
+            patches: read_patches(run, tensors.choice, shape, request)?,
             times,
             outline: Profile::outline(run.plan()),
             left_out: shape.left_out(),
@@ -278,14 +282,27 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) 
         run.write(unit, &[request.unit as f32])?;
     }
     if let Some(tensor) = choice.indices {
-        let indices = match &request.selection {
-            Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
-            Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
-            Selection::Given(indices) => indices.clone(),
-        };
-        run.write(tensor, &indices)?;
+        run.write(tensor, &indices(shape, request))?;
     }
     Ok(())
+}
+
+/// The tokens that a request keeps, or with k-means those that the first centroids are.
+fn indices(shape: Shape, request: &Request) -> Vec<u32> {
+    match &request.selection {
+        Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
+        Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
+        Selection::Given(indices) => indices.clone(),
+    }
+}
+
+/// Reads after a run which tokens it kept.
+fn read_patches(run: &Run, choice: Choice, shape: Shape, request: &Request) -> Result<Vec<u32>> {
+    match (choice.kept, shape.kept) {
+        (Some(kept), _) => run.read(kept),
+        (None, Kept::All) => Ok((0..shape.tokens as u32).collect()),
+        (None, _) => Ok(indices(shape, request)),
+    }
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.

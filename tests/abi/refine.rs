@@ -13,6 +13,7 @@ use std::{
 };
 use zipsplat::{
     ffi::{zs_status::*, *},
+    gpu::Arena,
     refine::{Refine, Refined, refine_scene},
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
@@ -49,11 +50,12 @@ fn place(count: usize) -> Place {
 
 impl Place {
     fn in_rust(&self, request: &Refine, stop_after: usize) -> Refined {
-        let progress = |now: zipsplat::refine::Refining| match now.step == stop_after {
+        let progress = |now: zipsplat::refine::Refining<'_>| match now.step == stop_after {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
         };
-        refine_scene(device(), &self.moved, &self.photos, &self.cameras, request, progress).expect("a scene")
+        refine_scene(&Arena::new(device()), &self.moved, &self.photos, &self.cameras, request, progress)
+            .expect("a scene")
     }
 
     fn c_cameras(&self) -> Vec<zs_camera> {

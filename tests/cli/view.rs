@@ -95,6 +95,60 @@ fn what_cannot_be_viewed_is_refused() {
     assert_eq!(folder.run("view @/scene.ply --exact").code, 2);
 }
 
+#[test]
+fn photos_become_scenes_of_several_ratios() {
+    let folder = Folder::new();
+    let view = |options: &str| {
+        folder.run(&format!("view @/photos --weights @/micro.safetensors --size 56x28 -o @/page.html {options}"))
+    };
+    let json = view("--json").json();
+    // 2 views of 2 x 4 patches, 4 Gaussians each; a tenth of 16 tokens is one.
+    assert_eq!(json["gaussians"], serde_json::json!([64, 32, 16, 4]));
+    let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+    let config: serde_json::Value =
+        serde_json::from_str(between(&page, "id=config type=application/json>", "</script>"))
+            .expect("the configuration is JSON");
+    let scenes = config["scenes"].as_array().expect("scenes");
+    assert_eq!(scenes[2]["name"], "ratio 0.25");
+    assert_eq!(scenes[2]["group"], 4);
+    let patches: Vec<u64> =
+        scenes[2]["patches"].as_array().expect("patches").iter().filter_map(|p| p.as_u64()).collect();
+    assert!(patches.len() == 4 && patches.iter().all(|patch| *patch < 16), "{patches:?}");
+    assert_eq!((&config["grid"], config["views"].as_array().map(Vec::len)), (&serde_json::json!([2, 4]), Some(2)));
+    assert!(config["views"][0]["photo"].as_str().is_some_and(|photo| photo.starts_with("data:image/jpeg;base64,")));
+    assert_eq!(scene_within(&page, 2).len(), 16);
+    // Two ratios that keep as many tokens are one.
+    assert_eq!(view("--ratios 0.5,1,0.51 --json").json()["gaussians"], serde_json::json!([64, 32]));
+    assert_eq!(view("--ratios 0.5 --keep 2 --json").json()["gaussians"], serde_json::json!([16]));
+}
+
+#[test]
+fn photos_that_are_given_go_with_a_page() {
+    let folder = folder();
+    folder.run("scene --seed 3 --views 2 --size 28x28 -o @/place").success();
+    let view = |options: &str| {
+        let line = format!("view @/scene.ply --poses @/place/transforms.json -o @/page.html --json {options}");
+        let json = folder.run(&line).json();
+        let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+        (json["photos"].as_u64(), page.matches("\"photo\":\"data:image/jpeg;base64,").count())
+    };
+    assert_eq!(view(""), (Some(0), 0));
+    assert_eq!(view("--photos @/place/images"), (Some(2), 2));
+}
+
+#[test]
+fn photos_and_scenes_have_options_of_their_own() {
+    let folder = folder();
+    folder.run("view @/scene.ply @/photos -o @/page.html").fails(3, &["scene.ply", "scenes alone, or photos alone"]);
+    folder.run("view @/scene.ply --ratio 0.5 -o @/page.html").fails(3, &["--ratio", "photos"]);
+    folder.run("view @/scene.ply --views 2 -o @/page.html").fails(3, &["--views", "photos"]);
+    let photos = "view @/photos --weights @/micro.safetensors --size 28x28 -o @/page.html";
+    folder.run(&format!("{photos} --group 4")).fails(3, &["--group", "a scene's file"]);
+    folder.run(&format!("{photos} --ratios 0.5,2")).fails(3, &["--ratios", "2", "(0, 1]"]);
+    folder.run(&format!("{photos} --refine=5")).fails_usage();
+    assert!(!folder.path("page.html").exists());
+}
+
 /// Hands on what is printed as it is printed.
 struct Printed(Sender<Vec<u8>>);
 
@@ -111,8 +165,15 @@ impl Write for Printed {
 
 /// Sends a request and gives the status and the body of the answer.
 fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
+    send(port, request, "")
+}
+
+/// As [`ask`], with a body.
+fn send(port: &str, request: &str, body: &str) -> (u16, Vec<u8>) {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a server");
-    stream.write_all(format!("{request}\r\nConnection: close\r\n\r\n").as_bytes()).expect("a request can be sent");
+    stream
+        .write_all(format!("{request}\r\nConnection: close\r\n\r\n{body}").as_bytes())
+        .expect("a request can be sent");
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).expect("an answer");
     let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").expect("a header");
@@ -120,11 +181,17 @@ fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
     (header[9..12].parse().expect("a status"), answer[end + 4..].to_vec())
 }
 
-#[test]
-fn a_server_answers_its_own_page_and_nobody_else() {
-    let folder = folder();
-    folder.run("scene --seed 3 --views 2 --size 28x28 -o @/place").success();
-    let line = folder.line("zipsplat view @/scene.ply --poses @/place/transforms.json");
+/// Ends a command when it is dropped.
+struct Ended<'a>(&'a AtomicBool);
+
+impl Drop for Ended<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Runs a command that serves, with its port and the path of its page, and ends it when `test` is done.
+fn served(line: &str, test: impl FnOnce(&str, &str)) {
     let (cancelled, (send, printed)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {
         let serving = scope.spawn(|| {
@@ -137,8 +204,65 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         while !text.contains('\n') {
             text += &String::from_utf8_lossy(&printed.recv().expect("an address is printed"));
         }
+        // Also where the test fails: the server would be waited for.
+        let ended = Ended(&cancelled);
         let address = text.lines().next().expect("a line").strip_prefix("http://127.0.0.1:").expect("this machine");
         let (port, path) = address.split_at(address.find('/').expect("a path"));
+        test(port, path);
+        drop(ended);
+        let (code, err) = serving.join().expect("it ends");
+        assert_eq!(code, 0, "{err}");
+    });
+}
+
+#[test]
+fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
+    let folder = Folder::new();
+    let line = folder.line("zipsplat view @/photos --weights @/micro.safetensors --size 56x28 --ratio 0.5");
+    served(&line, |port, path| {
+        let host = format!("HTTP/1.1\r\nHost: 127.0.0.1:{port}");
+        let get = |asked: &str| ask(port, &format!("GET {path}{asked} {host}"));
+        for (ratio, tokens) in [("1", 16), ("0.25", 4), ("0.0001", 1)] {
+            let (status, bytes) = get(&format!("made/{ratio}/exact"));
+            assert_eq!(status, 200, "{}", String::from_utf8_lossy(&bytes));
+            let end = bytes.iter().position(|byte| *byte == b'\n').expect("a line about the scene");
+            let facts: serde_json::Value = serde_json::from_slice(&bytes[..end]).expect("JSON");
+            assert_eq!(facts["patches"].as_array().map(Vec::len), Some(tokens));
+            let stages: Vec<_> = facts["times"].as_array().expect("times").iter().map(|time| &time[0]).collect();
+            assert!(stages.iter().any(|stage| **stage == "fuse") && stages.iter().all(|stage| **stage != "backbone"));
+            assert_eq!(decode_scene(&bytes[end + 1..], None).expect("a scene").len(), 4 * tokens);
+        }
+        assert_eq!(get("view/1").0, 200);
+        for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
+            assert_eq!(get(wrong).0, 404, "{wrong}");
+        }
+        let (status, words) = get("made/2/exact");
+        assert!(status == 500 && String::from_utf8_lossy(&words).contains("(0, 1]"), "{words:?}");
+
+        let matrix = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        let camera = serde_json::json!({ "camera_to_world": matrix, "fov": 50.0, "aspect": 1.0 });
+        let record = |scene: &str, frames: usize| {
+            let path_of = serde_json::json!({ "camera_type": "perspective", "render_width": 24, "render_height": 16,
+                "camera_path": vec![&camera; frames] });
+            let body = serde_json::json!({ "scene": scene, "path": path_of, "background": [1, 0, 0], "fps": 10,
+                "format": "gif" })
+            .to_string();
+            let length = body.len();
+            send(port, &format!("POST {path}record {host}\r\nContent-Length: {length}"), &body)
+        };
+        let (status, gif) = record("made/0.5/exact", 3);
+        assert!(status == 200 && gif.starts_with(b"GIF89a"), "{status} {}", String::from_utf8_lossy(&gif));
+        let (status, words) = record("scene/0", 3);
+        assert!(status == 500 && String::from_utf8_lossy(&words).contains("scene to record"));
+        assert_eq!(record("made/0.5/exact", 0).0, 500);
+    });
+}
+
+#[test]
+fn a_server_answers_its_own_page_and_nobody_else() {
+    let folder = folder();
+    folder.run("scene --seed 3 --views 2 --size 28x28 -o @/place").success();
+    served(&folder.line("zipsplat view @/scene.ply --poses @/place/transforms.json"), |port, path| {
         assert_eq!(path.len(), 2 + 32, "{path}");
         let get =
             |path: &str, headers: &str| ask(port, &format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}{headers}"));
@@ -177,8 +301,5 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         let taken = folder.line(&format!("view @/scene.ply --port {port}"));
         let Outcome { code, err, .. } = command(&taken, &AtomicBool::new(false));
         assert!(code != 0 && err.contains(&format!("port {port}")), "{err}");
-        cancelled.store(true, Ordering::Relaxed);
-        let (code, err) = serving.join().expect("it ends");
-        assert_eq!(code, 0, "{err}");
     });
 }

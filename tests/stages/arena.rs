@@ -56,7 +56,11 @@ fn a_scene_of_kept_features_is_that_of_the_photos() {
         let kept = model.reconstruct_features(&features, &request, |_| ControlFlow::Continue(())).unwrap();
         let whole = reconstruct(&model, &photos, &request);
         assert!(kept.scene().unwrap() == whole.scene().unwrap(), "{request:?}");
-        assert_eq!(kept.tokens, whole.tokens);
+        assert_eq!((kept.tokens, &kept.patches), (whole.tokens, &whole.patches));
+        // Those patches and no others are what the scene is of.
+        let given = Request { selection: Selection::Given(kept.patches.clone()), ..Request::default() };
+        let again = model.reconstruct_features(&features, &given, |_| ControlFlow::Continue(())).unwrap();
+        assert!(again.scene().unwrap() == kept.scene().unwrap(), "{request:?}");
         assert!(kept.times.0.iter().all(|(stage, _)| stage != "backbone"), "{:?}", kept.times);
     }
 }

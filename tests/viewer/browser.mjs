@@ -4,6 +4,7 @@ import { execFileSync, spawn } from "node:child_process";
 import { mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { pathToFileURL } from "node:url";
 import { PNG } from "pngjs";
 import puppeteer from "puppeteer-core";
 
@@ -13,8 +14,10 @@ export const zipsplat = (...args) => execFileSync(process.env.ZIPSPLAT, [...args
 export const sleep = ms => new Promise(resolve => setTimeout(resolve, ms));
 
 // Starts a command that serves until it is stopped; gives the address that it prints.
+const servers = new Set();
 export async function serve(...args) {
     const child = spawn(process.env.ZIPSPLAT, args, { cwd: folder, stdio: ["ignore", "pipe", "inherit"] });
+    servers.add(child);
     let text = "";
     await new Promise(resolve => child.stdout.on("data", part => (text += part).includes("\n") && resolve()));
     const ended = new Promise(resolve => child.on("exit", resolve));
@@ -22,7 +25,11 @@ export async function serve(...args) {
 }
 
 let browser;
-export const close = () => browser?.close();
+// Ends the browser, and the servers that a test that failed has left.
+export const close = () => {
+    servers.forEach(child => child.kill("SIGINT"));
+    return browser?.close();
+};
 
 export class Tab {
     // Opens a page and notes what it complains of and asks for.
@@ -40,6 +47,17 @@ export class Tab {
         await tab.page.goto(url);
         return tab;
     }
+
+    // Moves a slider, or chooses of a list.
+    async slide(id, value) {
+        await this.page.$eval(`#${id}`, (element, value) => {
+            element.value = value;
+            for (const name of ["input", "change"]) element.dispatchEvent(new Event(name));
+        }, String(value));
+    }
+
+    // Waits until something holds in the page.
+    until(holds, timeout = 300_000) { return this.page.waitForFunction(holds, { timeout }); }
 
     run(code, ...args) { return this.page.evaluate(code, ...args); }
     close() { return this.page.close(); }
@@ -71,9 +89,11 @@ export class Tab {
 
     // What `zipsplat render` draws of a file from the page's camera, by way of a camera_path.json that the page makes.
     async rendered(file, ...options) {
-        const path = await this.run(() => (zipsplat.keys = [], zipsplat.keep(), zipsplat.path()));
+        const path = await this.run(() => (zipsplat.path.keys = [], zipsplat.path.keep(), zipsplat.path.file()));
         writeFileSync(at("camera_path.json"), JSON.stringify(path));
         zipsplat("render", file, "--cameras", "camera_path.json", "-o", "pictures", ...options);
+        const layers = options.filter(option => option.startsWith("--")).map(option => ({ "--normals": "normal", "--group": "tokens" })[option] ?? option.slice(2));
+        if (layers.length) return layers.map(layer => PNG.sync.read(readFileSync(at(`pictures/000.${layer}.png`)), { skipRescale: true }));
         return PNG.sync.read(readFileSync(at("pictures/000.png")));
     }
 
@@ -92,6 +112,13 @@ export class Tab {
     }
 }
 
+// A page in one file, once its scene is there.
+export async function opened(name, viewport) {
+    const tab = await Tab.open(pathToFileURL(at(name)).href, viewport);
+    await tab.settled();
+    return tab;
+}
+
 export function psnr(a, b) {
     if (a.width !== b.width || a.height !== b.height) throw new Error(`${a.width}x${a.height} beside ${b.width}x${b.height}`);
     let sum = 0, count = 0;
@@ -106,7 +133,7 @@ export function spread({ data }) {
 }
 
 // A PLY of random Gaussians ahead of the origin with spherical harmonics of degree 3, the same each time.
-export function randomPly(count) {
+export function randomPly(count, scales = [-7, -1.5]) {
     let state = 1;
     const random = (least, most) => {
         state = (state * 48271) % 2147483647;
@@ -116,7 +143,7 @@ export function randomPly(count) {
         "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
     const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${count}\n${names.map(name => `property float ${name}\n`).join("")}end_header\n`;
     const range = name => /^[xy]$/.test(name) ? [-1, 1] : name === "z" ? [1, 4] : name === "opacity" ? [-3, 5]
-        : /^scale/.test(name) ? [-7, -1.5] : /^f_rest/.test(name) ? [-0.2, 0.2] : [-1, 1];
+        : /^scale/.test(name) ? scales : /^f_rest/.test(name) ? [-0.2, 0.2] : [-1, 1];
     const rows = Float32Array.from({ length: count * names.length }, (_, i) => random(...range(names[i % names.length])));
     return Buffer.concat([Buffer.from(header), Buffer.from(rows.buffer)]);
 }

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { readFileSync, rmSync, writeFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
-import { Tab, at, close, folder, psnr, randomPly, serve, sleep, spread, zipsplat } from "./browser.mjs";
+import { Tab, at, close, folder, opened, psnr, randomPly, serve, sleep, spread, zipsplat } from "./browser.mjs";
 
 const AGREES = 56; // dB between the page's picture and that of `render`: roundings, and no more
 const COUNT = 3000;
@@ -10,19 +10,13 @@ const COUNT = 3000;
 before(() => {
     writeFileSync(at("random.ply"), randomPly(COUNT));
     zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats");
-    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.splat"], ["one.glb"]])
+    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.splat"], ["one.glb"], ["one.gltf"]])
         zipsplat("convert", "random.ply", name, ...options);
 });
 after(async () => {
     await close();
     rmSync(folder, { recursive: true });
 });
-
-async function opened(name, viewport) {
-    const tab = await Tab.open(pathToFileURL(at(name)).href, viewport);
-    await tab.settled();
-    return tab;
-}
 
 async function agrees(tab, file) {
     const picture = await tab.picture();
@@ -56,7 +50,7 @@ test("a packed page draws what render draws of the SPZ", async () => {
 test("files of each format can be dropped", async () => {
     zipsplat("view", "random.ply", "-o", "page.html");
     const tab = await opened("page.html");
-    for (const file of ["random.ply", "two.spz", "three.spz", "one.splat"]) {
+    for (const file of ["random.ply", "two.spz", "three.spz", "one.splat", "one.glb", "one.gltf"]) {
         await tab.drop(file, readFileSync(at(file)));
         await tab.settled();
         assert.deepEqual(await tab.run(() => [zipsplat.scene.name, zipsplat.scene.count]), [file, COUNT]);
@@ -70,14 +64,15 @@ test("a broken file gives clear words and leaves the others", async () => {
     zipsplat("view", "random.ply", "-o", "page.html");
     const tab = await opened("page.html"), ply = readFileSync(at("random.ply")), spz = readFileSync(at("three.spz"));
     for (const [name, bytes, words] of [
+        ["cut.glb", readFileSync(at("one.glb")).subarray(0, 90_000), /cut off/],
+        ["plain.gltf", Buffer.from('{"asset":{"version":"2.0"}}'), /no Gaussians/],
         ["cut.ply", ply.subarray(0, 100_000), /cut off: 3000 Gaussians/],
         ["head.ply", ply.subarray(0, 100), /header has no end/],
         ["points.ply", readFileSync(at("place/points.ply")), /no f_dc_0.*no 3D Gaussians/],
         ["cut.spz", spz.subarray(0, 1000), /damaged or cut off/],
         ["four.spz", readFileSync(at("four.spz")), /version 4.*convert/],
-        ["one.glb", readFileSync(at("one.glb")), /no glTF.*convert/],
         ["cut.splat", Buffer.alloc(33), /33 bytes are no multiple of 32/],
-        ["words.txt", Buffer.from("no scene"), /no scene: this page reads PLY, SPZ and .splat/],
+        ["words.txt", Buffer.from("no scene"), /no scene: this page reads PLY, SPZ, .splat and glTF/],
         ["empty.ply", Buffer.alloc(0), /empty/],
     ]) {
         await tab.drop(name, bytes);
@@ -138,10 +133,7 @@ test("several scenes stand behind one slider", async () => {
     zipsplat("view", "one.splat", "two.spz", "random.ply", "-o", "page.html");
     const tab = await opened("page.html", { width: 800, height: 600 });
     for (const [i, name] of ["one.splat", "two.spz", "random.ply"].entries()) {
-        await tab.page.$eval("#scene", (slider, i) => {
-            slider.value = i;
-            slider.dispatchEvent(new Event("input"));
-        }, i);
+        await tab.slide("scene", i);
         await tab.settled();
         const label = await tab.page.$eval("#scene-label", element => element.textContent);
         assert.ok(label.startsWith(`${i + 1} of 3: ${name}, 3,000 Gaussians`), label);

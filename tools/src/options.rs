@@ -8,6 +8,7 @@ use zipsplat::{
     gpu::{Device, Limits},
     ops::{Arithmetic, Precision},
     reconstruct::{Ratio, Selection},
+    stages::cluster::auto_ratio,
     tune::Chosen,
     types::{Image, Scene, SceneFormat, open_file, read_scene_unchecked},
     weights::{Architecture, Checkpoint},
@@ -171,6 +172,19 @@ impl Quality {
     /// Gaussians that are kept of every token, where not all are.
     pub fn kept(&self) -> Option<u32> {
         self.keep
+    }
+
+    /// The ratio of so many views as a number.
+    pub fn ratio_of(&self, views: usize) -> f64 {
+        match self.ratio {
+            Ratio::Fixed(ratio) => ratio,
+            Ratio::Auto => auto_ratio(views),
+        }
+    }
+
+    /// Gaussians of a token that are kept.
+    pub fn group(&self, architecture: &Architecture) -> usize {
+        self.keep.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
 
     /// Leaves out the Gaussians that were not asked for.

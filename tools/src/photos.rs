@@ -38,15 +38,37 @@ pub struct PhotoArgs {
     /// which the sharpest frames are taken
     #[arg(required = true)]
     photos: Vec<PathBuf>,
+    #[command(flatten)]
+    reading: Reading,
+}
+
+/// How folders and videos are read.
+#[derive(Args)]
+pub struct Reading {
     /// Also take the photos of folders in folders
     #[arg(long)]
     recursive: bool,
     /// Program that reads videos and HEIC
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
-    ffmpeg: PathBuf,
+    pub ffmpeg: PathBuf,
 }
 
 impl PhotoArgs {
+    /// As [`Reading::list`].
+    ///
+    /// # Errors
+    /// As [`Reading::list`].
+    pub fn list(
+        &self,
+        session: &mut Session<'_>,
+        frames: Option<u32>,
+        named_in: Option<(&Path, Overwrite)>,
+    ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
+        self.reading.list(session, &self.photos, frames, named_in)
+    }
+}
+
+impl Reading {
     /// The photos as [`list`] has them, and the folder of those that ffmpeg makes: of each video `frames`, or a usual number, and of
     /// HEIC pictures JPEG. The folder lies beside the file that will name them, where there is one, and may exist where that says so.
     ///
@@ -55,11 +77,12 @@ impl PhotoArgs {
     pub fn list(
         &self,
         session: &mut Session<'_>,
+        paths: &[PathBuf],
         frames: Option<u32>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
         let mut listed = Vec::new();
-        for path in &self.photos {
+        for path in paths {
             match is_video(path) {
                 true => listed.push(path.clone()),
                 false => listed.extend(list_path(session, path, self.recursive)?),

@@ -86,11 +86,15 @@ impl<'a> Session<'a> {
 
     /// Opens the device that `--device` names, or the best one; GPUs that were passed over are noted.
     pub fn device(&mut self) -> Result<Device> {
-        let Global { device, memory, .. } = &self.global;
-        let (selector, max_memory_bytes) = (device.clone(), *memory);
-        let device = Device::open(&DeviceOptions { selector, max_memory_bytes, ..DeviceOptions::default() })?;
+        let device = Device::open(&self.device_options())?;
         device.passed_over().iter().for_each(|why| self.note(format_args!("{why}: a CPU is used")));
         Ok(device)
+    }
+
+    /// The device that the user asked for, for those that open it later.
+    pub fn device_options(&self) -> DeviceOptions {
+        let Global { device, memory, .. } = &self.global;
+        DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
     }
 
     /// Whether the user asked for no device: a plan is then made for an ordinary one.
@@ -299,7 +303,14 @@ fn kind(error: &Error) -> &'static str {
     }
 }
 
-impl Stage<'_> {
+impl<'a> Stage<'a> {
+    /// A stage that shows its progress nowhere but in `bar`.
+    pub fn told_to(bar: &ProgressBar, cancelled: &'a AtomicBool) -> Self {
+        bar.set_length(STEPS);
+        bar.set_position(0);
+        Self { bar: bar.clone(), cancelled }
+    }
+
     /// Moves the progress to `fraction` of all; `Break` where the command should stop.
     pub fn at(&self, fraction: f64) -> ControlFlow<()> {
         self.bar.set_position((fraction * STEPS as f64) as u64);

@@ -1,4 +1,5 @@
-// Reads scenes in the worker: PLY as 3D Gaussian splatting writes it, SPZ versions 2 and 3, .splat.
+// Reads scenes in the worker: PLY as 3D Gaussian splatting writes it, SPZ versions 2 and 3, .splat, glTF with
+// KHR_gaussian_splatting.
 //
 // A scene has `count` Gaussians on the axes of the engine (x right, y down, z forward): means [N, 3], scales [N, 3] linear,
 // quats [N, 4] wxyz, opacities [N], colours [N, 3], the coefficients of degree 0 as a colour, and `rest` [N, K - 1, 3], the
@@ -70,9 +71,12 @@ function readPly(bytes, progress) {
     while (properties.has(`f_rest_${3 * perChannel}`)) ++perChannel;
     const degree = [0, 3, 8, 15].indexOf(perChannel);
     if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
-    const view = new DataView(bytes.buffer, bytes.byteOffset);
+    const view = new DataView(bytes.buffer, bytes.byteOffset), all = [...properties.values()];
+    // Floats alone, as most files have them, are read at once.
+    const values = all.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
     const reader = name => {
         const { at, read } = properties.get(name);
+        if (values) return i => values[(i * row + at) / 4];
         return i => view[read](start + i * row + at, true);
     };
     const [x, y, z, r, g, b, opacity, s0, s1, s2, ...rot] = names.map(reader);
@@ -165,6 +169,82 @@ function readSplat(bytes, progress) {
     return scene;
 }
 
+const GLTF = "KHR_gaussian_splatting";
+const GLTF_TYPES = { 5120: [1, "getInt8", 127], 5121: [1, "getUint8", 255], 5122: [2, "getInt16", 32767], 5123: [2, "getUint16", 65535], 5126: [4, "getFloat32", 1] };
+
+// A glTF's JSON and its buffers' bytes: of a .glb's second chunk, or base64 in the file.
+function gltfParts(bytes) {
+    const parsed = text => {
+        try {
+            return JSON.parse(new TextDecoder().decode(text));
+        } catch {
+            throw new Error("The glTF's JSON is damaged or cut off.");
+        }
+    };
+    const of = (document, chunk) => [document, (document.buffers ?? []).map(({ uri }, i) => {
+        if (uri === undefined && i === 0 && chunk) return chunk;
+        if (!uri?.startsWith("data:")) throw new Error(`The glTF's numbers are in another file, ${uri}: zipsplat convert makes one file of both.`);
+        return Uint8Array.from(atob(uri.slice(uri.indexOf(",") + 1)), c => c.charCodeAt(0));
+    })];
+    if (bytes[0] !== 0x67) return of(parsed(bytes));
+    const view = new DataView(bytes.buffer, bytes.byteOffset);
+    if (bytes.length < 20 || view.getUint32(8, true) > bytes.length) throw new Error(`The glTF is cut off: it has ${bytes.length} bytes.`);
+    if (view.getUint32(4, true) !== 2) throw new Error(`The glTF is of version ${view.getUint32(4, true)}: this page reads 2.`);
+    const end = 20 + view.getUint32(12, true);
+    return of(parsed(bytes.subarray(20, end)), end < bytes.length && bytes.subarray(end + 8, end + 8 + view.getUint32(end, true)));
+}
+
+// The numbers of an accessor: how many there are, and a reader of component c of number i.
+function gltfNumbers({ accessors, bufferViews }, buffers, index, width) {
+    const accessor = accessors?.[index], from = bufferViews?.[accessor?.bufferView], type = GLTF_TYPES[accessor?.componentType];
+    const shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][width - 1], bytes = buffers[from?.buffer];
+    if (!bytes || !type || accessor.type !== shape || accessor.sparse) throw new Error("The glTF has Gaussians in a way that this page does not read: zipsplat convert may.");
+    const [size, read, one] = type, stride = from.byteStride ?? size * width, start = (from.byteOffset ?? 0) + (accessor.byteOffset ?? 0);
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), { count } = accessor;
+    if (count && start + (count - 1) * stride + size * width > bytes.length) throw new Error(`The glTF is cut off: its numbers end behind its ${bytes.length} bytes.`);
+    const scale = accessor.normalized ? 1 / one : 1;
+    return { count, at: (i, c = 0) => Math.max(view[read](start + i * stride + c * size, true) * scale, accessor.normalized ? -1 : -Infinity) };
+}
+
+function readGltf(bytes, progress) {
+    const [document, buffers] = gltfParts(bytes), found = [];
+    for (const [i, node] of (document.nodes ?? []).entries()) {
+        const own = (document.meshes?.[node.mesh]?.primitives ?? []).filter(primitive => primitive.extensions?.[GLTF]);
+        const moved = node.matrix || node.translation || node.rotation || node.scale || document.nodes.some(({ children }) => children?.includes(i));
+        if (own.length && moved) throw new Error("The glTF moves its Gaussians by nodes: zipsplat convert makes a file of it that this page reads.");
+        found.push(...own);
+    }
+    if (!found.length) throw new Error("The glTF shows no Gaussians (KHR_gaussian_splatting).");
+    if (found.length > 1) throw new Error(`The glTF shows ${found.length} clouds of Gaussians: zipsplat convert makes one of them.`);
+    const { attributes } = found[0];
+    const numbers = (name, width) => {
+        if (attributes[name] === undefined) throw new Error(`The glTF's Gaussians have no ${name}.`);
+        return gltfNumbers(document, buffers, attributes[name], width);
+    };
+    const has = degree => attributes[`${GLTF}:SH_DEGREE_${degree}_COEF_0`] !== undefined, degree = [3, 2, 1, 0].find(has) ?? 0;
+    const means = numbers("POSITION", 3), scales = numbers(`${GLTF}:SCALE`, 3), quats = numbers(`${GLTF}:ROTATION`, 4);
+    const opacities = numbers(`${GLTF}:OPACITY`, 1), bands = [];
+    for (let l = 0; l <= degree; ++l)
+        for (let m = 0; m <= 2 * l; ++m) bands.push(numbers(`${GLTF}:SH_DEGREE_${l}_COEF_${m}`, 3));
+    const { count } = means, scene = emptyScene(count, degree), turn = [-1, -1, 1];
+    if ([scales, quats, opacities, ...bands].some(other => other.count !== count)) throw new Error(`The glTF has not ${count} of each number of its Gaussians.`);
+    // Half a turn about z to the engine's axes, which negates harmonics of odd order.
+    const signs = bands.map((_, k) => Math.abs(k - Math.floor(Math.sqrt(k)) * (Math.floor(Math.sqrt(k)) + 1)) % 2 ? -1 : 1);
+    for (let i = 0; i < count; ++i) {
+        for (let c = 0; c < 3; ++c) {
+            scene.means[3 * i + c] = turn[c] * means.at(i, c);
+            scene.scales[3 * i + c] = scales.at(i, c);
+            scene.quats[4 * i + 1 + c] = turn[c] * quats.at(i, c);
+            scene.colors[3 * i + c] = 0.5 + SH_0 * bands[0].at(i, c);
+            for (let k = 1; k < bands.length; ++k) scene.rest[3 * ((bands.length - 1) * i + k - 1) + c] = half(signs[k] * bands[k].at(i, c));
+        }
+        scene.quats[4 * i] = quats.at(i, 3);
+        scene.opacities[i] = opacities.at(i);
+        if (i % 65536 === 0) progress(i / count);
+    }
+    return scene;
+}
+
 // The scene of a file, told by its first bytes, a .splat by its name.
 async function readScene(bytes, name, progress) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
@@ -172,7 +252,7 @@ async function readScene(bytes, name, progress) {
     if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress);
     if (bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
     if (starts("NGSP")) throw new Error("The SPZ is of version 4: this page reads 2 and 3, which zipsplat convert writes.");
-    if (starts("glTF") || /\.gltf$/i.test(name)) throw new Error("This page reads no glTF: zipsplat convert makes a PLY or an SPZ of it.");
+    if (starts("glTF") || /\.gltf$/i.test(name)) return readGltf(bytes, progress);
     if (/\.splat$/i.test(name)) return readSplat(bytes, progress);
-    throw new Error("The file is no scene: this page reads PLY, SPZ and .splat.");
+    throw new Error("The file is no scene: this page reads PLY, SPZ, .splat and glTF.");
 }

@@ -17,9 +17,9 @@ class Overlay {
     }
 
     // Shows the photo of an input camera, where there is one.
-    stand(input, index) {
+    stand(input) {
         if (!input.photo) return;
-        this.photo.src = `photo/${index}`;
+        this.photo.src = input.photo;
         this.photo.hidden = element("photos").hidden = false;
         this.wipe();
     }

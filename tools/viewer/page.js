@@ -13,9 +13,9 @@ class Page {
         this.canvas = element("picture");
         this.camera = new ViewCamera();
         this.renderer = new Renderer(this.canvas);
-        this.scenes = config.scenes.map(({ name, bytes }) => ({ name, bytes }));
+        this.scenes = config.scenes.map((scene, i) => ({ ...scene, inlined: element(`scene-${i}`), extension: ".ply" }));
+        for (const [i, scene] of this.scenes.entries()) if (!scene.inlined) scene.source = `scene/${i}`;
         this.current = 0;
-        this.keys = [];
         this.background = [0, 0, 0];
         this.coarse = 1;
         this.moved = 0;
@@ -25,6 +25,11 @@ class Page {
         this.worker.onerror = event => this.say(`The page's worker failed: ${event.message}`, true);
         this.controls = new Controls(this.canvas, this.camera, () => this.change(true));
         this.overlay = new Overlay(this);
+        this.tokens = new Tokens(this);
+        this.views = new Views(this);
+        this.path = new Path(this);
+        this.live = new Live(this);
+        this.refining = new Refining(this);
         this.buttons();
         addEventListener("resize", () => this.change());
         this.canvas.addEventListener("webglcontextlost", event => {
@@ -32,10 +37,13 @@ class Page {
             this.say("The graphics driver stopped. Reload the page to go on.", true);
         });
         if (this.scenes.length) this.choose(0);
-        else this.say("Drop a PLY, SPZ or .splat here, or press Open.");
+        else this.say("Drop a PLY, SPZ, .splat or glTF here, or press Open.");
     }
 
     get scene() { return this.scenes[this.current]; }
+
+    // The scene's name as that of files that are made of it.
+    get stem() { return (this.scene?.name || "scene").replace(/\.\w+$/, "").replace(/\s+/g, "-"); }
 
     say(text, failed = false) {
         element("message").textContent = text;
@@ -50,6 +58,7 @@ class Page {
         if (scene.failed) this.say(`${scene.name}: ${scene.failed}`, true);
         else if (!scene.loading) this.load(this.current);
         else this.say(scene.drawable ? "" : `${scene.name}: loading`);
+        this.tokens.leave();
         this.label();
         this.change();
     }
@@ -61,16 +70,34 @@ class Page {
         try {
             const bytes = await this.bytes(scene, index);
             scene.bytes ??= bytes.byteLength;
-            this.worker.postMessage({ load: index, bytes, name: scene.name }, [bytes]);
+            this.read(index, bytes);
         } catch (error) {
             this.failed(index, error.message);
         }
     }
 
+    // Hands a scene's bytes to the worker, with the view for which its Gaussians are to be in order, once there is one.
+    read(index, bytes) {
+        const scene = this.scenes[index], view = this.home && this.view();
+        if (!scene.file) scene.blob = new Blob([bytes]);
+        this.worker.postMessage({ load: index, bytes, name: scene.name, view }, [bytes]);
+    }
+
+    // Puts another scene in the place of one; done when it is on show.
+    swap(index, facts, bytes) {
+        const scene = this.scenes[index];
+        scene.done?.();
+        return new Promise(resolve => {
+            scene.done = resolve;
+            scene.next = facts;
+            this.read(index, bytes);
+        });
+    }
+
     // A scene's bytes: of a dropped file, of those within the page, or of those that zipsplat view serves.
-    async bytes(scene, index) {
+    async bytes(scene) {
         if (scene.file) return scene.file.arrayBuffer();
-        const inlined = element(`scene-${index}`);
+        const { inlined } = scene;
         if (inlined) {
             const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
             const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
@@ -81,10 +108,10 @@ class Page {
                 await new Promise(requestAnimationFrame);
             }
             inlined.remove();
+            if (bytes[0] === 0x1f) scene.extension = ".spz";
             return bytes.buffer;
         }
-        const answer = await fetch(`scene/${index}`).catch(() => null);
-        if (!answer?.ok) throw new Error("zipsplat view does not answer: it may have ended.");
+        const answer = await asked(scene.source);
         const all = Number(answer.headers.get("Content-Length")), parts = [];
         let done = 0;
         for await (const part of chunks(answer.body)) {
@@ -97,34 +124,42 @@ class Page {
 
     failed(index, words) {
         this.scenes[index].failed = words;
+        this.scenes[index].done?.();
         if (index === this.current) this.say(`${this.scenes[index].name}: ${words}`, true);
     }
 
     answered(data) {
         const scene = this.scenes[data.load ?? data.sort];
-        if (data.progress !== undefined) this.say(`${scene.name}: reading, ${Math.floor(100 * data.progress)} %`);
+        if (data.progress !== undefined) scene.drawable || this.say(`${scene.name}: reading, ${Math.floor(100 * data.progress)} %`);
         else if (data.failed) this.failed(data.load, data.failed);
         else if (data.gaussians) this.loaded(data.load, data);
         else {
             this.renderer.sort(scene.drawable, data.order);
+            scene.late = performance.now() - scene.sorting;
             scene.sorting = false;
+            this.views.tellLeftOut();
             this.change();
         }
     }
 
     loaded(index, data) {
-        const scene = this.scenes[index];
+        const scene = this.scenes[index], before = scene.drawable;
         try {
             scene.drawable = this.renderer.upload(data);
         } catch (error) {
             return this.failed(index, error.message);
         }
-        Object.assign(scene, { count: data.count, sample: data.sample });
+        if (before) this.renderer.release(before);
+        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, failed: null, sortedFor: data.view }, scene.next);
+        if (data.order) this.renderer.sort(scene.drawable, data.order);
+        scene.done?.();
+        element("save-scene").disabled = false;
         if (index === this.current) {
             this.say(data.dropped ? `${counted(data.dropped, "Gaussian")} left out: their values are not finite.` : "");
             if (data.dropped) setTimeout(() => this.say(""), 4000);
         }
         if (!this.home) this.reset();
+        if (index === this.current && before) this.tokens.leave();
         this.label();
         this.change();
     }
@@ -153,7 +188,7 @@ class Page {
         camera.distance = distanceAhead(scene.sample, camera.eye, camera.axes) ?? firstView(scene.sample).distance;
         this.home = true;
         this.overlay.leave();
-        if (withPhoto) this.overlay.stand(input, this.input);
+        if (withPhoto) this.overlay.stand(input);
         this.change();
     }
 
@@ -174,9 +209,9 @@ class Page {
         this.measure(now, moving);
         const ratio = Math.min(devicePixelRatio, 2) * (moving ? this.coarse : 1);
         const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
-        this.renderer.resize(width, height);
+        this.renderer.resize(width, height, this.views.shown);
         this.order(scene);
-        this.renderer.draw(scene?.drawable, camera, this.background);
+        this.renderer.draw(scene?.drawable, camera, this.background, this.views.drawn());
         this.overlay.draw();
         element("fov").value = camera.fov;
         element("fov-value").textContent = `${Math.round(camera.fov)}°`;
@@ -186,12 +221,15 @@ class Page {
     // Asks for the order of a scene's Gaussians as they are seen now, once the last answer is there.
     order(scene) {
         if (!scene?.drawable || scene.sorting) return;
-        const view = [...this.camera.axes[2], ...this.camera.eye];
+        const view = this.view();
         if (scene.sortedFor?.every((value, i) => value === view[i])) return;
-        scene.sorting = true;
+        scene.sorting = performance.now();
         scene.sortedFor = view;
-        this.worker.postMessage({ sort: this.current, forward: view.slice(0, 3), eye: view.slice(3) });
+        this.worker.postMessage({ sort: this.current, view });
     }
+
+    // What the order depends on: the line of sight and the eye.
+    view() { return [...this.camera.axes[2], ...this.camera.eye]; }
 
     // Pictures a second while something moves; where they are slow, moving ones get fewer pixels.
     measure(now, moving) {
@@ -218,14 +256,21 @@ class Page {
         element("scenes").hidden = scenes.length < 2;
         element("scene").max = scenes.length - 1;
         element("scene").value = this.current;
+        this.views.tellLeftOut();
         element("scene-label").textContent =
-            scene ? `${this.current + 1} of ${scenes.length}: ${[scene.name, ...facts.slice(0, 2)].join(", ")}` : "";
+            scene ? `${this.current + 1} of ${scenes.length}: ${[scene.name, ...facts.slice(0, 2)].join(", ")}${config.note ? `. ${config.note}` : ""}` : "";
     }
 
     // A file that was dropped or opened stands beside the scenes that there are.
     add(file) {
-        this.scenes.push({ name: file.name, bytes: file.size, file });
+        this.scenes.push({ name: file.name, bytes: file.size, file, extension: "" });
         this.choose(this.scenes.length - 1);
+    }
+
+    // The scene as its bytes came.
+    saveScene() {
+        const { scene } = this, blob = scene.file ?? scene.blob;
+        if (blob) this.download(scene.file?.name ?? `${this.stem}${scene.extension}`, blob);
     }
 
     download(name, blob) {
@@ -240,24 +285,7 @@ class Page {
     picture() {
         this.moved = 0;
         this.draw(performance.now());
-        const name = (this.scene?.name ?? "scene").replace(/\.\w+$/, "");
-        this.canvas.toBlob(blob => this.download(`${name}.png`, blob));
-    }
-
-    keep() {
-        this.keys.push(this.camera.asKey(this.canvas.clientWidth, this.canvas.clientHeight));
-        element("keys").textContent = `${counted(this.keys.length, "key camera")} kept.`;
-        element("save-keys").disabled = false;
-        element("settings").hidden = false;
-    }
-
-    // As `zipsplat render --cameras` and nerfstudio read it.
-    path() {
-        const { clientWidth, clientHeight } = this.canvas;
-        return {
-            camera_type: "perspective", render_width: clientWidth, render_height: clientHeight, fps: 30,
-            seconds: this.keys.length, camera_path: this.keys,
-        };
+        this.canvas.toBlob(blob => this.download(`${this.stem}.png`, blob));
     }
 
     buttons() {
@@ -271,20 +299,23 @@ class Page {
         const actions = {
             reset: ["KeyR", () => this.reset()], full: ["KeyF", full], save: ["KeyP", () => this.picture()],
             open: ["KeyO", () => element("file").click()], "help-button": ["KeyH", toggle("help")],
-            "keep-view": ["KeyK", () => this.keep()], "show-cameras": ["KeyC", () => this.overlay.toggle()],
+            "show-cameras": ["KeyC", () => this.overlay.toggle()],
             previous: ["Comma", () => step(-1)], next: ["Period", () => step(1)], "settings-button": [null, toggle("settings")],
+            "path-button": [null, toggle("path")], "save-scene": [null, () => this.saveScene()],
         };
         const keys = {
-            KeyL: looks, Slash: toggle("help"),
+            KeyL: looks, Slash: toggle("help"), KeyK: () => (this.path.keep(), element("path").hidden = false), Space: () => this.path.play(),
             BracketLeft: () => this.choose(this.current - 1), BracketRight: () => this.choose(this.current + 1),
             Escape: () => document.querySelectorAll("section").forEach(section => section.hidden = true),
         };
+        Object.keys(SHOWN).forEach((shown, i) => keys[`Digit${i + 1}`] = () => this.views.show(shown));
         for (const [id, [key, act]] of Object.entries(actions)) {
             element(id).onclick = act;
             if (key) keys[key] = act;
         }
         addEventListener("keydown", event => {
             if (event.ctrlKey || event.metaKey || event.altKey || event.repeat || !keys[event.code]) return;
+            if (event.target.matches?.("input[type=number], select") || event.code === "Space" && event.target.matches?.("button, input")) return;
             event.preventDefault();
             keys[event.code]();
         });
@@ -292,8 +323,6 @@ class Page {
         element("scene").oninput = event => this.choose(Number(event.target.value));
         element("fov").oninput = event => (this.camera.fov = Number(event.target.value), this.change(true));
         element("looks").onchange = event => this.controls.looks = event.target.checked;
-        element("save-keys").onclick = () =>
-            this.download("camera_path.json", new Blob([JSON.stringify(this.path(), null, 1)], { type: "application/json" }));
         element("background").oninput = event => {
             this.background = [1, 3, 5].map(at => parseInt(event.target.value.slice(at, at + 2), 16) / 255);
             this.change();

@@ -3,6 +3,12 @@
 
 const TEXTURE_WIDTH = 4096;
 
+// What a picture shows: a number of the shaders. Depth is the mean depth of what is seen, a normal the shortest axis, tokens have
+// colours of their own: as --depth, --normals and --group of `zipsplat render`.
+const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
+// Colours of depths, near to far.
+const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];
+
 const SPLAT_VERTEX = `#version 300 es
 precision highp float;
 precision highp int;
@@ -12,10 +18,12 @@ uniform usampler2D harmonics;
 uniform mat3 view;
 uniform vec3 eye;
 uniform vec2 focal, size;
-uniform int degree;
+uniform int degree, show, hovered; // the token that is pointed at; -1: none
+uniform uint group; // Gaussians of a token
 layout(location = 0) in uint index;
 out vec2 place; // in standard deviations from the centre
 flat out vec4 color;
+flat out uint gaussian;
 
 const float BLUR = 0.3, ALPHA_MIN = 1.0 / 255.0, NEAR = 0.01, SCALE_MAX = 1e8;
 
@@ -62,6 +70,19 @@ vec3 bands(vec3 d) {
     return sum;
 }
 
+// A byte a channel of the PCG hash (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
+vec3 token_color(uint token) {
+    uint state = token * 747796405u + 2891336453u;
+    uint word = (state >> ((state >> 28) + 4u) ^ state) * 277803737u, hash = word >> 22 ^ word;
+    return vec3(uvec3(hash, hash >> 8, hash >> 16) & 255u) / 255.0;
+}
+
+// The shortest axis, turned towards the camera.
+vec3 normal(mat3 axes, vec3 scale, vec3 offset) {
+    vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
+    return dot(axis, offset) > 0.0 ? -axis : axis;
+}
+
 void main() {
     gl_Position = vec4(2, 2, 2, 1); // outside
     uvec4 first = texel(gaussians, 3u * index), second = texel(gaussians, 3u * index + 1u), third = texel(gaussians, 3u * index + 2u);
@@ -71,7 +92,7 @@ void main() {
 
     vec2 half_size = 0.5 * size, limit = half_size / focal * 1.3;
     vec2 slope = clamp(p.xy / p.z, -limit, limit);
-    mat3 rows = transpose(view * rotation(vec4(unpackSnorm2x16(second.w), unpackSnorm2x16(third.w))));
+    mat3 axes = rotation(vec4(unpackSnorm2x16(second.w), unpackSnorm2x16(third.w))), rows = transpose(view * axes);
     vec3 scale = min(uintBitsToFloat(second.xyz), SCALE_MAX * p.z / focal.x);
     vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scale;
     vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scale;
@@ -91,9 +112,13 @@ void main() {
     vec2 pixel = centre + place.x * sqrt(longest) * axis + place.y * sqrt(det / longest) * vec2(-axis.y, axis.x);
     gl_Position = vec4(vec2(2, -2) * pixel / size + vec2(-1, 1), 0, 1);
 
-    vec3 rgb = uintBitsToFloat(third.xyz);
-    if (degree > 0) rgb += bands(normalize(offset));
-    color = vec4(max(rgb, 0.0), opacity);
+    gaussian = index;
+    vec3 value = uintBitsToFloat(third.xyz);
+    if (show == 1) value = vec3(p.z);
+    else if (show == 2) value = normal(axes, uintBitsToFloat(second.xyz), offset);
+    else if (show == 3) value = uint(hovered) == index / group ? vec3(1) : token_color(index / group) * (hovered < 0 ? 1.0 : 0.45);
+    else value = max(degree > 0 ? value + bands(normalize(offset)) : value, 0.0);
+    color = vec4(value, opacity);
 }`;
 
 const SPLAT_FRAGMENT = `#version 300 es
@@ -107,6 +132,20 @@ void main() {
     blended = vec4(color.rgb * alpha, alpha);
 }`;
 
+// The Gaussian that covers a pixel, of those with at least so much alpha there.
+const PICK_FRAGMENT = `#version 300 es
+precision highp float;
+precision highp int;
+in vec2 place;
+flat in vec4 color;
+flat in uint gaussian;
+uniform float least;
+out uvec4 picked;
+void main() {
+    if (min(0.999, color.a * exp(-0.5 * dot(place, place))) < least) discard;
+    picked = uvec4(gaussian, 0, 0, 0);
+}`;
+
 const SHOW_VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1); }`;
 
@@ -114,10 +153,24 @@ const SHOW_FRAGMENT = `#version 300 es
 precision highp float;
 uniform sampler2D frame;
 uniform vec3 background;
+uniform int show;
+uniform vec2 range; // the depths at the ends of the palette
 out vec4 shown;
+
+vec3 palette(float at) {
+    const vec3 colors[${PALETTE.length}] = vec3[](${PALETTE.map(rgb => `vec3(${rgb.map(c => c.toFixed(3))})`)});
+    float step = clamp(at, 0.0, 1.0) * ${PALETTE.length - 1}.0;
+    int first = min(int(step), ${PALETTE.length - 2});
+    return mix(colors[first], colors[first + 1], step - float(first));
+}
+
 void main() {
     vec4 seen = texelFetch(frame, ivec2(gl_FragCoord.xy), 0);
-    vec3 rgb = clamp(seen.rgb + (1.0 - seen.a) * background, 0.0, 1.0);
+    vec3 rgb = seen.rgb + (1.0 - seen.a) * background;
+    if (show == 1) rgb = mix(background, palette((seen.r / max(seen.a, 1e-12) - range.x) / (range.y - range.x)), seen.a);
+    else if (show == 2) rgb = 0.5 + 0.5 * seen.rgb / max(length(seen.rgb), 1e-12);
+    else if (show == 3) rgb = seen.rgb;
+    rgb = clamp(rgb, 0.0, 1.0);
     shown = vec4(floor(rgb * 255.0 + 0.05) / 255.0, 1); // the rest is for what half precision lost
 }`;
 
@@ -127,10 +180,14 @@ class Renderer {
         if (!gl) throw new Error("This browser offers no WebGL2, which the picture needs: its settings or another browser may.");
         this.gl = gl;
         const float = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
-        this.frameFormat = float ? gl.RGBA16F : gl.RGBA8;
+        this.colorFormat = float ? gl.RGBA16F : gl.RGBA8;
+        // Depths and normals need the bits.
+        this.valueFormat = gl.getExtension("EXT_float_blend") && gl.getExtension("EXT_color_buffer_float") ? gl.RGBA32F : this.colorFormat;
         this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
+        this.picks = this.program(SPLAT_VERTEX, PICK_FRAGMENT);
         this.show = this.program(SHOW_VERTEX, SHOW_FRAGMENT);
         this.frame = { texture: gl.createTexture(), buffer: gl.createFramebuffer(), width: 0, height: 0 };
+        this.pixel = this.pickBuffer();
         this.empty = gl.createVertexArray();
     }
 
@@ -151,6 +208,16 @@ class Renderer {
             uniforms[name] = gl.getUniformLocation(program, name);
         }
         return { program, uniforms };
+    }
+
+    // A picture of one pixel, which holds the number of a Gaussian.
+    pickBuffer() {
+        const { gl } = this, buffer = gl.createFramebuffer(), texture = gl.createTexture();
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+        gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, 1, 1);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+        gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+        return buffer;
     }
 
     // Brings a scene that the worker packed to the device.
@@ -196,45 +263,37 @@ class Renderer {
         scene.drawn = order.length;
     }
 
-    resize(width, height) {
-        const { gl, frame } = this;
-        if (frame.width === width && frame.height === height) return;
+    resize(width, height, shown = "color") {
+        const { gl, frame } = this, format = shown === "color" ? this.colorFormat : this.valueFormat;
+        if (frame.width === width && frame.height === height && frame.format === format) return;
         gl.canvas.width = frame.width = width;
         gl.canvas.height = frame.height = height;
+        frame.format = format;
         gl.deleteTexture(frame.texture);
         frame.texture = gl.createTexture();
         gl.bindTexture(gl.TEXTURE_2D, frame.texture);
-        gl.texStorage2D(gl.TEXTURE_2D, 1, this.frameFormat, width, height);
+        gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
         gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
     }
 
-    // Draws a scene, or only the background, as a camera sees it.
-    draw(scene, camera, background) {
-        const { gl, frame, splats, show } = this, { width, height } = frame;
+    // Draws a scene, or only the background, as a camera sees it. `view` says what is shown: see SHOWN; the Gaussians of a token, the
+    // token that is pointed at, and the range of depths.
+    draw(scene, camera, background, { shown = "color", group = 1, hovered = -1, range = [0, 1] } = {}) {
+        const { gl, frame, show } = this, { width, height } = frame;
         gl.viewport(0, 0, width, height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
         gl.clearColor(0, 0, 0, 0);
         gl.clear(gl.COLOR_BUFFER_BIT);
         if (scene?.drawn) {
-            const { uniforms } = splats, focal = camera.focal(width, height), [right, down, forward] = camera.axes;
-            gl.useProgram(splats.program);
-            for (const [unit, name] of ["gaussians", "harmonics"].entries()) {
-                gl.activeTexture(gl.TEXTURE0 + unit);
-                gl.bindTexture(gl.TEXTURE_2D, scene[name]);
-                gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-                gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-                gl.uniform1i(uniforms[name], unit);
-            }
-            gl.uniformMatrix3fv(uniforms.view, false, [0, 1, 2].flatMap(i => [right[i], down[i], forward[i]]));
-            gl.uniform3fv(uniforms.eye, camera.eye);
-            gl.uniform2f(uniforms.focal, focal, focal);
-            gl.uniform2f(uniforms.size, width, height);
-            gl.uniform1i(uniforms.degree, scene.degree);
             gl.enable(gl.BLEND);
             gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-            gl.bindVertexArray(scene.array);
+            const uniforms = this.use(this.splats, scene, camera);
+            gl.uniform1i(uniforms.show, SHOWN[shown]);
+            gl.uniform1ui(uniforms.group, group);
+            gl.uniform1i(uniforms.hovered, hovered);
             gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, scene.drawn);
             gl.disable(gl.BLEND);
         }
@@ -244,7 +303,56 @@ class Renderer {
         gl.activeTexture(gl.TEXTURE0);
         gl.bindTexture(gl.TEXTURE_2D, frame.texture);
         gl.uniform1i(show.uniforms.frame, 0);
+        gl.uniform1i(show.uniforms.show, SHOWN[shown]);
+        gl.uniform2fv(show.uniforms.range, range);
         gl.uniform3fv(show.uniforms.background, background);
         gl.drawArrays(gl.TRIANGLES, 0, 3);
+    }
+
+    // Makes a program ready to draw a scene's Gaussians, and gives its uniforms.
+    use({ program, uniforms }, scene, camera) {
+        const { gl } = this, { width, height } = this.frame, focal = camera.focal(width, height), [right, down, forward] = camera.axes;
+        gl.useProgram(program);
+        for (const [unit, name] of ["gaussians", "harmonics"].entries()) {
+            gl.activeTexture(gl.TEXTURE0 + unit);
+            gl.bindTexture(gl.TEXTURE_2D, scene[name]);
+            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+            gl.uniform1i(uniforms[name], unit);
+        }
+        gl.uniformMatrix3fv(uniforms.view, false, [0, 1, 2].flatMap(i => [right[i], down[i], forward[i]]));
+        gl.uniform3fv(uniforms.eye, camera.eye);
+        gl.uniform2f(uniforms.focal, focal, focal);
+        gl.uniform2f(uniforms.size, width, height);
+        gl.uniform1i(uniforms.degree, scene.degree);
+        gl.bindVertexArray(scene.array);
+        return uniforms;
+    }
+
+    // The nearest Gaussian that covers half of what is behind it at a pixel of the picture, else a tenth; none where nothing does.
+    pick(scene, camera, x, y) {
+        if (!scene?.drawn) return null;
+        const { gl } = this, { width, height } = this.frame, uniforms = this.use(this.picks, scene, camera), found = new Uint32Array(4);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, this.pixel);
+        gl.viewport(-x, y + 1 - height, width, height);
+        for (const least of [0.5, 0.1]) {
+            gl.clearBufferuiv(gl.COLOR, 0, [0xffffffff, 0, 0, 0]);
+            gl.uniform1f(uniforms.least, least);
+            gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, scene.drawn);
+            gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
+            if (found[0] !== 0xffffffff) return found[0];
+        }
+        return null;
+    }
+
+    // What was blended in a part of the last picture, rows from the top: four floats a pixel, the last of them alpha.
+    values(x, y, width, height) {
+        const { gl, frame } = this, values = new Float32Array(4 * width * height);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
+        gl.readPixels(x, frame.height - y - height, width, height, gl.RGBA, gl.FLOAT, values);
+        return Float32Array.from({ length: values.length }, (_, i) => {
+            const row = Math.floor(i / 4 / width);
+            return values[i + 4 * width * (height - 1 - 2 * row)];
+        });
     }
 }

@@ -1,9 +1,11 @@
 // Works beside the page: reads scenes, packs them for textures, and sorts their Gaussians by depth.
 //
-// In: { load, bytes, name } and { sort, forward, eye }, where load and sort are a scene's number. Out: { load, progress },
-// { load, failed } with words, { load, count, degree, dropped, gaussians, harmonics, sample } and { sort, order }.
+// In: { load, bytes, name, view } and { sort, view }, where load and sort are a scene's number and view, which a load may lack, the
+// line of sight and the eye. Out: { load, progress }, { load, failed } with words,
+// { load, count, degree, dropped, faint, gaussians, harmonics, sample, order } and { sort, order }.
 
 const NEAR = 0.01;
+const FAINTEST = 1 / 255; // weaker Gaussians show in no picture
 const SAMPLE = 4096;
 const scenes = new Map();
 
@@ -42,27 +44,29 @@ function sampled({ means, count }) {
     return new Float32Array(points);
 }
 
-async function load(id, buffer, name) {
+async function load(id, buffer, name, view) {
     const progress = fraction => postMessage({ load: id, progress: fraction });
     const scene = await readScene(new Uint8Array(buffer), name, progress);
     if (!scene.count) throw new Error("The scene has no Gaussians.");
-    const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means } = scene;
+    const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
-    scenes.set(id, { means, count, depths: new Float32Array(count), indices: new Uint32Array(count) });
-    const sample = sampled(scene);
-    postMessage({ load: id, count, degree, dropped, gaussians, harmonics, sample }, [gaussians.buffer, harmonics.buffer]);
+    scenes.set(id, { means, count, opacities, depths: new Float32Array(count), indices: new Uint32Array(count) });
+    const sample = sampled(scene), faint = opacities.reduce((sum, opacity) => sum + !(opacity >= FAINTEST), 0);
+    const order = view && sorted(scenes.get(id), view);
+    postMessage({ load: id, count, degree, dropped, faint, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
 const counts = [new Uint32Array(65536), new Uint32Array(65536)];
 
-// Indices of the Gaussians before the near plane, far to near: a stable radix sort by the bits of their depth.
-function sorted({ means, count, depths, indices }, [fx, fy, fz], [ex, ey, ez]) {
+// Indices of the Gaussians beyond the near plane that are not too faint, far to near: a stable radix sort by the bits of their depth.
+function sorted({ means, count, opacities, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = counts;
     low.fill(0);
     high.fill(0);
     let seen = 0;
     for (let i = 0; i < count; ++i) {
-        depths[i] = (means[3 * i] - ex) * fx + (means[3 * i + 1] - ey) * fy + (means[3 * i + 2] - ez) * fz;
+        const depth = (means[3 * i] - ex) * fx + (means[3 * i + 1] - ey) * fy + (means[3 * i + 2] - ez) * fz;
+        depths[i] = opacities[i] >= FAINTEST ? depth : 0;
         if (!(depths[i] >= NEAR)) continue;
         ++low[bits[i] & 0xffff];
         ++high[bits[i] >>> 16];
@@ -77,10 +81,10 @@ function sorted({ means, count, depths, indices }, [fx, fy, fz], [ex, ey, ez]) {
 
 onmessage = async ({ data }) => {
     if (data.sort !== undefined) {
-        const order = sorted(scenes.get(data.sort), data.forward, data.eye);
+        const order = sorted(scenes.get(data.sort), data.view);
         postMessage({ sort: data.sort, order }, [order.buffer]);
     } else {
-        await load(data.load, data.bytes, data.name).catch(error => {
+        await load(data.load, data.bytes, data.name, data.view).catch(error => {
             const words = error instanceof RangeError ? "The scene is larger than this browser's memory." : error.message;
             postMessage({ load: data.load, failed: words });
         });

@@ -1,11 +1,14 @@
 //! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
 //! be refined.
 
-use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
+use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, read_patches, write_choice};
 use crate::{
     Result,
-    gpu::{Arena, Claim, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
-    stages::render::{SceneMemory, SceneTensors},
+    gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
+    stages::{
+        ViewGrid,
+        render::{SceneMemory, SceneTensors},
+    },
     types::Image,
 };
 use std::{ops::ControlFlow, sync::Arc};
@@ -24,6 +27,11 @@ impl Features {
     /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.memory.bytes()
+    }
+
+    /// The views and their patches.
+    pub fn grid(&self) -> ViewGrid {
+        self.shape.grid
     }
 }
 
@@ -80,7 +88,7 @@ impl Model {
         let mut rec = Recorder::new(self.device.limits());
         let inputs = self.network.record_features(&mut rec, shape, &tensors);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
-        let (arena, _claim) = self.claimed();
+        let (arena, _claim) = self.arena.claimed();
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, request)?;
         let times = run.execute_with(progress)?;
@@ -106,7 +114,7 @@ impl Model {
         let into = SceneTensors::lay_out(&mut layout, self.network.gaussians_of(shape), degree);
         let mut rec = Recorder::new(self.device.limits());
         let choice = self.network.record_decoding(&mut rec, shape, &features.tensors, &into);
-        let (arena, _claim) = self.claimed();
+        let (arena, _claim) = self.arena.claimed();
         let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(&arena);
         let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
@@ -115,6 +123,7 @@ impl Model {
         let gaussians = scene.scene(degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
+            patches: read_patches(&run, choice, shape, &request)?,
             times,
             outline: Profile::outline(run.plan()),
             left_out: shape.left_out(),
@@ -141,7 +150,7 @@ impl Model {
         let mut rec = Recorder::new(self.device.limits());
         let choice = self.network.record_tokens(&mut rec, shape, &features.tensors, tensor);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
-        let (arena, _claim) = self.claimed();
+        let (arena, _claim) = self.arena.claimed();
         let memories = [self.parameters.resident.clone(), features.memory.clone(), memory.clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, request)?;
@@ -154,13 +163,5 @@ impl Model {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
         Shape::new(self.architecture(), grid.views, size, (request.ratio, &request.selection), cameras)
-    }
-
-    /// The model's arena, or one of its own where another thread uses that one now.
-    fn claimed(&self) -> (Arena, Option<Claim>) {
-        match self.arena.claim() {
-            Some(claim) => (self.arena.clone(), Some(claim)),
-            None => (Arena::new(&self.device), None),
-        }
     }
 }

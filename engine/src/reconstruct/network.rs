@@ -40,6 +40,8 @@ pub(super) struct Choice {
     pub unit: Option<Tensor>,
     /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
     pub indices: Option<Tensor>,
+    /// `[tokens]` u32: the tokens that k-means keeps, for the host to read; absent where it does not choose.
+    pub kept: Option<Tensor>,
 }
 
 /// The tensors that the first half of the network leaves for the second.
@@ -139,9 +141,10 @@ impl Network {
         scene: &SceneTensors,
     ) -> Choice {
         let unit = rec.input::<f32>("unit", 1);
-        let (indices, tokens) = self.head_tokens(rec, shape, features);
+        let (choice, tokens) = self.head_tokens(rec, shape, features);
+        choice.kept.into_iter().for_each(|kept| rec.output(kept));
         rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, unit, scene));
-        Choice { unit: Some(unit), indices }
+        Choice { unit: Some(unit), ..choice }
     }
 
     /// Records the way from features to the tokens that the head reads, which stay on the device in `into`.
@@ -152,14 +155,14 @@ impl Network {
         features: &FeatureTensors,
         into: Tensor,
     ) -> Choice {
-        let (indices, tokens) = self.head_tokens(rec, shape, features);
+        let (choice, tokens) = self.head_tokens(rec, shape, features);
         let joined = join_columns(rec, tokens, Element::F32);
         rec.copy(joined.tensor, into);
-        Choice { unit: None, indices }
+        choice
     }
 
     /// The input that says which tokens are kept, and what the head reads of those: scene tokens and their colours.
-    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Option<Tensor>, [Rows; 2]) {
+    fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
@@ -169,10 +172,11 @@ impl Network {
             }
             (given, _) => given,
         });
+        let kept = chosen.filter(|_| matches!(shape.kept, Kept::Kmeans(_)));
         let chosen = chosen.map(|indices| (indices, tokens));
         let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
-        (indices, [scene, colors])
+        (Choice { unit: None, indices, kept }, [scene, colors])
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {

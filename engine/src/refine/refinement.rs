@@ -110,7 +110,11 @@ impl<'a> Refinement<'a> {
     ///
     /// # Errors
     /// As [`super::refine_scene`].
-    pub fn finish(mut self, progress: &mut dyn FnMut(Refining) -> ControlFlow<()>, begin: Instant) -> Result<Refined> {
+    pub fn finish(
+        mut self,
+        progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
+        begin: Instant,
+    ) -> Result<Refined> {
         let stopped = self.run(progress, begin)?;
         let profile = self.request.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
@@ -122,7 +126,7 @@ impl<'a> Refinement<'a> {
 
     fn run(
         &mut self,
-        progress: &mut dyn FnMut(Refining) -> ControlFlow<()>,
+        progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<Option<Stopped>> {
         let steps = self.request.steps;
@@ -151,7 +155,10 @@ impl<'a> Refinement<'a> {
             }
             let left = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.held_out.last().map(|(_, psnr)| *psnr);
-            if progress(Refining { step: done, steps, loss: Some(loss), psnr, left }).is_break() {
+            let shown = self.request.show.is_some_and(|every| done.is_multiple_of(every.max(1)));
+            let scene = shown.then(|| self.scene()).transpose()?;
+            let now = Refining { step: done, steps, loss: Some(loss), psnr, left, scene: scene.as_ref() };
+            if progress(now).is_break() {
                 self.look(done)?;
                 self.keep();
                 return Ok(Some(Stopped::Cancelled));
@@ -210,13 +217,19 @@ impl<'a> Refinement<'a> {
         }
         if step > 0 && (!self.tested.is_empty() || self.latest <= self.least) {
             let cameras = self.cameras.all().to_vec();
-            let mut scene = self.gaussians.scene()?;
-            if self.growth.is_some() {
-                drop_unseen(&mut scene);
-            }
+            let scene = self.scene()?;
             self.next = Some(Kept { step, scene, cameras });
         }
         Ok(())
+    }
+
+    /// The Gaussians as they are now.
+    fn scene(&mut self) -> Result<Scene> {
+        let mut scene = self.gaussians.scene()?;
+        if self.growth.is_some() {
+            drop_unseen(&mut scene);
+        }
+        Ok(scene)
     }
 
     /// Keeps what was marked.

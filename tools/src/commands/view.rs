@@ -1,39 +1,49 @@
 //! `zipsplat view`: scenes in a browser.
 
 use crate::{
-    options::SceneInput,
+    options::{SceneInput, refuse},
     outputs::Overwrite,
     session::Session,
     table::{bytes, counted},
-    viewer::{Config, InputCamera, Requests, Server, ShownScene, input_cameras, vertical, write_page},
+    video::is_video,
+    viewer::{
+        Config, FromPhotos, InputCamera, Ready, Requests, Served, Server, ShownScene, Studio, Watched, input_cameras,
+        vertical, within_page, write_page,
+    },
 };
 use clap::Args;
 use serde_json::json;
 use std::{
+    num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::atomic::Ordering,
 };
 use zipsplat::{
     Error, Result,
-    types::{Scene, SceneFormat, WriteOptions, encode_scene, poses::Frame, read_world, spz_coarsening, write_atomic},
+    types::{
+        Image, Scene, SceneFormat, WriteOptions, encode_scene, poses::Frame, read_world, spz_coarsening, write_atomic,
+    },
 };
 
-/// A scene in a browser, to look around in
+/// Scenes, or photos and what becomes of them, in a browser
 ///
-/// With -o a page in one file, which needs nothing else and asks nobody for anything: open it by a double click, or mail it.
-/// Otherwise the page is served on this machine, to whoever has the address that is printed, until Ctrl-C. Several scenes stand
-/// behind one slider, such as one capture at several compression ratios. No GPU of this program's is used: the browser draws, by
-/// the rules of `render`.
+/// Scenes of files are shown as they are, several behind one slider. Of photos the page shows a scene of any compression ratio, with a
+/// slider, and its refinement while it goes on (--refine). With -o a page in one file, which needs nothing else and asks nobody for
+/// anything: open it by a double click, or mail it. Otherwise the page is served on this machine, to whoever has the address that
+/// is printed, until Ctrl-C. The browser draws, by the rules of `render`.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat view scene.ply
   zipsplat view scene.ply -o scene.html
   zipsplat view scene.ply --poses transforms.json
+  zipsplat view photos/ --poses transforms.json
+  zipsplat view photos/ --poses transforms.json --refine=200
+  zipsplat view photos/ --ratios 1,0.3,0.1 -o ratios.html
   zipsplat view tenth.ply half.ply all.ply -o compared.html")]
 pub struct View {
-    /// Scenes: PLY, SPZ, .splat or glTF
-    #[arg(required = true)]
-    scenes: Vec<PathBuf>,
+    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP), folders of them and videos
+    #[arg(required = true, value_name = "SCENES|PHOTOS")]
+    files: Vec<PathBuf>,
     #[command(flatten)]
     input: SceneInput,
     /// Page to write; without it the page is served
@@ -45,22 +55,31 @@ pub struct View {
     #[arg(long, requires = "output")]
     exact: bool,
     /// Cameras to look through, in the first scene's world: transforms.json, a COLMAP model's folder, and whatever else render
-    /// --cameras takes
-    #[arg(long, value_name = "PATH")]
+    /// --cameras takes; for photos those that took them, or find, where COLMAP finds them
+    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
     poses: Option<PathBuf>,
-    /// Folder of the photos that the cameras took, to lay over the picture [default: where the cameras' file says]
-    #[arg(long, value_name = "DIR", requires = "poses", conflicts_with = "output")]
+    /// Folder of the photos that the cameras took, to lay over the picture [default: where the cameras' file says; with -o, none].
+    /// A written page holds them small
+    #[arg(long, value_name = "DIR", requires = "poses")]
     photos: Option<PathBuf>,
     /// Photo whose camera is the scene's world [default: the one that the scene's file names]
     #[arg(long, value_name = "PHOTO", requires = "poses")]
     relative_to: Option<PathBuf>,
+    /// Every N Gaussians of a scene's file are of one token, for the view of tokens
+    #[arg(long, value_name = "N")]
+    group: Option<NonZeroUsize>,
     /// Port to serve at [default: a free one]
     #[arg(long, value_name = "N", default_value = "0", hide_default_value = true, conflicts_with = "output")]
     port: u16,
     /// Also open the page in the browser
     #[arg(long)]
     open: bool,
+    #[command(flatten)]
+    from: FromPhotos,
 }
+
+/// Longer side of the photos of cameras within a page, in pixels.
+const SMALL: u32 = 640;
 
 impl View {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
@@ -71,34 +90,106 @@ impl View {
             }
             self.overwrite.check_file(output)?;
         }
+        if self.is_of_photos()? { self.show_photos(session) } else { self.show_scenes(session) }
+    }
+
+    /// Whether the files are photos; otherwise they are scenes.
+    fn is_of_photos(&self) -> Result<bool> {
+        let is_photo = |path: &PathBuf| path.is_dir() || is_video(path) || Image::size_as_stored(path).is_ok();
+        let photos = self.files.iter().filter(|path| is_photo(path)).count();
+        if photos != 0 && photos != self.files.len() {
+            let other = self.files.iter().find(|path| !is_photo(path)).map(|path| path.display().to_string());
+            let found = format!("{}, which is no photo, among {}", other.unwrap_or_default(), counted(photos, "photo"));
+            return Err(Error::argument("files to view", found, "scenes alone, or photos alone"));
+        }
+        Ok(photos != 0)
+    }
+
+    fn show_scenes(&self, session: &mut Session<'_>) -> Result<()> {
+        if let Some(option) = self.from.given() {
+            return Err(Error::argument(option, "scenes", "photos, which it is for"));
+        }
         let mut scenes = Vec::new();
-        for path in &self.scenes {
+        for path in &self.files {
             scenes.push(self.input.read(session, path)?.0);
         }
-        let config = self.config(session)?;
+        let shown = |path: &PathBuf| {
+            let bytes = path.metadata().map_err(|error| Error::io(path, error))?.len();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            Ok(ShownScene { name, bytes, group: self.group.map(NonZeroUsize::get), ..ShownScene::default() })
+        };
+        let (shown, cameras) = (self.files.iter().map(shown).collect::<Result<_>>()?, self.cameras(session)?);
+        let mut config = Config { scenes: shown, up: vertical(&cameras), cameras, ..Config::default() };
         match &self.output {
-            Some(output) => self.write(session, output, &config, &scenes),
-            None => self.serve(session, &config, &scenes),
+            Some(output) => self.write(session, output, &mut config, &scenes),
+            None => self.serve(session, &mut config, &scenes, None, None),
         }
     }
 
-    fn config(&self, session: &mut Session<'_>) -> Result<Config> {
-        let scene = |path: &PathBuf| {
-            let bytes = path.metadata().map_err(|error| Error::io(path, error))?.len();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            Ok(ShownScene { name, bytes })
+    fn show_photos(&self, session: &mut Session<'_>) -> Result<()> {
+        refuse("--group", self.group.is_some(), "photos", "a scene's file")?;
+        refuse("--photos", self.photos.is_some(), "photos", "a scene's file")?;
+        refuse("--relative-to", self.relative_to.is_some(), "photos", "a scene's file")?;
+        let mut ready = self.from.prepare(session, &self.files, self.poses.as_deref())?;
+        let watched = self.from.watched(session, &ready)?;
+        let (grid, cameras) = (ready.live.grid(), std::mem::take(&mut ready.cameras));
+        let mut config = Config {
+            up: vertical(&cameras),
+            cameras,
+            views: ready.views(self.output.is_some())?,
+            grid: [grid.rows, grid.columns],
+            ..Config::default()
         };
-        let cameras = self.cameras(session)?;
-        let up = vertical(&cameras);
-        Ok(Config { scenes: self.scenes.iter().map(scene).collect::<Result<_>>()?, cameras, up })
+        match &self.output {
+            Some(output) => self.write_ratios(session, output, &mut config, &ready, watched.as_ref()),
+            None => {
+                config.live = Some(ready.live.ratios());
+                config.refines = watched.is_some();
+                self.serve(session, &mut config, &[], Some(&ready), watched.as_ref())
+            }
+        }
+    }
+
+    /// Writes a page with scenes of several ratios, and the refined one.
+    fn write_ratios(
+        &self,
+        session: &mut Session<'_>,
+        output: &Path,
+        config: &mut Config,
+        ready: &Ready<'_>,
+        watched: Option<&Watched>,
+    ) -> Result<()> {
+        let (ratios, precision) = (self.from.ratios(ready.live.grid().tokens())?, ready.live.first_precision());
+        let (mut made, _) = session.stage("reconstruct", |stage| {
+            stage.each(&ratios, |ratio| {
+                let mut made = ready.live.make(*ratio, precision)?;
+                made.shown.name = format!("ratio {ratio}");
+                Ok(made)
+            })
+        })?;
+        if let Some(watched) = watched {
+            session.stage("refine", |stage| watched.run(&ready.live, |done| stage.at(done)))?;
+            made.extend(watched.scene());
+        }
+        config.note = Some(format!(
+            "This file holds {}; zipsplat view with the photos makes any.",
+            counted(ratios.len(), "ratio")
+        ));
+        let mut scenes = Vec::new();
+        for one in made {
+            config.scenes.push(one.shown);
+            scenes.push(one.scene);
+        }
+        self.write(session, output, config, &scenes)
     }
 
     fn cameras(&self, session: &mut Session<'_>) -> Result<Vec<InputCamera>> {
         let Some(poses) = &self.poses else { return Ok(Vec::new()) };
-        let world = read_world(&self.scenes[0])?;
+        let world = read_world(&self.files[0])?;
         let photo_of = |frame: &Frame| match &self.photos {
-            _ if self.output.is_some() => None,
             Some(folder) => Some(folder.join(Path::new(&frame.name).file_name()?)).filter(|file| file.is_file()),
+            // Who mails a page says which photos go with it.
+            None if self.output.is_some() => None,
             None => frame.photo.clone(),
         };
         let (cameras, notes) = input_cameras(poses, self.relative_to.as_deref(), world.as_ref(), photo_of)?;
@@ -112,7 +203,7 @@ impl View {
         Ok(cameras)
     }
 
-    fn write(&self, session: &mut Session<'_>, output: &Path, config: &Config, scenes: &[Scene]) -> Result<()> {
+    fn write(&self, session: &mut Session<'_>, output: &Path, config: &mut Config, scenes: &[Scene]) -> Result<()> {
         let format = if self.exact { SceneFormat::Ply } else { SceneFormat::Spz };
         if let Some(note) = scenes.iter().find_map(spz_coarsening).filter(|_| !self.exact) {
             session.note(format!("{note}; --exact keeps them"));
@@ -120,17 +211,49 @@ impl View {
         let (encoded, _) = session.stage("pack scenes", |stage| {
             stage.each(scenes, |scene| encode_scene(scene, format, &WriteOptions::default()))
         })?;
+        for (shown, bytes) in config.scenes.iter_mut().zip(&encoded).filter(|(shown, _)| shown.bytes == 0) {
+            shown.bytes = bytes.len() as u64;
+        }
+        let (photos, _) = session.stage("pack photos", |stage| {
+            let (mut count, mut packed) = (0, 0);
+            let all = config.cameras.len();
+            for (i, camera) in config.cameras.iter_mut().enumerate() {
+                stage.reach(i as f64 / all as f64)?;
+                if let Some(jpeg) = camera.jpeg(Some(SMALL))? {
+                    let address = within_page(&jpeg);
+                    (count, packed) = (count + 1, packed + address.len());
+                    camera.at(address);
+                }
+            }
+            Ok((count, packed + config.views.iter().map(|view| view.photo.len()).sum::<usize>()))
+        })?;
         session
             .stage("write page", |_| write_atomic(output, |out| write_page(out, config, Requests::None, &encoded)))?;
         let written = output.metadata().map_err(|error| Error::io(output, error))?.len();
         let gaussians: Vec<usize> = scenes.iter().map(Scene::len).collect();
-        let json = json!({ "output": output, "gaussians": gaussians, "bytes": written });
+        let json = json!({
+            "output": output, "gaussians": gaussians, "bytes": written, "photos": photos.0, "photo_bytes": photos.1,
+        });
         let all = counted(gaussians.iter().sum(), "Gaussian");
-        session.report(&json, format!("{}: {all}, {}", output.display(), bytes(written)))?;
+        let mut text = format!("{}: {all}, {}", output.display(), bytes(written));
+        if photos.1 != 0 {
+            text += &format!(", of which {} are pictures of photos", bytes(photos.1 as u64));
+        }
+        session.report(&json, text)?;
         if self.open { open_in_browser(output) } else { Ok(()) }
     }
 
-    fn serve(&self, session: &mut Session<'_>, config: &Config, scenes: &[Scene]) -> Result<()> {
+    fn serve(
+        &self,
+        session: &mut Session<'_>,
+        config: &mut Config,
+        scenes: &[Scene],
+        ready: Option<&Ready<'_>>,
+        watched: Option<&Watched>,
+    ) -> Result<()> {
+        for (i, camera) in config.cameras.iter_mut().enumerate().filter(|(_, camera)| camera.has_photo()) {
+            camera.at(format!("photo/{i}"));
+        }
         let server = Server::new(self.port).map_err(|error| Error::io(format!("port {}", self.port), error))?;
         let address = server.address();
         session.report(&json!({ "address": address }), format!("{address}\nCtrl-C ends it."))?;
@@ -138,26 +261,18 @@ impl View {
             open_in_browser(Path::new(&address))?;
         }
         let cancelled = session.cancelled();
-        let served = server.serve(|path| answer(path, config, scenes), || cancelled.load(Ordering::Relaxed));
-        served.map_err(|error| Error::io(address, error))
-    }
-}
-
-/// The answer for a path of the page's: the page itself, a scene with all its bits, or an input camera's photo.
-fn answer(path: &str, config: &Config, scenes: &[Scene]) -> Result<Option<(&'static str, Vec<u8>)>> {
-    if path.is_empty() {
-        let mut page = Vec::new();
-        write_page(&mut page, config, Requests::Server, &[]).map_err(|error| Error::io("page", error))?;
-        return Ok(Some(("text/html; charset=utf-8", page)));
-    }
-    let number = |folder: &str| path.strip_prefix(folder)?.parse::<usize>().ok();
-    if let Some(scene) = number("scene/").and_then(|i| scenes.get(i)) {
-        let bytes = encode_scene(scene, SceneFormat::Ply, &WriteOptions::default())?;
-        return Ok(Some(("application/octet-stream", bytes)));
-    }
-    match number("photo/").and_then(|i| config.cameras.get(i)) {
-        Some(camera) => Ok(camera.jpeg()?.map(|bytes| ("image/jpeg", bytes))),
-        None => Ok(None),
+        let device = ready.map(|ready| &ready.live.device);
+        let studio = Studio::new(device, session.device_options(), self.from.reading.ffmpeg.clone());
+        let served = Served { config, scenes, ready, watched, studio: &studio, cancelled };
+        std::thread::scope(|scope| {
+            if let (Some(watched), Some(ready)) = (watched, ready) {
+                // The page says where it fails.
+                scope.spawn(|| watched.run(&ready.live, |_| ready.live.go_on()));
+            }
+            let stopped = || cancelled.load(Ordering::Relaxed);
+            server.serve(|path, body| served.answer(path, body), stopped)
+        })
+        .map_err(|error| Error::io(address, error))
     }
 }
 

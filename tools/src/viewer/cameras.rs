@@ -1,19 +1,37 @@
 //! The cameras that a viewer knows.
 
 use glam::DVec3;
+use image::{ColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use zipsplat::{
-    Result,
+    Error, Result,
     types::{
-        Intrinsics, Pose, World,
+        Image, Intrinsics, Pose, World,
         poses::{Frame, read_cameras},
+        resample::resize_lanczos,
     },
 };
 
 /// The lens of cameras whose file says none: 60 degrees.
 const SIDE: u32 = 512;
 const FOV: f64 = 60.0;
+
+/// The quality of JPEGs that are served, and of those within a page.
+pub const QUALITY: u8 = 90;
+pub const SMALL_QUALITY: u8 = 75;
+
+/// A picture as a JPEG.
+///
+/// # Errors
+/// [`Error::Argument`] for a picture larger than a JPEG can be.
+pub fn jpeg(picture: &Image, quality: u8) -> Result<Vec<u8>> {
+    let (mut bytes, Image { width, height, rgb }) = (Vec::new(), picture);
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    let written = encoder.write_image(rgb, *width, *height, ColorType::Rgb8.into());
+    written.map_err(|error| Error::argument("picture", format!("{width} x {height}: {error}"), "what a JPEG holds"))?;
+    Ok(bytes)
+}
 
 /// A camera to look through, as the page takes it: lengths in pixels, camera-to-world, x right, y down, z forward.
 #[derive(Serialize)]
@@ -26,8 +44,8 @@ pub struct InputCamera {
     fy: f64,
     cx: f64,
     cy: f64,
-    /// The photo of the camera can be asked for.
-    photo: bool,
+    /// The address of the camera's photo, where there is one.
+    photo: Option<String>,
     #[serde(skip)]
     frame: Frame,
     #[serde(skip)]
@@ -35,30 +53,40 @@ pub struct InputCamera {
 }
 
 impl InputCamera {
-    fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
+    /// The camera of a photo at a pose in the scene's world.
+    pub fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
         let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
         let matrix = [0, 1, 2].map(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]]);
-        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: file.is_some(), frame, file }
+        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, file }
     }
 
     /// True where there is a photo of the camera.
     pub fn has_photo(&self) -> bool {
-        self.photo
+        self.file.is_some()
     }
 
-    /// The photo as the camera sees it, as a JPEG; none where there is no photo.
+    /// Says where the page finds the photo.
+    pub fn at(&mut self, address: String) {
+        self.photo = Some(address);
+    }
+
+    /// The photo as the camera sees it, as a JPEG, at most `side` pixels long where that is given; none where there is no photo.
     ///
     /// # Errors
     /// A photo that cannot be read.
-    pub fn jpeg(&self) -> Result<Option<Vec<u8>>> {
+    pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;
-        let mut bytes = Vec::new();
-        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 90);
-        image::ImageEncoder::write_image(encoder, &photo.rgb, photo.width, photo.height, image::ColorType::Rgb8.into())
-            .map_err(|error| zipsplat::Error::format(file, None, error.to_string()))?;
-        Ok(Some(bytes))
+        let longest = photo.width.max(photo.height);
+        match side.filter(|side| *side < longest) {
+            Some(side) => {
+                let [width, height] = [photo.width, photo.height].map(|own| (own * side / longest).max(1));
+                jpeg(&resize_lanczos(&photo, width, height)?, SMALL_QUALITY)
+            }
+            None => jpeg(&photo, QUALITY),
+        }
+        .map(Some)
     }
 }
 

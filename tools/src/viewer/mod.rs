@@ -1,10 +1,27 @@
 //! The viewer of scenes: a page for a browser, and the server that hands it out on this machine. The page's own parts are in
 //! `tools/viewer`.
 
+mod answers;
 mod cameras;
+mod live;
 mod page;
+mod photos;
+mod recording;
 mod server;
+mod watched;
 
+pub use answers::Served;
 pub use cameras::{InputCamera, input_cameras, vertical};
+pub use live::Live;
 pub use page::{Config, Requests, ShownScene, write_page};
+pub use photos::{FromPhotos, Ready};
+pub use recording::Studio;
 pub use server::Server;
+pub use watched::Watched;
+
+use base64::{Engine, prelude::BASE64_STANDARD};
+
+/// The address of a JPEG that is within a page.
+pub fn within_page(jpeg: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(jpeg))
+}

@@ -5,6 +5,7 @@ use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::io::{Result, Write};
+use zipsplat::types::LeftOut;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
@@ -14,13 +15,18 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/controls.js"),
     include_str!("../../viewer/renderer.js"),
     include_str!("../../viewer/overlay.js"),
+    include_str!("../../viewer/tokens.js"),
+    include_str!("../../viewer/views.js"),
+    include_str!("../../viewer/path.js"),
+    include_str!("../../viewer/live.js"),
+    include_str!("../../viewer/refining.js"),
     include_str!("../../viewer/page.js"),
 );
 /// The script that runs beside it.
 const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_str!("../../viewer/worker.js"));
 
 /// The contents of a page.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub struct Config {
     /// The scenes, in the order of the slider.
     pub scenes: Vec<ShownScene>,
@@ -28,15 +34,53 @@ pub struct Config {
     pub cameras: Vec<InputCamera>,
     /// The world's direction against gravity, where it is known.
     pub up: Option<[f64; 3]>,
+    /// The photos as the network saw them, where it made the scenes.
+    pub views: Vec<View>,
+    /// Rows and columns of the patches of each of them.
+    pub grid: [usize; 2],
+    /// Scenes of any ratio can be asked for.
+    pub live: Option<Ratios>,
+    /// A refinement is under way.
+    pub refines: bool,
+    /// The sentence under the slider.
+    pub note: Option<String>,
 }
 
 /// A scene as the page names it before it is loaded.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub struct ShownScene {
     /// The name of its file.
     pub name: String,
     /// The size of its file.
     pub bytes: u64,
+    /// Gaussians of a token, which follow each other.
+    pub group: Option<usize>,
+    /// The patch that each token is of, see [`zipsplat::reconstruct::Reconstruction::patches`].
+    pub patches: Vec<u32>,
+    /// Stages and the milliseconds that each took.
+    pub times: Vec<(String, f64)>,
+    /// The stages that were not needed, and why.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A picture that the network saw.
+#[derive(Serialize)]
+pub struct View {
+    /// The photo's name.
+    pub name: String,
+    /// The picture's address.
+    pub photo: String,
+}
+
+/// What scenes can be asked for.
+#[derive(Serialize)]
+pub struct Ratios {
+    /// Tokens at ratio 1.
+    pub tokens: usize,
+    /// The ratio to begin with.
+    pub ratio: f64,
+    /// Precisions that the device computes in, the one to begin with first.
+    pub precisions: Vec<&'static str>,
 }
 
 /// Whom a page may ask for anything.

@@ -1,8 +1,9 @@
 //! Hands a page and what it asks for to browsers on this machine, and to nobody else.
 
 use std::{
-    io::{Error, Result},
+    io::{Error, Read, Result},
     net::{Ipv4Addr, SocketAddr},
+    panic::resume_unwind,
     time::Duration,
 };
 use tiny_http::{Header, Method, Request, Response, StatusCode};
@@ -10,6 +11,10 @@ use tiny_http::{Header, Method, Request, Response, StatusCode};
 /// The time after which a wait for a request looks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(100);
 const TOKEN_BYTES: usize = 16;
+/// Requests that are answered at once: one may take long, and the page goes on asking.
+const THREADS: usize = 4;
+/// Most bytes of what a page sends.
+const MOST: u64 = 16 << 20;
 
 /// A server on the loopback interface whose paths all begin with a random token.
 pub struct Server {
@@ -40,43 +45,59 @@ impl Server {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
 
-    /// Answers requests with what `answer` has at the path behind the token, until `stopped`. An error of `answer` is answered
-    /// with its words.
+    /// Answers requests with what `answer` has at the path behind the token, until `stopped`, several at once. What a page sends is
+    /// its second argument, none where it only asks. An error of `answer` is answered with its words.
     ///
     /// # Errors
     /// The error of a socket that can receive no further request.
     pub fn serve<E: ToString>(
         &self,
-        answer: impl Fn(&str) -> std::result::Result<Option<Answer>, E>,
-        stopped: impl Fn() -> bool,
+        answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E> + Sync,
+        stopped: impl Fn() -> bool + Sync,
     ) -> Result<()> {
-        while !stopped() {
-            if let Some(request) = self.http.recv_timeout(POLL)? {
-                let (status, (kind, bytes)) = self.answer(&request, &answer);
-                // A browser that went away is no reason to stop.
-                let _ = request.respond(response(status, kind, bytes));
+        let serve = || {
+            while !stopped() {
+                if let Some(mut request) = self.http.recv_timeout(POLL)? {
+                    let (status, (kind, bytes)) = self.answer(&mut request, &answer);
+                    // A browser that went away is no reason to stop.
+                    let _ = request.respond(response(status, kind, bytes));
+                }
             }
-        }
-        Ok(())
+            Ok(())
+        };
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..THREADS).map(|_| scope.spawn(serve)).collect();
+            threads.into_iter().try_for_each(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)))
+        })
     }
 
     fn answer<E: ToString>(
         &self,
-        request: &Request,
-        answer: impl Fn(&str) -> std::result::Result<Option<Answer>, E>,
+        request: &mut Request,
+        answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E>,
     ) -> (u16, Answer) {
         let refused = |status, why: &str| (status, ("text/plain; charset=utf-8", why.as_bytes().to_vec()));
         if !self.is_own(request) {
             return refused(403, "not from this page");
         }
-        if !matches!(request.method(), Method::Get | Method::Head) {
-            return refused(405, "only GET and HEAD");
+        let sent = *request.method() == Method::Post;
+        if !sent && !matches!(request.method(), Method::Get | Method::Head) {
+            return refused(405, "only GET, HEAD and POST");
         }
         let path = request.url().strip_prefix('/').and_then(|path| path.strip_prefix(self.token.as_str()));
-        match path.and_then(|path| path.strip_prefix('/')).map(answer) {
-            Some(Ok(Some(found))) => (200, found),
-            Some(Err(error)) => refused(500, &error.to_string()),
-            Some(Ok(None)) | None => refused(404, "nothing here"),
+        let Some(path) = path.and_then(|path| path.strip_prefix('/')).map(str::to_owned) else {
+            return refused(404, "nothing here");
+        };
+        let mut body = Vec::new();
+        if sent && !matches!(request.as_reader().take(MOST + 1).read_to_end(&mut body), Ok(read) if read as u64 <= MOST)
+        {
+            return refused(413, "too much at once");
+        }
+        match answer(&path, sent.then_some(&body[..])) {
+            Ok(Some(found)) => (200, found),
+            Err(error) => refused(500, &error.to_string()),
+            Ok(None) if sent => refused(405, "nothing here takes that"),
+            Ok(None) => refused(404, "nothing here"),
         }
     }
 

@@ -1,0 +1,105 @@
+// Key cameras: played, saved and recorded.
+
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { readFileSync, rmSync, writeFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+import { PNG } from "pngjs";
+import { Tab, at, close, folder, opened, psnr, serve, zipsplat } from "./browser.mjs";
+
+before(() => zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats"));
+after(async () => {
+    await close();
+    rmSync(folder, { recursive: true });
+});
+
+// Two key cameras, and what the page draws of the first.
+async function kept(tab) {
+    await tab.settled();
+    const picture = await tab.picture();
+    await tab.page.keyboard.press("k");
+    await tab.run(() => (zipsplat.camera.orbit(0.3, 0.1), zipsplat.camera.zoom(0.8)));
+    await tab.page.keyboard.press("k");
+    await tab.slide("seconds", 0.5);
+    await tab.run(() => {
+        globalThis.base64 = async blob => btoa(Array.from(new Uint8Array(await blob.arrayBuffer()), byte => String.fromCharCode(byte)).join(""));
+        globalThis.saved = new Promise(resolve => zipsplat.download = (name, blob) => base64(blob).then(text => resolve([name, text])));
+    });
+    return picture;
+}
+
+const saved = async tab => {
+    const [name, base64] = await tab.run(() => globalThis.saved);
+    return [name, Buffer.from(base64, "base64")];
+};
+
+const hasFfmpeg = () => {
+    try {
+        execFileSync("ffmpeg", ["-version"], { stdio: "ignore" });
+        return true;
+    } catch {
+        return false;
+    }
+};
+
+test("a path plays from its first key camera to its last", async () => {
+    zipsplat("view", "place/splats.ply", "-o", "page.html");
+    const tab = await opened("page.html");
+    await kept(tab);
+    const keys = await tab.run(() => zipsplat.path.keys);
+    await tab.run(() => zipsplat.reset());
+    await tab.page.keyboard.press(" ");
+    await tab.until(() => zipsplat.path.playing === null);
+    const eye = await tab.run(() => zipsplat.camera.eye);
+    eye.forEach((value, i) => assert.ok(Math.abs(value - keys[1].eye[i]) < 1e-9));
+    const [from, halfway, to] = await tab.run(() => [0, 0.5, 1].map(share => zipsplat.path.at(share).axes[2]));
+    const angle = (a, b) => Math.acos(Math.min(1, a.reduce((sum, value, i) => sum + value * b[i], 0)));
+    assert.ok(Math.abs(angle(from, halfway) - angle(halfway, to)) < 0.02 && angle(from, to) > 0.2);
+    await tab.close();
+});
+
+test("the server records what the page plays", async () => {
+    const { address, stop } = await serve("view", "place/splats.ply"), tab = await Tab.open(address);
+    const picture = await kept(tab);
+    await tab.slide("format", "png");
+    await tab.run(() => document.getElementById("record").click());
+    const [name, bytes] = await saved(tab);
+    assert.equal(name, "splats.png");
+    // The first picture of an animated PNG is that of a plain one; acTL says how many there are.
+    assert.equal(bytes.readUInt32BE(bytes.indexOf("acTL") + 4), 15);
+    const alike = psnr(picture, PNG.sync.read(bytes));
+    console.log(`first recorded picture: ${alike.toFixed(1)} dB`);
+    assert.ok(alike > 56, `${alike} dB`);
+    await tab.until(() => /^Recorded 15 pictures/.test(document.getElementById("recorded").textContent));
+    if (hasFfmpeg()) {
+        await kept(tab);
+        await tab.slide("format", "mp4");
+        await tab.run(() => document.getElementById("record").click());
+        const [name, bytes] = await saved(tab);
+        assert.ok(name === "splats.mp4" && bytes.subarray(4, 8).toString() === "ftyp", name);
+    }
+    await tab.screenshot("recorded");
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+    await stop();
+});
+
+test("a written page says the command that records", async () => {
+    zipsplat("view", "place/splats.ply", "-o", "page.html");
+    const tab = await opened("page.html");
+    await kept(tab);
+    await tab.slide("format", "gif");
+    await tab.run(() => document.getElementById("record").click());
+    const [name, bytes] = await saved(tab);
+    assert.equal(name, "camera_path.json");
+    writeFileSync(at(name), bytes);
+    const words = await tab.page.$eval("#recorded", element => element.textContent);
+    const command = /zipsplat (render splats.spz .*)$/.exec(words);
+    assert.ok(command, words);
+    // The scene as Settings save it.
+    const scene = await tab.run(() => base64(zipsplat.scene.blob));
+    writeFileSync(at("splats.spz"), Buffer.from(scene, "base64"));
+    zipsplat(...command[1].split(" "));
+    assert.equal(readFileSync(at("splats.gif")).subarray(0, 4).toString(), "GIF8");
+    await tab.close();
+});

@@ -1,0 +1,86 @@
+// Depth, normals and tokens of the page beside those of `zipsplat render`.
+
+import assert from "node:assert/strict";
+import { rmSync, writeFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+import { Tab, at, close, folder, opened, psnr, randomPly, serve, spread, zipsplat } from "./browser.mjs";
+
+before(() => {
+    writeFileSync(at("random.ply"), randomPly(3000));
+    zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats");
+});
+after(async () => {
+    await close();
+    rmSync(folder, { recursive: true });
+});
+
+// Depths of the page's last picture where it covers more than half, with where they are.
+const depths = tab => tab.run(() => {
+    const { width, height } = zipsplat.renderer.frame, values = zipsplat.renderer.values(0, 0, width, height);
+    return Array.from({ length: width * height }, (_, i) => values[4 * i + 3] > 0.5 ? values[4 * i] / values[4 * i + 3] : 0);
+});
+
+test("depth, normals and tokens are those of render", async () => {
+    for (const scene of ["random.ply", "place/splats.ply"]) {
+        zipsplat("view", scene, "-o", "page.html", "--exact", "--group", "4");
+        const tab = await opened("page.html"), pictures = {};
+        const [depth, normals, tokens] = await tab.rendered(scene, "--depth", "--normals", "--group", "4");
+        for (const [key, shown] of [["2", "depth"], ["3", "normals"], ["4", "tokens"]]) {
+            await tab.page.keyboard.press(key);
+            pictures[shown] = await tab.picture();
+            assert.equal(await tab.run(() => zipsplat.views.shown), shown);
+            if (shown === "depth") pictures.values = await depths(tab);
+            await tab.screenshot(`view-${shown}-${scene.replace(/\W/g, "-")}`);
+        }
+        const alike = { normals: psnr(pictures.normals, normals), tokens: psnr(pictures.tokens, tokens) };
+        let sum = 0, count = 0;
+        pictures.values.forEach((value, i) => value && (sum += Math.abs(value * 1000 / depth.data[4 * i] - 1), ++count));
+        console.log(`${scene}: normals ${alike.normals.toFixed(1)} dB, tokens ${alike.tokens.toFixed(1)} dB, depths of ${count} pixels within ${(100 * sum / count).toFixed(3)} %`);
+        assert.ok(spread(pictures.depth) > 5 && count > 5000, "depths are shown");
+        assert.ok(sum / count < 1e-3, `depths differ by ${sum / count}`);
+        assert.ok(alike.normals > 40, `normals: ${alike.normals} dB`);
+        assert.ok(alike.tokens > 50, `tokens: ${alike.tokens} dB`);
+        assert.deepEqual(tab.complaints, []);
+        await tab.close();
+    }
+});
+
+test("what was left out is counted", async () => {
+    zipsplat("view", "random.ply", "-o", "page.html", "--exact");
+    const tab = await opened("page.html");
+    const said = () => tab.page.$eval("#left-out", element => element.textContent);
+    const faint = await tab.run(() => zipsplat.scene.faint), first = await said();
+    assert.match(first, /of 3,000 Gaussians drawn/);
+    await tab.run(() => (zipsplat.camera.move(0, 0, 1), zipsplat.change(true)));
+    await tab.until(() => zipsplat.scene.drawable.drawn < 2800);
+    await tab.settled();
+    const [, drawn, weak, behind] = /([\d,]+) of 3,000 .*: ([\d,]+) are fainter.*?, ([\d,]+) lie behind/.exec(await said()).map(word => Number(word.replace(",", "")));
+    assert.equal(drawn + weak + behind, 3000);
+    assert.equal(weak, faint);
+    assert.ok(behind > 100);
+    await tab.close();
+});
+
+test("tokens of a file that does not say are refused with words", async () => {
+    zipsplat("view", "random.ply", "-o", "page.html");
+    const tab = await opened("page.html");
+    await tab.page.keyboard.press("4");
+    assert.equal(await tab.run(() => zipsplat.views.shown), "color");
+    assert.match(await tab.page.$eval("#message", element => element.textContent), /--group N/);
+    await tab.close();
+});
+
+test("half a million Gaussians are loaded and drawn", async () => {
+    writeFileSync(at("many.ply"), randomPly(500_000, [-7, -5.5]));
+    const { address, stop } = await serve("view", "many.ply"), begin = performance.now();
+    const tab = await Tab.open(address);
+    await tab.settled();
+    assert.equal(await tab.run(() => zipsplat.scene.count), 500_000);
+    console.log(`500,000 Gaussians: the first picture after ${Math.round(performance.now() - begin)} ms`);
+    const found = psnr(await tab.picture(), await tab.rendered("many.ply"));
+    console.log(`many.ply: ${found.toFixed(1)} dB`);
+    assert.ok(found > 50, `${found} dB`);
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+    await stop();
+});

@@ -1,0 +1,121 @@
+//! What a page asks its server for.
+
+use super::{
+    Config, Live, Requests, Studio, Watched,
+    live::Made,
+    page::{ShownScene, write_page},
+    photos::Ready,
+    recording::Wanted,
+    server::Answer,
+};
+use serde_json::json;
+use std::sync::atomic::{AtomicBool, Ordering};
+use zipsplat::{
+    Error, Result,
+    ops::Precision,
+    types::{Scene, SceneFormat, WriteOptions, encode_scene},
+};
+
+const BYTES: &str = "application/octet-stream";
+const JSON: &str = "application/json";
+
+/// Everything that a page may ask for.
+pub struct Served<'a> {
+    pub config: &'a Config,
+    /// Scenes of files.
+    pub scenes: &'a [Scene],
+    /// Photos that scenes are made of.
+    pub ready: Option<&'a Ready<'a>>,
+    /// The refinement under way.
+    pub watched: Option<&'a Watched>,
+    pub studio: &'a Studio,
+    /// Set when the command should stop.
+    pub cancelled: &'a AtomicBool,
+}
+
+impl Served<'_> {
+    /// The answer for a path of the page's; none where there is nothing. What changes something has a `body`.
+    ///
+    /// # Errors
+    /// Those of what is asked for.
+    pub fn answer(&self, path: &str, body: Option<&[u8]>) -> Result<Option<Answer>> {
+        match (path, body) {
+            ("record", Some(body)) => self.record(body).map(Some),
+            ("refining/stop", Some(_)) => Ok(self.watched.map(|watched| {
+                watched.stop.store(true, Ordering::Relaxed);
+                (JSON, b"{}".to_vec())
+            })),
+            (_, Some(_)) => Ok(None),
+            ("", None) => self.page().map(Some),
+            ("recording", None) => Ok(Some((JSON, json!({ "done": self.studio.done() }).to_string().into_bytes()))),
+            ("refining", None) => Ok(self.watched.map(|watched| (JSON, watched.state()))),
+            _ if path.starts_with("photo/") => self.photo(path),
+            _ if path.starts_with("view/") => self.view(path),
+            _ if path.starts_with("scene/") => {
+                let Some(scene) = number(path, "scene/").and_then(|i| self.scenes.get(i)) else { return Ok(None) };
+                Ok(Some((BYTES, encode_scene(scene, SceneFormat::Ply, &WriteOptions::default())?)))
+            }
+            _ => match self.made(path, false)? {
+                Some(made) => Ok(Some((BYTES, made.encode()?))),
+                None => Ok(None),
+            },
+        }
+    }
+
+    fn page(&self) -> Result<Answer> {
+        let mut page = Vec::new();
+        write_page(&mut page, self.config, Requests::Server, &[]).map_err(|error| Error::io("page", error))?;
+        Ok(("text/html; charset=utf-8", page))
+    }
+
+    fn photo(&self, path: &str) -> Result<Option<Answer>> {
+        let camera = number(path, "photo/").and_then(|i| self.config.cameras.get(i));
+        let photo = camera.map(|camera| camera.jpeg(None)).transpose()?.flatten();
+        Ok(photo.map(|bytes| ("image/jpeg", bytes)))
+    }
+
+    fn view(&self, path: &str) -> Result<Option<Answer>> {
+        let (Some(ready), Some(i)) = (self.ready, number(path, "view/")) else { return Ok(None) };
+        if i >= ready.view_count() {
+            return Ok(None);
+        }
+        Ok(Some(("image/jpeg", ready.view(i)?)))
+    }
+
+    /// The scene at `made/RATIO/PRECISION`, which a later one overtakes unless it is to be `kept`, or at `refined`.
+    fn made(&self, path: &str, kept: bool) -> Result<Option<Made>> {
+        if path == "refined" {
+            return Ok(self.watched.and_then(Watched::scene));
+        }
+        let (Some(live), Some(asked)) = (self.live(), path.strip_prefix("made/").and_then(asked)) else {
+            return Ok(None);
+        };
+        let (ratio, precision) = asked;
+        if kept { live.make_unless(ratio, precision, || false) } else { live.make(ratio, precision) }.map(Some)
+    }
+
+    fn record(&self, body: &[u8]) -> Result<Answer> {
+        let wanted: Wanted = serde_json::from_slice(body)
+            .map_err(|error| Error::argument("recording", error, "a camera path, as the page sends it"))?;
+        let missing = || Error::argument("scene to record", &wanted.scene, "one that this page was served");
+        let made = match number(&wanted.scene, "scene/").and_then(|i| self.scenes.get(i)) {
+            Some(scene) => Made { scene: scene.clone(), shown: ShownScene::default() },
+            None => self.made(&wanted.scene, true)?.ok_or_else(missing)?,
+        };
+        self.studio.record(&made.scene, &wanted, self.cancelled)
+    }
+
+    fn live(&self) -> Option<&Live<'_>> {
+        self.ready.map(|ready| &ready.live)
+    }
+}
+
+fn number(path: &str, folder: &str) -> Option<usize> {
+    path.strip_prefix(folder)?.parse().ok()
+}
+
+fn asked(words: &str) -> Option<(f64, Precision)> {
+    let (ratio, name) = words.split_once('/')?;
+    let precision = Precision::ALL.into_iter().find(|precision| precision.name() == name)?;
+    Some((ratio.parse().ok()?, precision))
+}

@@ -1,0 +1,286 @@
+//! The way from photos to what a page shows of them.
+
+use super::{
+    Live, Watched,
+    cameras::{InputCamera, QUALITY, jpeg},
+    live::{Made, Source},
+    page::{ShownScene, View},
+    watched::Start as Started,
+    within_page,
+};
+use crate::{
+    cameras::{Finding, Known},
+    options::{Quality, Size, Weights, parse_length},
+    photos::{self, Reading},
+    refinement::{MOST_PIXELS, Moved, Start, Steps, placed},
+    session::Session,
+    table::counted,
+    video::FrameFolder,
+    views::{FitOption, Views},
+};
+use clap::Args;
+use std::{
+    path::{Path, PathBuf},
+    sync::{Mutex, atomic::AtomicU64},
+};
+use zipsplat::{
+    Error, Result,
+    gpu::Progress,
+    reconstruct::{MAX_VIEWS, Ratio, Request, Shape},
+    refine::Refine,
+    types::{
+        Camera, PointCloud, Pose,
+        poses::{Frame, Poses, read_cloud},
+    },
+};
+
+/// How scenes are made of photos, and what becomes of them.
+#[derive(Args)]
+#[command(next_help_heading = "Options of photos")]
+pub struct FromPhotos {
+    #[command(flatten)]
+    pub reading: Reading,
+    #[command(flatten)]
+    weights: Weights,
+    #[command(flatten)]
+    pub quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
+    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
+    /// [default: all, and 24 of a video]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    views: Option<u32>,
+    #[command(flatten)]
+    finding: Finding,
+    /// Length in the cameras' unit that the network takes for 1, as of reconstruct
+    #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
+    unit: Option<f64>,
+    /// Ratios of the scenes in a written page, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
+    #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',', num_args = 1..=8)]
+    ratios: Vec<f64>,
+    /// Make the scene sharp in so many steps, as reconstruct does, while the page shows it; a written page holds the result, too
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
+    refine: Option<Option<Steps>>,
+    /// What --refine starts from, as of reconstruct
+    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    start: Option<Start>,
+    /// Most pixels of a photo along x and y in --refine
+    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
+    refine_size: Size,
+    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
+    #[arg(long, value_name = "K", requires = "refine")]
+    hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+}
+
+/// Ratios of a written page where nobody says.
+const RATIOS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
+
+/// Photos whose features are on the device, and what is known of where they were taken.
+pub struct Ready<'a> {
+    pub live: Live<'a>,
+    /// The input cameras, in the world of the scene.
+    pub cameras: Vec<InputCamera>,
+    /// The names of the pictures that the network sees.
+    names: Vec<String>,
+    photos: Vec<PathBuf>,
+    frames: Vec<Frame>,
+    cloud: Option<PointCloud>,
+    _folder: Option<FrameFolder>,
+}
+
+impl FromPhotos {
+    /// The first option that says something, where scenes are shown and none is made.
+    pub fn given(&self) -> Option<&'static str> {
+        let options = [
+            ("--weights", !self.weights.is_embedded()),
+            ("--ratio", self.quality.ratio != Ratio::Fixed(1.0)),
+            ("--ratios", !self.ratios.is_empty()),
+            ("--views", self.views.is_some()),
+            ("--unit", self.unit.is_some()),
+            ("--refine", self.refine.is_some()),
+        ];
+        options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
+    }
+
+    /// Whether a refinement is asked for.
+    pub fn refines(&self) -> bool {
+        self.refine.is_some()
+    }
+
+    /// Brings photos to the device and runs the network up to its features.
+    ///
+    /// # Errors
+    /// Those of `reconstruct` with the same photos.
+    pub fn prepare<'a, 's: 'a>(
+        &'a self,
+        session: &mut Session<'s>,
+        paths: &[PathBuf],
+        poses: Option<&Path>,
+    ) -> Result<Ready<'a>> {
+        let cancelled = session.cancelled();
+        self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
+        let checkpoint = self.weights.open()?;
+        checkpoint.notes().iter().for_each(|note| session.note(note));
+        self.quality.check(checkpoint.architecture())?;
+        let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
+        if let (Some(views), true) = (self.views, poses.is_some_and(Known::to_find)) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let known = poses.map(|poses| Known::of(session, poses, &photos, &self.finding)).transpose()?;
+        let poses = known.as_ref().map(|known| &known.poses);
+        if let Some(poses) = poses {
+            poses.notes.iter().for_each(|note| session.note(note));
+            photos = photos::posed(session, photos, poses)?;
+        }
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
+        fit.check(size, poses.is_some())?;
+        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
+        let count = fit.count(&photos)?;
+        let chosen = (self.quality.ratio, &self.quality.select);
+        Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?;
+        let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let device = session.device()?;
+        let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
+        let (views, _) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
+        let Views { images, cameras, note } = views;
+        note.iter().for_each(|note| session.note(note));
+        let unit = self.length(session, poses, &cameras, &frames)?;
+        let (told, turned) = fit.told(cameras);
+        let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
+        let cameras = Some(told).filter(|told| !told.is_empty());
+        let selection = self.quality.select.clone();
+        let request = Request { ratio: self.quality.ratio, selection, cameras, unit };
+        let (features, _) = session.stage("backbone", |stage| {
+            model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
+        })?;
+        let cloud = poses.and_then(|poses| poses.points.as_ref()).filter(|_| self.refines());
+        let cloud = cloud.map(read_cloud).transpose()?;
+        let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        // Squares of one photo follow each other.
+        let each = images.len() / photos.len().max(1);
+        let names = (0..images.len()).map(|i| photos.get(i / each.max(1)).map(name).unwrap_or_default()).collect();
+        let live = Live {
+            device,
+            checkpoint,
+            quality: &self.quality,
+            images,
+            request,
+            turned,
+            name: counted(photos.len(), "photo"),
+            sources: Mutex::new(vec![Source { precision, model, features }]),
+            latest: AtomicU64::new(0),
+            cancelled,
+        };
+        let cameras = input_cameras(&photos, &frames);
+        let frames = frames.into_iter().cloned().collect();
+        Ok(Ready { live, cameras, names, photos, frames, cloud, _folder: folder })
+    }
+
+    /// The length that the network takes for 1.
+    fn length(
+        &self,
+        session: &mut Session<'_>,
+        poses: Option<&Poses>,
+        cameras: &[Camera],
+        frames: &[&Frame],
+    ) -> Result<f64> {
+        let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
+        let unit = poses.unit(self.unit, cameras, &first.camera.pose)?;
+        unit.doubt().iter().for_each(|note| session.note(note));
+        Ok(unit.length)
+    }
+
+    /// The ratios of a written page, the largest first, each once by the tokens that it keeps.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for one outside (0, 1].
+    pub fn ratios(&self, tokens: usize) -> Result<Vec<f64>> {
+        let mut ratios = if self.ratios.is_empty() { RATIOS.to_vec() } else { self.ratios.clone() };
+        if let Some(wrong) = ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0)) {
+            return Err(Error::argument("--ratios", wrong, "numbers in (0, 1]"));
+        }
+        ratios.sort_by(|a, b| b.total_cmp(a));
+        ratios.dedup_by_key(|ratio| ((*ratio * tokens as f64) as usize).max(1));
+        Ok(ratios)
+    }
+
+    /// The refinement that was asked for, ready to begin.
+    ///
+    /// # Errors
+    /// Where a photo cannot be read, or there is nothing to start from.
+    pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
+        let (Some(steps), Some(first)) = (self.steps(), ready.frames.first()) else { return Ok(None) };
+        let live = &ready.live;
+        let to_scene = first.camera.pose.inverse();
+        let camera = |frame: &Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
+        let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
+        let frames: Vec<&Frame> = ready.frames.iter().collect();
+        let (photos, _) =
+            session.stage("load photos", |stage| photos::read(&ready.photos, &frames, stage, |_, photo| Ok(photo)))?;
+        let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision());
+        let (start, tokens) = if steps.tokens {
+            let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
+            (Started::Tokens(live.tokens()?), Some(shown))
+        } else {
+            let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
+            let from = Start::or_best(self.start, cloud.as_ref(), self.weights.is_embedded());
+            let (scene, shown) = match from.needs()[0] {
+                true => made().map(|Made { scene, shown }| (Some(scene), Some(shown)))?,
+                false => (None, None),
+            };
+            (Started::Scene(from.scene(scene, cloud.as_ref(), &cameras)?), shown.filter(|_| from == Start::Scene))
+        };
+        let size = Some([self.refine_size.0, self.refine_size.1]);
+        let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
+        let request = self.moved.request(request);
+        let tokens = tokens.filter(|_| request.grow.is_none());
+        let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
+        Ok(Some(Watched::new(start, tokens, photos, cameras, request)))
+    }
+
+    /// The steps of --refine; on its own it takes the default's.
+    fn steps(&self) -> Option<Steps> {
+        self.refine.map(Option::unwrap_or_default)
+    }
+}
+
+impl Ready<'_> {
+    /// The pictures that the network sees, at addresses of the server, or within the page.
+    ///
+    /// # Errors
+    /// As [`jpeg`].
+    pub fn views(&self, within: bool) -> Result<Vec<View>> {
+        let view = |(i, name): (usize, &String)| {
+            let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
+            Ok(View { name: name.clone(), photo })
+        };
+        self.names.iter().enumerate().map(view).collect()
+    }
+
+    /// A picture that the network sees, as a JPEG.
+    ///
+    /// # Errors
+    /// As [`jpeg`].
+    pub fn view(&self, index: usize) -> Result<Vec<u8>> {
+        jpeg(&self.live.images[index], QUALITY)
+    }
+
+    /// Pictures that the network sees.
+    pub fn view_count(&self) -> usize {
+        self.names.len()
+    }
+}
+
+/// The cameras of photos in the world of the first.
+fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
+    let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
+    let camera = |(photo, frame): (&PathBuf, &&Frame)| {
+        InputCamera::new((*frame).clone(), &frame.camera.pose.relative_to(&world), Some(photo.clone()))
+    };
+    photos.iter().zip(frames).map(camera).collect()
+}

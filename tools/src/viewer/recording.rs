@@ -1,0 +1,100 @@
+//! Recording: a page's camera path, drawn by the engine as `render --cameras` does, as one file.
+
+use super::server::Answer;
+use crate::{
+    animation::{Animation, common_size},
+    pictures::{self, Sinks},
+    session::Stage,
+};
+use indicatif::ProgressBar;
+use serde::Deserialize;
+use std::{
+    path::PathBuf,
+    sync::{Mutex, atomic::AtomicBool},
+};
+use tempfile::TempDir;
+use zipsplat::{
+    Error, Result,
+    gpu::{Device, DeviceOptions},
+    stages::render::{RenderRequest, Renderer},
+    types::{Intrinsics, Scene, poses::read_cameras},
+};
+
+/// Most pictures of a recording.
+const MOST: usize = 10_000;
+
+/// The place where recordings are made, one at a time.
+pub struct Studio {
+    options: DeviceOptions,
+    ffmpeg: PathBuf,
+    renderer: Mutex<Option<Renderer>>,
+    bar: ProgressBar,
+}
+
+/// A recording that a page asks for.
+#[derive(Deserialize)]
+pub struct Wanted {
+    /// The address that the page has its scene from.
+    pub scene: String,
+    /// A camera_path.json.
+    path: serde_json::Value,
+    background: [f32; 3],
+    fps: u16,
+    format: Format,
+}
+
+/// The kind of file.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Format {
+    Mp4,
+    Gif,
+    Png,
+}
+
+impl Studio {
+    /// One that opens the device of `options` when it needs it, unless there is one already.
+    pub fn new(device: Option<&Device>, options: DeviceOptions, ffmpeg: PathBuf) -> Self {
+        Self { options, ffmpeg, renderer: Mutex::new(device.map(Renderer::new)), bar: ProgressBar::hidden() }
+    }
+
+    /// Draws a scene along a path.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a path without cameras, or too many, or where MP4 is wanted and there is no ffmpeg; those of
+    /// drawing; [`Error::Cancelled`].
+    pub fn record(&self, scene: &Scene, wanted: &Wanted, cancelled: &AtomicBool) -> Result<Answer> {
+        let folder = TempDir::new().map_err(|error| Error::io("temporary folder", error))?;
+        let path = folder.path().join("camera_path.json");
+        std::fs::write(&path, wanted.path.to_string()).map_err(|error| Error::io(&path, error))?;
+        let poses = read_cameras(&path, &Intrinsics::from_fov(1, 1, 1.0, 1.0))?;
+        let cameras: Vec<_> = poses.frames.iter().map(|frame| frame.camera).collect();
+        if !(1..=MOST).contains(&cameras.len()) {
+            return Err(Error::argument("pictures to record", cameras.len(), format!("1 to {MOST}")));
+        }
+        common_size(&cameras)?;
+        let (name, kind) = match wanted.format {
+            Format::Mp4 => ("recorded.mp4", "video/mp4"),
+            Format::Gif => ("recorded.gif", "image/gif"),
+            Format::Png => ("recorded.png", "image/apng"),
+        };
+        let file = folder.path().join(name);
+        let animation = Animation::new(&file, wanted.fps, &self.ffmpeg)?;
+        let request = RenderRequest { background: wanted.background, ..RenderRequest::default() };
+        let mut held = self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let renderer = match &mut *held {
+            Some(renderer) => renderer,
+            None => held.insert(Renderer::new(&Device::open(&self.options)?)),
+        };
+        renderer.load(scene)?;
+        let sinks = Sinks { animation: Some(animation), ..Sinks::default() };
+        pictures::draw(renderer, &cameras, &request, sinks, &Stage::told_to(&self.bar, cancelled))?;
+        let bytes = std::fs::read(&file).map_err(|error| Error::io(&file, error))?;
+        Ok((kind, bytes))
+    }
+
+    /// The share of the recording under way that is drawn.
+    pub fn done(&self) -> f64 {
+        self.bar.position() as f64 / self.bar.length().unwrap_or(1).max(1) as f64
+    }
+}

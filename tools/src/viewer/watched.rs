@@ -1,0 +1,153 @@
+//! A refinement that somebody watches: its scene every few steps, its loss, and a way to end it.
+
+use super::{
+    live::{Live, Made},
+    page::ShownScene,
+};
+use serde::Serialize;
+use std::{
+    ops::ControlFlow,
+    sync::{
+        Mutex, MutexGuard,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+use zipsplat::{
+    Result,
+    gpu::Arena,
+    reconstruct::SceneTokens,
+    refine::{FrozenHead, Refine, Refined, Refining, Stopped, refine_scene, refine_tokens},
+    types::{Camera, Image, Scene},
+};
+
+/// Scenes that are shown on the way.
+const SHOWN: usize = 50;
+
+/// What is refined.
+pub enum Start {
+    Scene(Scene),
+    Tokens(SceneTokens),
+}
+
+/// A refinement to be watched.
+pub struct Watched {
+    start: Start,
+    /// Gaussians of a token and the tokens' patches, where they stay together.
+    tokens: Option<(usize, Vec<u32>)>,
+    photos: Vec<Image>,
+    cameras: Vec<Camera>,
+    request: Refine,
+    now: Mutex<Now>,
+    /// Set to end early with the best so far.
+    pub stop: AtomicBool,
+}
+
+/// How far a refinement is, as the page takes it.
+#[derive(Clone, Default, Serialize)]
+struct Now {
+    step: usize,
+    steps: usize,
+    /// The loss of each step.
+    losses: Vec<f32>,
+    /// Steps, and the PSNR of the held-out photos after them in dB.
+    psnr: Vec<(usize, f64)>,
+    seconds_left: f64,
+    /// Rises with every scene that there is to see.
+    version: usize,
+    /// The way it ended, where it did.
+    ended: Option<String>,
+    #[serde(skip)]
+    scene: Option<Scene>,
+}
+
+impl Watched {
+    /// One that has not begun.
+    pub fn new(
+        start: Start,
+        tokens: Option<(usize, Vec<u32>)>,
+        photos: Vec<Image>,
+        cameras: Vec<Camera>,
+        request: Refine,
+    ) -> Self {
+        let now = Mutex::new(Now { steps: request.steps, ..Now::default() });
+        let show = Some((request.steps / SHOWN).max(1));
+        Self { start, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
+    }
+
+    /// Refines to the end, or until it is stopped; `progress` gets the share that is done.
+    ///
+    /// # Errors
+    /// As [`refine_scene`] and [`refine_tokens`].
+    pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
+        let told = |at: Refining<'_>| {
+            self.tell(&at);
+            let share = progress(at.step as f64 / at.steps as f64);
+            if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
+        };
+        let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
+        // Of its own: the slider goes on using the model's.
+        let arena = Arena::new(&live.device);
+        let refined = match &self.start {
+            Start::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, told),
+            Start::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
+                .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, told)),
+        };
+        self.end(refined)
+    }
+
+    /// The state as JSON.
+    pub fn state(&self) -> Vec<u8> {
+        serde_json::to_vec(&*self.now()).expect("plain values")
+    }
+
+    /// The scene as it was last, where there was one.
+    pub fn scene(&self) -> Option<Made> {
+        let now = self.now();
+        let name = match now.ended {
+            Some(_) => "refined".to_owned(),
+            None => format!("step {} of {}", now.step, now.steps),
+        };
+        let (group, patches) = self.tokens.clone().unzip();
+        let shown = ShownScene { name, group, patches: patches.unwrap_or_default(), ..ShownScene::default() };
+        Some(Made { scene: now.scene.clone()?, shown })
+    }
+
+    fn tell(&self, at: &Refining<'_>) {
+        let mut now = self.now();
+        now.step = at.step;
+        now.seconds_left = at.left.as_secs_f64();
+        now.losses.extend(at.loss);
+        if at.psnr != now.psnr.last().map(|(_, psnr)| *psnr) {
+            now.psnr.extend(at.psnr.map(|psnr| (at.step, psnr)));
+        }
+        if let Some(scene) = at.scene {
+            now.scene = Some(scene.clone());
+            now.version += 1;
+        }
+    }
+
+    fn end(&self, refined: Result<Refined>) -> Result<()> {
+        let mut now = self.now();
+        let (ended, result) = match refined {
+            Ok(refined) => {
+                let kept = format!("kept is step {}", refined.best_step);
+                let why = match &refined.stopped {
+                    None => format!("Refined: {kept} of {}.", refined.losses.len()),
+                    Some(Stopped::Cancelled) => format!("Stopped: {kept}, the best so far."),
+                    Some(Stopped::Diverged(why)) => format!("Ended early, {why}: {kept}."),
+                };
+                now.psnr = refined.held_out;
+                now.scene = Some(refined.scene);
+                now.version += 1;
+                (why, Ok(()))
+            }
+            Err(error) => (error.to_string(), Err(error)),
+        };
+        now.ended = Some(ended);
+        result
+    }
+
+    fn now(&self) -> MutexGuard<'_, Now> {
+        self.now.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
