@@ -168,6 +168,8 @@ typedef struct zs_device_info {
     char driver[256];
     // Why it is not usable; "" where it is.
     char missing[512];
+    // Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    char uuid[40];
 } zs_device_info;
 
 // How to open a device.
@@ -180,7 +182,8 @@ typedef struct zs_context_options {
     // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     uint64_t max_memory_bytes;
-    // A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
+    // A device's number ("0"), a part of its name ("nvidia"), or its UUID, with or without GPU- and hyphens; NULL for the best.
+    // Default NULL.
     const char *device;
 } zs_context_options;
 
