@@ -13,7 +13,7 @@ pub fn target() -> Option<PathBuf> {
     std::env::var_os(TARGET).map(PathBuf::from)
 }
 
-/// This program again with only the test `name`, behind the same loader and below `shell`.
+/// Runs the program again with only the test `name`, behind the same loader and below `shell`.
 pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     let line = std::fs::read("/proc/self/cmdline").expect("Linux");
     let words: Vec<String> =

@@ -12,7 +12,7 @@ use std::{
 pub struct Source {
     /// Path below `kernels/` without its extension, for example `render/project`.
     pub kernel: String,
-    /// That, followed by the element types where one of them is not f32: `ops/layer_norm_f16`.
+    /// The kernel's name, followed by the element types where one of them is not f32: `ops/layer_norm_f16`.
     pub name: String,
     /// Names of the element types, and which they are here.
     pub elements: Vec<(String, Element)>,

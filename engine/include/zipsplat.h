@@ -6,8 +6,9 @@
  *     zs_context    a device at work; creates
  *     zs_model      a network with its weights on the device; makes
  *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; zs_refine makes them sharp; is drawn by
- *     zs_renderer   a scene on the device
+ *     zs_renderer   a scene on the device; zs_render_backward gives gradients of its pictures
  *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
+ *     zs_capture    the cameras of photos, as a transforms.json or COLMAP has them
  *     zs_bytes      a scene's file in memory
  *
  * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
@@ -270,8 +271,8 @@ typedef struct zs_camera {
 typedef struct zs_photo zs_photo;
 
 // Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation:
-// photos that have one and such cameras have to be decoded by the app. `path` is UTF-8.
+// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation: read
+// photos with such cameras by zs_capture_open_photo. `path` is UTF-8.
 zs_status zs_photo_open(const char *path,
                         struct zs_photo **photo);
 
@@ -289,6 +290,50 @@ void zs_photo_destroy(struct zs_photo *photo);
 // that name is replaced. `path` is UTF-8.
 zs_status zs_image_save_png(const struct zs_image *image,
                             const char *path);
+
+/**************************************************************/
+/*  Captures: photos and their cameras, as a file says them.  */
+/**************************************************************/
+
+// The posed photos of a capture. It never changes, so any number of threads may use it at the same time.
+typedef struct zs_capture zs_capture;
+
+// Reads the cameras of photos: a transforms.json of instant-ngp or nerfstudio, a COLMAP model's folder, text or binary, or a
+// folder that has one of these. Axes become OpenCV's; world and unit stay the file's. No photo is read but for its size, where
+// the file does not have it. `path` is UTF-8.
+zs_status zs_capture_open(const char *path,
+                          struct zs_capture **capture);
+
+// Says how many photos a capture has, and what was ignored or left out in reading it, a note a line. The text is the capture's
+// own memory, there until it is destroyed. `notes` may be NULL.
+zs_status zs_capture_get_count(const struct zs_capture *capture,
+                               size_t *count,
+                               const char **notes);
+
+// Says what photo number `index` is: the camera that took it, where lens distortion is undone a pinhole camera; its name as the
+// file writes it; and where it lies, NULL where it was not found. Texts are the capture's own memory, there until it is destroyed.
+// What is not wanted may be NULL. Set the camera's struct_size before the call.
+zs_status zs_capture_get(const struct zs_capture *capture,
+                         size_t index,
+                         struct zs_camera *camera,
+                         const char **name,
+                         const char **path);
+
+// Finds the number of the photo that lies at `path` (UTF-8) by its file name; where several have it, by the longest common end of
+// the path. Where none has it, `index` gets the number of photos. ZS_ERROR_ARGUMENT where several match as well.
+zs_status zs_capture_find(const struct zs_capture *capture,
+                          const char *path,
+                          size_t *index);
+
+// Reads photo number `index` as its camera sees it: the pixels as they are stored, whatever the EXIF orientation says, and without
+// the distortion of its lens. `path` (UTF-8) is where it lies, NULL where the capture says it does.
+zs_status zs_capture_open_photo(const struct zs_capture *capture,
+                                size_t index,
+                                const char *path,
+                                struct zs_photo **photo);
+
+// Destroys a capture. NULL is allowed.
+void zs_capture_destroy(struct zs_capture *capture);
 
 /**************************************************************/
 /*  Scenes: Gaussians in and out of arrays, files and bytes.  */
@@ -482,6 +527,9 @@ void zs_model_destroy(struct zs_model *model);
 // Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
 #define ZS_RATIO_AUTO 0.0
 
+// The length that is found from the cameras and, where there is a capture, from its points.
+#define ZS_UNIT_AUTO 0.0
+
 // Which tokens are kept where the ratio is below 1.
 ZS_ENUM(zs_selection) {
     // The nearest token of each centroid of k-means: the method's own.
@@ -510,7 +558,8 @@ typedef struct zs_reconstruct_options {
     // Default 1.
     double ratio;
     // Length in the unit of `cameras`, and of the scene, that the network takes for 1. It is trained with what the photos see at
-    // a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20. Default 1.
+    // a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20, or ZS_UNIT_AUTO.
+    // Default 1.
     double unit;
     // Which tokens are kept. Default ZS_SELECT_KMEANS.
     zs_selection selection;
@@ -530,6 +579,9 @@ typedef struct zs_reconstruct_options {
     zs_progress progress;
     // Given to `progress`.
     void *user_data;
+    // The capture that `cameras` are of, for ZS_UNIT_AUTO: its points and all its cameras then say how far away the scene is; where
+    // it is NULL, `cameras` do. Default NULL.
+    const struct zs_capture *capture;
 } zs_reconstruct_options;
 
 // Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
@@ -721,6 +773,44 @@ zs_status zs_render(const struct zs_renderer *renderer,
                     const struct zs_picture *pictures,
                     size_t count,
                     const struct zs_render_options *options);
+
+/********************************************************************************************/
+/*  Gradients: pictures' weights back to Gaussians and cameras, for an optimiser of yours.  */
+/********************************************************************************************/
+
+// Where gradients go: memory of yours for those that you want, NULL for the others. Every array is written, not added to.
+typedef struct zs_gradients {
+    // sizeof(zs_gradients); set it before the call.
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // N x 3 by the centres.
+    float *means;
+    // N x 3 by the standard deviations, which are linear.
+    float *scales;
+    // N x 4 by the rotations as you pass them, of any length.
+    float *quats;
+    // N by the opacities.
+    float *opacities;
+    // N x K x 3 by the coefficients.
+    float *sh_coeffs;
+    // count x 10 by the cameras: w x, y, z and v x, y, z, where the camera-to-world pose moves as pose o (exp(w^), v), R' = R exp(w^)
+    // and t' = t + R v; then fx, fy, cx, cy.
+    float *cameras;
+} zs_gradients;
+
+// Gives the gradients of the sum, over `count` cameras and all pixels, of what zs_render draws of `scene` times its weight. Weights
+// are what `weights` points to, read and not written: of ZS_PIXEL_RGB_F32, which `options` must have, of alpha and of depth; NULL is 0.
+// With the weights d loss / d pixel the gradients are those of the loss. Coefficients of bands that are 0 have gradients, too. The
+// scene need not be the renderer's: the renderer keeps one more on the device, and what it recorded for the last four sizes
+// and kinds. It returns when `gradients` is written; after a failure nothing is.
+zs_status zs_render_backward(const struct zs_renderer *renderer,
+                             const struct zs_scene *scene,
+                             const struct zs_camera *cameras,
+                             const struct zs_picture *weights,
+                             size_t count,
+                             const struct zs_render_options *options,
+                             const struct zs_gradients *gradients);
 
 /*****************************************************/
 /*  An app's own Vulkan device, images and buffers.  */

@@ -10,6 +10,7 @@ pub mod forward;
 pub mod fuse;
 pub mod gaussians;
 pub mod loss;
+pub mod lpips;
 pub mod measure;
 pub mod model;
 pub mod ops;

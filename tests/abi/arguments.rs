@@ -286,7 +286,7 @@ fn what_cannot_be_reconstructed_is_refused() {
     for ratio in [-0.5, 1.5, f64::NAN, f64::INFINITY] {
         refused(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
     }
-    for unit in [0.0, -1.0, 1e-50, 1e50, f64::NAN, f64::INFINITY] {
+    for unit in [-1.0, 1e-50, 1e50, f64::NAN, f64::INFINITY] {
         refused(&[image], 1, &zs_reconstruct_options { unit, ..options }, &["unit", "length"]);
     }
     for (width, height) in [(14, 0), (15, 14), (u32::MAX, 14), (1 << 31, 1 << 31), (14 * 4096, 14 * 4096)] {

@@ -4,17 +4,19 @@ use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, La
 use std::path::{Path, PathBuf};
 
 /// Sources in the order of the header.
-const SOURCES: [&str; 11] = [
+const SOURCES: [&str; 13] = [
     "version",
     "status",
     "context",
     "picture",
     "photo",
+    "capture",
     "scene",
     "model",
     "reconstruct",
     "refine",
     "renderer",
+    "gradients",
     "vulkan",
 ];
 

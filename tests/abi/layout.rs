@@ -36,7 +36,8 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes, notes
         }
         zs_reconstruct_options {
-            struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data
+            struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data,
+            capture
         }
         zs_refining { struct_size, step, steps, reserved, loss, psnr, seconds_left }
         zs_refine_options {
@@ -47,6 +48,7 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
+        zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras }
         zs_vulkan_requirement { kind, optional, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
@@ -121,5 +123,5 @@ fn nothing_was_left_out() {
     let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
     assert_eq!(constants().len() - 4, numbers);
     let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("ZS_ENUM(")).count();
-    assert_eq!(defined, 4 + 2, "and ZS_RATIO_AUTO, ZS_HOLD_OUT_AUTO");
+    assert_eq!(defined, 4 + 3, "and ZS_RATIO_AUTO, ZS_UNIT_AUTO, ZS_HOLD_OUT_AUTO");
 }

@@ -3,9 +3,11 @@
 
 mod arguments;
 mod calls;
+mod captures;
 mod compile;
 mod cycles;
 mod examples;
+mod gradients;
 mod header;
 mod installation;
 mod layout;

@@ -187,6 +187,14 @@ fn draws_a_long_film() {
 
 #[test]
 #[ignore = "child of the other tests"]
+fn waits_for_another_program() {
+    let Some(folder) = target() else { return };
+    let line = "cameras @/photos --colmap @/sleeps -o @/transforms.json";
+    command(&line.replace('@', &folder.display().to_string()), cancelled_by_signals());
+}
+
+#[test]
+#[ignore = "child of the other tests"]
 fn ignores_that_it_should_end() {
     let Some(folder) = target() else { return };
     cancelled_by_signals();
@@ -243,4 +251,24 @@ fn a_second_signal_ends_at_once() {
     send("-TERM", &child);
     send("-INT", &child);
     assert_eq!(child.wait().expect("it ends").code(), Some(130));
+}
+
+/// The program does not say its version, which the command waits for.
+#[test]
+#[cfg(unix)]
+fn a_second_signal_ends_the_programs_that_run() {
+    use crate::cameras::{assert_ends, script};
+    let folder = Folder::new();
+    script(&folder, "sleeps", "#!/bin/sh\nsleep 60 & echo $! >\"$0.pid\"; wait\n");
+    let pid = folder.path("sleeps.pid");
+    let mut child = started("cancel::waits_for_another_program", &folder);
+    // Written whole.
+    while !std::fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
+        assert!(child.try_wait().expect("a child").is_none(), "it ended before it ran the program");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    send("-TERM", &child);
+    send("-INT", &child);
+    assert_eq!(child.wait().expect("it ends").code(), Some(130));
+    assert_ends(&pid);
 }

@@ -2,11 +2,14 @@
 
 mod cameras;
 mod cancel;
+mod compare;
 mod convert;
 mod errors;
 mod eval;
+mod heic;
 mod host;
 mod info;
+mod mapping;
 mod measure;
 mod outputs;
 mod reconstruct;

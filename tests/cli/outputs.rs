@@ -1,4 +1,4 @@
-//! Which files commands replace: their own, and others only where that is asked for.
+//! Commands replace files: their own, and others only where that is asked for.
 
 use crate::{Folder, names};
 use zipsplat::types::{Image, Scene, poses::write_transforms, write_ply};

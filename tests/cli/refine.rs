@@ -154,11 +154,13 @@ fn reconstructions_are_refined() {
     let folder = place();
     let line = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 --json");
     let run = |options: &str| folder.run(&format!("{line} {options} -o @/sharp.ply --overwrite")).json();
-    for (options, start) in [
+    for (options, start, network) in [
         // Weights that were not measured start from their own scene.
-        ("--refine=8", "the scene"),
-        ("--refine=8:tokens", "the network's tokens"),
-        ("--refine=8 --start points", "the capture's points"),
+        ("--refine=8", "the scene", true),
+        ("--refine=8:tokens", "the network's tokens", true),
+        ("--refine=8 --start both", "the scene and the capture's points", true),
+        // The network has nothing to add.
+        ("--refine=8 --start points", "the capture's points", false),
     ] {
         let json = run(options);
         assert_eq!(
@@ -166,9 +168,20 @@ fn reconstructions_are_refined() {
             (&start.into(), Some(8)),
             "{options}"
         );
-        assert!(json["seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0), "{json}");
+        let ran = json["seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0);
+        assert_eq!(
+            (ran, json["tokens"].is_u64(), json["seconds"]["load weights"].is_f64()),
+            (network, network, network)
+        );
         let scene = read_scene(folder.path("sharp.ply")).expect("a scene");
         assert_eq!(json["gaussians"].as_u64(), Some(scene.len() as u64));
+    }
+    for (start, of) in [("points", "the capture's points"), ("scene", "the scene")] {
+        let line = format!("{} --refine=8 --start {start} -o @/sharp.ply --explain", line.replace("--json", ""));
+        let text = folder.run(&line).success();
+        assert!(text.contains(&format!("from {of}, refined for ")), "{text}");
+        assert!(text.contains("against 10 photos"), "{text}");
+        assert_eq!(text.contains("tokens"), start == "scene", "{text}");
     }
     let wrong = line.replace("--json", "--refine=8:tokens --start points -o @/none.ply");
     folder.run(&wrong).fails(3, &["--start", "tokens"]);

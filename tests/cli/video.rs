@@ -58,14 +58,25 @@ fn videos_become_their_sharpest_frames() {
     fs::remove_file(folder.path("scene.ply")).expect("removed");
     script(&folder, "short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
     script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));
-    script(&folder, "nothing", &text("", ""));
+    script(&folder, "nothing", &text("echo '[mov @ 0x7f] error in track' >&2", ""));
+    script(&folder, "sound", &text("echo \"Stream map '0:v:0' matches no streams.\" >&2; exit 1", ""));
+    let complains = format!("echo '[h264 @ 0x7f] partial file' >&2; cat '{here}/grey'");
+    script(&folder, "damaged", &text(&complains, &format!("cat '{here}/ppm'")));
     let before = folder.names();
     folder.run(&line("short")).fails(1, &["short"]);
-    folder.run(&line("says")).fails(3, &["clip.MP4", "moov atom not found"]);
-    folder.run(&line("nothing")).fails(3, &["clip.MP4", "no frame"]);
+    folder.run(&line("says")).fails(3, &["clip.MP4", "ffmpeg cannot read it: moov atom not found"]);
+    folder.run(&line("nothing")).fails(3, &["clip.MP4", "no frame", ": error in track"]);
+    folder.run(&line("sound")).fails(3, &["clip.MP4", "no pictures in it"]);
     folder.run(&line("absent")).fails(3, &["ffmpeg", "absent", "an installed ffmpeg"]);
     folder.run(&line("ffmpeg").replace("clip", "none")).fails(3, &["none.MP4", "No such file"]);
     assert_eq!(folder.names(), before);
+    let outcome = folder.run(&line("damaged"));
+    assert!(
+        outcome.err.contains("clip.MP4: ffmpeg reads 6 frames and finds the file damaged: partial file"),
+        "{}",
+        outcome.err
+    );
+    outcome.success();
 }
 
 #[test]

@@ -103,12 +103,12 @@ impl Tolerance {
         Tolerance { max, rms: max / 2.0 }
     }
 
-    /// This and another source of deviation together.
+    /// The sum of this and another source of deviation together.
     pub fn and(self, other: Tolerance) -> Tolerance {
         Tolerance { max: self.max + other.max, rms: self.rms + other.rms }
     }
 
-    /// This where the truth's rms is `factor` times smaller than that of what is summed.
+    /// The tolerance where the truth's rms is `factor` times smaller than that of what is summed.
     pub fn times(self, factor: f64) -> Tolerance {
         Tolerance { max: self.max * factor, rms: self.rms * factor }
     }

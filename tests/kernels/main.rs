@@ -25,6 +25,11 @@ mod gaussians {
 mod loss {
     mod gradient;
 }
+mod lpips {
+    mod compare;
+    mod normalise;
+    mod pool;
+}
 mod measure {
     mod copy;
     mod fma;
@@ -35,6 +40,7 @@ mod ops {
     mod attention;
     mod gather_rows;
     mod gelu;
+    mod im2col;
     mod layer_norm;
     mod linear;
     mod place_columns;

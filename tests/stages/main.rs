@@ -7,6 +7,7 @@ mod flops;
 mod forward;
 mod gradients;
 mod images;
+mod lpips;
 mod poses;
 mod references;
 mod refine;

@@ -2,6 +2,7 @@
 
 mod colmap;
 mod lens;
+mod realestate;
 
 use std::fs;
 use std::path::{Path, PathBuf};

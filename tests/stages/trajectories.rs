@@ -112,6 +112,43 @@ fn splines_of_cameras_in_one_place_turn() {
     assert_eq!(single.sample(3), [cameras[1]; 3]);
 }
 
+/// The rotations and centres that COLMAP found for the photos of tests/data/bananas: few, far apart, the last far back.
+const BANANAS: [([f64; 4], [f64; 3]); 7] = [
+    ([0.9071, 0.0451, 0.3568, 0.2188], [-2.374, 0.511, -0.254]),
+    ([0.8860, 0.0388, 0.3972, 0.2361], [-3.142, -0.100, 0.861]),
+    ([0.8930, 0.0250, 0.3851, 0.2317], [-1.019, 0.175, 2.548]),
+    ([0.9871, -0.0125, 0.1268, 0.0967], [3.161, 0.947, -0.757]),
+    ([1.0000, 0.0009, -0.0023, 0.0000], [5.935, 1.601, -1.149]),
+    ([0.9733, -0.0753, -0.1765, -0.1260], [8.621, -0.479, -1.196]),
+    ([0.8447, 0.0220, 0.4239, 0.3260], [-2.560, -1.053, 2.495]),
+];
+
+/// The path stays within 3 % of the cameras' extent of the box around them, and in sight of the bananas: within a degree of how
+/// far off its middle the cameras themselves look at them.
+#[test]
+fn splines_through_few_cameras_stay_at_the_scene() {
+    let camera = |([w, x, y, z], at): ([f64; 4], [f64; 3])| {
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        Camera { intrinsics: LENS, pose: Pose { rotation, translation: at.into() } }
+    };
+    let cameras = BANANAS.map(camera);
+    let bananas = DVec3::new(5.514, 1.466, 8.994);
+    let off =
+        |camera: &Camera| camera.pose.rotation.z_axis.angle_between(bananas - camera.pose.translation).to_degrees();
+    let most = cameras.iter().map(off).fold(0.0, f64::max);
+    assert!(most < 3.0, "{most} degrees");
+    let places = cameras.map(|camera| camera.pose.translation);
+    let (low, high) = (places.into_iter().reduce(DVec3::min).unwrap(), places.into_iter().reduce(DVec3::max).unwrap());
+    for closed in [false, true] {
+        for (i, frame) in Spline::through(&cameras, closed).unwrap().sample(200).iter().enumerate() {
+            let at = frame.pose.translation;
+            let outside = at.distance(at.clamp(low, high)) / low.distance(high);
+            assert!(outside < 0.03, "{outside} of the extent outside at {i}, {closed}");
+            assert!(off(frame) < most + 1.0, "{} degrees off at {i}, {closed}", off(frame));
+        }
+    }
+}
+
 #[test]
 fn unusable_cameras_make_no_path() {
     let mut cameras = uneven(3);

@@ -5,8 +5,20 @@ use crate::source::{Source, files, paths, tokens};
 
 /// The engine's layers, each of which uses only those before it; the first three are crates. `error` stands for `Error` and
 /// `Result`.
-const LAYERS: [&str; 11] =
-    ["error", "gpu", "types", "random", "ops", "tune", "stages", "weights", "reconstruct", "refine", "ffi"];
+const LAYERS: [&str; 12] = [
+    "error",
+    "gpu",
+    "types",
+    "random",
+    "ops",
+    "tune",
+    "stages",
+    "weights",
+    "perceptual",
+    "reconstruct",
+    "refine",
+    "ffi",
+];
 
 /// Layers that dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];

@@ -6,13 +6,15 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 18] = [
+const STEPS: [(&str, &str); 20] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
     ("loss/value", "loss/gradient"),
+    ("lpips/normalise_backward", "lpips/normalise"),
+    ("lpips/pool_backward", "lpips/pool"),
     ("ops/attention_matrix", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),

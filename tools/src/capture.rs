@@ -6,7 +6,6 @@ use crate::{
     photos,
     refinement::placed,
     session::Stage,
-    unit::Unit,
     views::{Fit, Views, seen_through},
 };
 use glam::{DMat3, DVec3};
@@ -21,7 +20,7 @@ use zipsplat::{
     stages::render::{RenderRequest, Renderer},
     types::{
         Camera, Image, PointCloud, Pose,
-        poses::{Frame, Poses, read_cloud, read_poses},
+        poses::{Frame, Poses, Unit, read_cloud, read_poses},
         preprocess::{cropped, whole},
         resample::resize_lanczos,
     },
@@ -121,7 +120,7 @@ impl Choice {
             ..self.poses.frames[*i].camera
         };
         let views: Vec<Camera> = self.inputs.iter().map(camera).collect();
-        let unit = Unit::of(unit, &self.poses, &views, &origin)?.length;
+        let unit = self.poses.unit(unit, &views, &origin)?.length;
         for (k, i) in self.inputs.iter().enumerate().skip(1) {
             let rotation = DMat3::from_axis_angle(spread(2 * k), degrees.to_radians());
             let movement = Pose { rotation, translation: degrees / 100.0 * unit * spread(2 * k + 1) };
@@ -175,7 +174,7 @@ impl Choice {
             seen.extend(of_input);
         }
         let mut views = Views::new(seeing.fit, seen.into_iter(), &world, &sizes[..count], seeing.size);
-        let unit = Unit::of(unit, &self.poses, &views.cameras, &world)?;
+        let unit = self.poses.unit(unit, &views.cameras, &world)?;
         let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
         cameras.for_each(|camera| camera.pose.translation /= unit.length);
         let targets = inputs.split_off(count);

@@ -14,7 +14,7 @@ use zipsplat::{
     weights::{Architecture, Checkpoint},
 };
 
-/// Which weights.
+/// The choice of weights.
 #[derive(Args)]
 pub struct Weights {
     /// Checkpoint (safetensors or PyTorch), a name of `zipsplat weights list`, or seeded:VARIANT[:KEY] for random numbers
@@ -88,7 +88,7 @@ pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<
     if given { Err(Error::argument(option, found, format!("{expected}, which it is for"))) } else { Ok(()) }
 }
 
-/// What is computed from photos and how.
+/// Ratio, precision and selection of a reconstruction.
 #[derive(Args)]
 pub struct Quality {
     /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
@@ -121,7 +121,7 @@ pub struct SceneInput {
 enum Invalid {
     /// The file is an error
     Refuse,
-    /// They are left out and counted
+    /// Leave them out and count them
     Drop,
 }
 

@@ -1,6 +1,7 @@
 //! Photos from files and folders to views of the network's size.
 
 use crate::{
+    heic::{is_heic, to_jpeg},
     options::Size,
     outputs::Overwrite,
     session::{Session, Stage},
@@ -33,8 +34,8 @@ const CROPPED: f64 = 0.1;
 /// The photos of a command.
 #[derive(Args)]
 pub struct PhotoArgs {
-    /// Photos (PNG, JPEG, WebP), folders of them, taken in natural order of their names, or videos, of which the sharpest frames
-    /// are taken
+    /// Photos (PNG, JPEG, WebP; HEIC where ffmpeg reads it), folders of them, taken in natural order of their names, or videos, of
+    /// which the sharpest frames are taken
     #[arg(required = true)]
     photos: Vec<PathBuf>,
     #[command(flatten)]
@@ -47,7 +48,7 @@ pub struct Reading {
     /// Also take the photos of folders in folders
     #[arg(long)]
     recursive: bool,
-    /// Program that reads videos
+    /// Program that reads videos and HEIC
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
 }
@@ -68,11 +69,11 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// The photos as [`list`] has them, and the folder of the frames of videos: of each video `frames`, or a usual number. The
-    /// folder lies beside the file that will name them, where there is one, and may exist where that says so.
+    /// The photos as [`list`] has them, and the folder of those that ffmpeg makes: of each video `frames`, or a usual number, and of
+    /// HEIC pictures JPEG. The folder lies beside the file that will name them, where there is one, and may exist where that says so.
     ///
     /// # Errors
-    /// As [`list`], [`FrameFolder`] and [`sharpest_frames`].
+    /// As [`list`], [`FrameFolder`], [`sharpest_frames`] and [`to_jpeg`].
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -80,20 +81,35 @@ impl Reading {
         frames: Option<u32>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
-        let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
-        let make = || named_in.map_or_else(FrameFolder::temporary, beside);
-        let folder = paths.iter().any(|path| is_video(path)).then(make).transpose()?;
-        let mut photos = Vec::new();
+        let mut listed = Vec::new();
         for path in paths {
-            match &folder {
-                Some(folder) if is_video(path) => {
-                    let count = frames.map_or(FRAMES, |frames| frames as usize);
-                    photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, folder.path())?);
-                }
-                _ => photos.extend(list_path(session, path, self.recursive)?),
+            match is_video(path) {
+                true => listed.push(path.clone()),
+                false => listed.extend(list_path(session, path, self.recursive)?),
             }
         }
-        Ok((photos, folder))
+        let heic: Vec<&PathBuf> = listed.iter().filter(|path| is_heic(path)).collect();
+        let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
+        let make = || named_in.map_or_else(FrameFolder::temporary, beside);
+        let needed = !heic.is_empty() || listed.iter().any(|path| is_video(path));
+        let Some(folder) = needed.then(make).transpose()? else { return Ok((listed, None)) };
+        let mut made = match heic[..] {
+            [] => Vec::new(),
+            _ => to_jpeg(session, &self.ffmpeg, &heic, folder.path())?,
+        }
+        .into_iter();
+        let mut photos = Vec::new();
+        for path in &listed {
+            if is_video(path) {
+                let count = frames.map_or(FRAMES, |frames| frames as usize);
+                photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, folder.path())?);
+            } else if is_heic(path) {
+                photos.extend(made.next());
+            } else {
+                photos.push(path.clone());
+            }
+        }
+        Ok((photos, Some(folder)))
     }
 }
 
@@ -130,7 +146,8 @@ fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<
 fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
     let mut entries = visible(folder)?;
     entries.sort_by(by_name);
-    photos.extend(entries.iter().filter(|path| path.is_file() && is_photo(path)).cloned());
+    let files = entries.iter().filter(|path| path.is_file()).cloned().collect();
+    photos.extend(photos_among(files).0);
     entries.iter().filter(|path| path.is_dir() && !path.is_symlink()).try_for_each(|path| list_below(path, photos))
 }
 
@@ -144,7 +161,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     let (folders, mut files): (Vec<PathBuf>, Vec<PathBuf>) =
         entries.into_iter().filter(|path| path.is_dir() || path.is_file()).partition(|path| path.is_dir());
     files.sort_by(by_name);
-    let (photos, others): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|path| is_photo(path));
+    let (photos, others) = photos_among(files);
     let below = folders_of_photos(folders);
     if photos.is_empty() {
         let what = format!("photos in {}", folder.display());
@@ -164,6 +181,16 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
         session.note(format!("more photos lie in {below}: name it, too, to take them"));
     }
     Ok(photos)
+}
+
+/// The photos among files, and the others. HEIC pictures are photos where there are no others: beside those they most likely are
+/// the same.
+fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
+    let (photos, others): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|path| is_photo(path));
+    match photos[..] {
+        [] => others.into_iter().partition(|path| is_heic(path)),
+        _ => (photos, others),
+    }
 }
 
 /// The files and folders of a folder, but for hidden ones. Those are no photos whatever they are called: macOS puts `._000.jpg`

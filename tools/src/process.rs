@@ -6,7 +6,10 @@ use std::{
     io::{self, BufRead, BufReader, Read},
     path::Path,
     process::{Child, Command, ExitStatus, Stdio},
-    sync::mpsc::{RecvTimeoutError, channel},
+    sync::{
+        Mutex,
+        mpsc::{RecvTimeoutError, channel},
+    },
     time::{Duration, Instant},
 };
 use zipsplat::{Error, Result};
@@ -15,6 +18,9 @@ use zipsplat::{Error, Result};
 pub const POLL: Duration = Duration::from_millis(10);
 /// For a process that no longer reads, or has ended, to be heard.
 const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// The processes that this command runs, for [`end_all`].
+static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
 /// A process in a group of its own, ended with all of the group when this is dropped.
 pub struct Running(pub Child);
@@ -27,7 +33,11 @@ impl Running {
     pub fn start(command: &mut Command) -> io::Result<Self> {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(command, 0);
-        command.spawn().map(Self)
+        // Locked while it starts: whoever ends all finds it in the list.
+        let mut started = lock(&STARTED);
+        let child = command.spawn()?;
+        started.push(child.id());
+        Ok(Self(child))
     }
 
     /// Waits for its end, and looks whether this command should stop.
@@ -55,12 +65,8 @@ impl Running {
 
     fn end(&mut self) {
         if matches!(self.0.try_wait(), Ok(None)) {
-            // Any of these may have ended meanwhile.
-            #[cfg(unix)]
-            let _ = rustix::process::kill_process_group(
-                rustix::process::Pid::from_child(&self.0),
-                rustix::process::Signal::KILL,
-            );
+            end_group(self.0.id());
+            // It may have ended meanwhile.
             let _ = self.0.kill();
         }
     }
@@ -69,9 +75,30 @@ impl Running {
 impl Drop for Running {
     fn drop(&mut self) {
         self.end();
+        lock(&STARTED).retain(|id| *id != self.0.id());
         // A child that is not waited for stays in the system's table.
         let _ = self.0.wait();
     }
+}
+
+/// Ends every process that this command runs, with its group, and lets no other start: for a command that ends at once.
+pub fn end_all() {
+    let started = lock(&STARTED);
+    started.iter().for_each(|id| end_group(*id));
+    // Never unlocked: the process ends.
+    std::mem::forget(started);
+}
+
+fn end_group(id: u32) {
+    #[cfg(unix)]
+    if let Some(group) = i32::try_from(id).ok().and_then(rustix::process::Pid::from_raw) {
+        // It may have ended meanwhile.
+        let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+    }
+}
+
+fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
+    started.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
 /// Runs a program to its end and gives every line of its output and errors, as they come, to `line`.
@@ -122,7 +149,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
 pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     let mut command = Command::new(program);
     command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    let reason = match command.status() {
+    let reason = match Running::start(&mut command).and_then(|mut running| running.0.wait()) {
         Ok(status) if status.success() => return Ok(()),
         Ok(status) => status.to_string(),
         Err(error) => error.to_string(),
@@ -135,18 +162,23 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
 /// # Errors
 /// The errors of the system.
 pub fn printed(command: &mut Command) -> io::Result<String> {
-    let out = command.stdin(Stdio::null()).output()?;
-    Ok([out.stdout, out.stderr].iter().map(|bytes| String::from_utf8_lossy(bytes)).collect())
+    let mut running = Running::start(command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()))?;
+    let errors = running.0.stderr.take().map(listen);
+    let mut text = running.0.stdout.take().map(said).unwrap_or_default();
+    text += &errors.and_then(|errors| errors.join().ok()).unwrap_or_default();
+    running.0.wait().map(|_| text)
 }
 
 /// The words of a stream to its end, read on the side: a full pipe would stop who writes to it.
-pub fn listen(mut stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
-    std::thread::spawn(move || {
-        let mut said = Vec::new();
-        // What was said until it broke off is all there is to tell.
-        let _ = stream.read_to_end(&mut said);
-        String::from_utf8_lossy(&said).into_owned()
-    })
+pub fn listen(stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+    std::thread::spawn(move || said(stream))
+}
+
+fn said(mut stream: impl Read) -> String {
+    let mut said = Vec::new();
+    // What was said until it broke off is all there is to tell.
+    let _ = stream.read_to_end(&mut said);
+    String::from_utf8_lossy(&said).into_owned()
 }
 
 /// A program's failure in its own words, or by its exit status.

@@ -243,6 +243,11 @@ impl<'a> Session<'a> {
         }
     }
 
+    /// Says each of these, as [`Session::note`] does.
+    pub fn notes<T: Display>(&mut self, texts: impl IntoIterator<Item = T>) {
+        texts.into_iter().for_each(|text| self.note(text));
+    }
+
     /// Asks on standard error and waits for a line of standard input.
     ///
     /// # Errors

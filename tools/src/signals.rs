@@ -1,16 +1,17 @@
 //! Ctrl-C, and being asked to end.
 
-use crate::CANCELLED;
+use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// For [`Terminal::cancelled`](crate::Terminal): set by SIGINT, SIGTERM or SIGHUP. A second one ends the process at once,
-/// and leaves the files that it was about to remove.
+/// For [`Terminal::cancelled`](crate::Terminal): set by SIGINT, SIGTERM or SIGHUP. A second one ends the process and the
+/// programs that it runs at once, and leaves the files that it was about to remove.
 pub fn cancelled_by_signals() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
     if !outlives_terminal() {
         // Without a handler signals still end the process, only less tidily.
         let _ = ctrlc::set_handler(|| {
             if STOP.swap(true, Ordering::Relaxed) {
+                process::end_all();
                 std::process::exit(CANCELLED.into());
             }
         });

@@ -1,21 +1,15 @@
 //! Photos from a video, by an installed ffmpeg.
 
 use crate::{
-    process::{POLL, Running, check, failure, listen},
+    decode::{AS_PPM, decode, read_ppm, read_whole, save_jpeg},
+    process::check,
     session::{Session, Stage},
 };
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use std::{
-    ffi::OsString,
-    io::{self, BufRead, BufReader, Read},
+    io,
     path::{Path, PathBuf},
-    process::{ChildStdout, Command, Stdio},
-    sync::mpsc::{RecvTimeoutError, channel},
 };
-use zipsplat::{
-    Error, Result,
-    types::{Image, write_atomic},
-};
+use zipsplat::{Error, Result};
 
 /// Extensions of the files that are taken for videos.
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
@@ -25,10 +19,10 @@ pub const FRAMES: usize = 24;
 const SIDE: usize = 512;
 /// One timestamp a frame: ffmpeg drops and doubles frames of others to make them regular.
 const REGULAR: &str = "setpts=N/25/TB";
-/// Quality of the photos, of 100.
-const QUALITY: u8 = 95;
+/// The pictures of a video, and not of its cover.
+const PICTURES: [&str; 2] = ["-map", "0:v:0"];
 
-/// A folder for frames, which goes with them unless it is kept.
+/// A folder for photos that ffmpeg makes, which goes with them unless it is kept.
 pub struct FrameFolder {
     path: PathBuf,
     kept: bool,
@@ -94,7 +88,7 @@ pub fn is_video(path: &Path) -> bool {
 /// [`Error::Argument`] where ffmpeg does not run, [`Error::Format`] in ffmpeg's words where the video cannot be read,
 /// [`Error::Io`] where a photo cannot be written, [`Error::Cancelled`].
 pub fn sharpest_frames(
-    session: &Session<'_>,
+    session: &mut Session<'_>,
     ffmpeg: &Path,
     video: &Path,
     count: usize,
@@ -102,22 +96,27 @@ pub fn sharpest_frames(
 ) -> Result<Vec<PathBuf>> {
     check(ffmpeg, "ffmpeg", "an installed ffmpeg, which reads videos (`apt install ffmpeg`; see --ffmpeg)")?;
     video.metadata().map_err(|source| Error::io(video, source))?;
-    let (sharpness, _) = session.stage("look for sharp frames", |stage| judge(ffmpeg, video, stage))?;
+    let ((sharpness, said), _) = session.stage("look for sharp frames", |stage| judge(ffmpeg, video, stage))?;
     let chosen = sharpest(&sharpness, count);
     if chosen.is_empty() {
-        return Err(Error::format(video, None, "no frame that ffmpeg can read"));
+        let said = if said.is_empty() { said } else { format!(": {said}") };
+        return Err(Error::format(video, None, format!("no frame that ffmpeg can read{said}")));
+    }
+    if !said.is_empty() {
+        let read = sharpness.len();
+        session.note(format!("{}: ffmpeg reads {read} frames and finds the file damaged: {said}", video.display()));
     }
     let (photos, _) = session.stage("take frames", |stage| take(ffmpeg, video, &chosen, folder, stage))?;
     Ok(photos)
 }
 
-/// The sharpness of each frame: the variance of the Laplacian.
-fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<Vec<f64>> {
+/// The sharpness of each frame, the variance of the Laplacian, and what ffmpeg has to say about the video.
+fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
-    decode(
+    let said = decode(
         (ffmpeg, video),
-        &["-vf", &filter, "-r", "25", "-f", "rawvideo"],
+        &[&PICTURES[..], &["-vf", &filter, "-r", "25", "-f", "rawvideo"]].concat(),
         stage,
         |from| {
             let mut grey = vec![0; SIDE * SIDE];
@@ -129,7 +128,7 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<Vec<f64>> {
             Ok(())
         },
     )?;
-    Ok(sharpness)
+    Ok((sharpness, said))
 }
 
 /// The sharpest frame of each of `count` equal parts, of equal ones the first.
@@ -147,17 +146,13 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     let mut photos = Vec::new();
     decode(
         (ffmpeg, video),
-        &["-vf", &filter, "-r", "25", "-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"],
+        &[&PICTURES[..], &["-vf", &filter, "-r", "25"], &AS_PPM].concat(),
         stage,
         read_ppm,
         |image| {
             let Some(frame) = chosen.get(photos.len()) else { return Ok(()) };
             let path = folder.join(format!("{stem}-{frame:05}.jpg"));
-            write_atomic(&path, |out| {
-                let encoder = JpegEncoder::new_with_quality(out, QUALITY);
-                let written = encoder.write_image(&image.rgb, image.width, image.height, ExtendedColorType::Rgb8);
-                written.map_err(io::Error::other)
-            })?;
+            save_jpeg(&image, &path)?;
             photos.push(path);
             stage.reach(photos.len() as f64 / chosen.len() as f64)
         },
@@ -167,92 +162,6 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
         return Err(Error::format(video, None, reason));
     }
     Ok(photos)
-}
-
-/// Runs ffmpeg on a video with these options for what it makes of it, and gives what `read` reads of that, on a thread of
-/// its own, to `take`.
-fn decode<T: Send + 'static>(
-    (ffmpeg, video): (&Path, &Path),
-    options: &[&str],
-    stage: &Stage<'_>,
-    mut read: impl FnMut(&mut BufReader<ChildStdout>) -> io::Result<Option<T>> + Send + 'static,
-    mut take: impl FnMut(T) -> Result<()>,
-) -> Result<()> {
-    let failed = |source| Error::io(ffmpeg, source);
-    let mut command = Command::new(ffmpeg);
-    // Named as a file: a path may look like an option or a protocol.
-    let mut input = OsString::from("file:");
-    input.push(video);
-    command.args(["-nostdin", "-loglevel", "error", "-i"]).arg(input).args(["-map", "0:v:0"]).args(options).arg("-");
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut running = Running::start(&mut command).map_err(failed)?;
-    let said = running.0.stderr.take().map(listen);
-    let Some(stdout) = running.0.stdout.take() else { return Ok(()) };
-    let (send, items) = channel();
-    std::thread::spawn(move || {
-        let mut from = BufReader::new(stdout);
-        while let Some(item) = read(&mut from).transpose() {
-            let broken = item.is_err();
-            if send.send(item).is_err() || broken {
-                return;
-            }
-        }
-    });
-    let mut broken = None;
-    loop {
-        match items.recv_timeout(POLL) {
-            Ok(Ok(item)) => take(item)?,
-            Ok(Err(error)) => broken = Some(error),
-            Err(RecvTimeoutError::Disconnected) => break,
-            Err(RecvTimeoutError::Timeout) => {}
-        }
-        stage.check()?;
-    }
-    let status = running.wait(ffmpeg.as_os_str(), stage)?;
-    let said = said.and_then(|said| said.join().ok()).unwrap_or_default();
-    match broken {
-        None if status.success() => Ok(()),
-        // Who is killed says nothing.
-        _ if said.trim().is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
-        _ => Err(Error::format(video, None, said.trim().lines().collect::<Vec<_>>().join("; "))),
-    }
-}
-
-/// Fills a buffer; false where nothing is left.
-fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
-    if from.fill_buf()?.is_empty() {
-        return Ok(false);
-    }
-    from.read_exact(to).map(|()| true)
-}
-
-/// A picture as `P6`, its width, height and 255, and its bytes.
-fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> {
-    if from.fill_buf()?.is_empty() {
-        return Ok(None);
-    }
-    let mut words = [const { String::new() }; 4];
-    for word in &mut words {
-        // One white byte ends each.
-        let mut byte = [0];
-        loop {
-            from.read_exact(&mut byte)?;
-            match byte[0] {
-                white if white.is_ascii_whitespace() => break,
-                other => word.push(char::from(other)),
-            }
-        }
-    }
-    let [kind, width, height, most] = words;
-    let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else {
-        return Err(io::Error::other(format!("a picture that begins {kind} {width} {height}")));
-    };
-    if kind != "P6" || most != "255" || u64::from(width) * u64::from(height) > 1 << 28 {
-        return Err(io::Error::other(format!("a picture that begins {kind} {width} {height} {most}")));
-    }
-    let mut rgb = vec![0; 3 * width as usize * height as usize];
-    from.read_exact(&mut rgb)?;
-    Ok(Some(Image { width, height, rgb }))
 }
 
 /// The variance of the Laplacian of a grey picture: how much of it is edges.

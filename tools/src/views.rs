@@ -17,7 +17,7 @@ use zipsplat::{
 /// How photos of another shape than the network's are fitted to it.
 #[derive(Args)]
 pub struct FitOption {
-    /// What the network sees of a photo that is not as wide as high
+    /// Part of a photo that the network sees where it is not as wide as high
     #[arg(long, value_enum, value_name = "HOW", default_value = "crop")]
     pub fit: Fit,
 }
@@ -25,9 +25,9 @@ pub struct FitOption {
 /// The part of a photo that the network sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
-    /// Its middle, in the shape of --size
+    /// The middle, in the shape of --size
     Crop,
-    /// All of it, as square views side by side, each with a camera turned to it: for known cameras. Twice the views of photos up
+    /// The whole photo, as square views side by side, each with a camera turned to it: for known cameras. Twice the views of photos up
     /// to 2:1, and the time and memory of so many
     Squares,
 }

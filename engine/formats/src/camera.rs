@@ -86,7 +86,7 @@ impl Pose {
         Self { rotation: self.rotation * inner.rotation, translation: self.transform(inner.translation) }
     }
 
-    /// This pose in the frame of `first`, which becomes the identity.
+    /// The pose in the frame of `first`, which becomes the identity.
     pub fn relative_to(&self, first: &Self) -> Self {
         first.inverse().compose(self)
     }

@@ -197,6 +197,12 @@ fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
     Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
 }
 
+/// True where a file that begins so is a HEIC picture, as phones take them: by the brand of ISO/IEC 23008-12. Twelve bytes tell.
+pub fn is_heic_start(start: &[u8]) -> bool {
+    const BRANDS: [&[u8]; 8] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"];
+    start.get(4..8) == Some(b"ftyp") && start.get(8..12).is_some_and(|brand| BRANDS.contains(&brand))
+}
+
 /// The kind of a file that a camera, phone or scanner writes beside photos, by its first bytes, and the command that makes
 /// photos of it in its folder.
 fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
@@ -218,9 +224,7 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     // The brands of ISO/IEC 14496-12 files; whatever has none of the pictures' is a film.
     match (start.get(4..8), start.get(8..12)) {
         (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", photo("magick", "", ".png"))),
-        (Some(b"ftyp"), Some(b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"hevx" | b"mif1" | b"msf1")) => {
-            Some(("a HEIC picture", photo("heif-convert", "", ".jpg")))
-        }
+        _ if is_heic_start(start) => Some(("a HEIC picture", photo("heif-convert", "", ".jpg"))),
         // Canon's raw pictures.
         (Some(b"ftyp"), Some(b"crx ")) => None,
         (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", photos())),

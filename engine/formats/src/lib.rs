@@ -28,7 +28,7 @@ pub use camera::{
 pub use file::{Unfinished, open_file, write_atomic};
 pub use format::WriteOptions;
 pub use gltf::{read_gltf, write_gltf};
-pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet};
+pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};

@@ -32,12 +32,12 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
-    /// That of a photo which stays as it is.
+    /// The map of a photo which stays as it is.
     pub fn identity(photo: &Image) -> Self {
         Self::resized(photo, photo.width, photo.height)
     }
 
-    /// That of a whole photo which is scaled to `width` x `height`.
+    /// The map of a whole photo which is scaled to `width` x `height`.
     pub fn resized(photo: &Image, width: u32, height: u32) -> Self {
         let scale = [f64::from(width) / f64::from(photo.width), f64::from(height) / f64::from(photo.height)];
         Self { from: [photo.width, photo.height], to: [width, height], scale, offset: [0.0; 2] }

@@ -37,7 +37,7 @@ impl Descriptors {
         Ok(descriptors)
     }
 
-    /// That of a command which is a dispatch.
+    /// The descriptor set of a command which is a dispatch.
     pub fn of(&self, command: usize) -> vk::DescriptorSet {
         self.sets[command]
     }

@@ -21,7 +21,7 @@ use std::{
     },
 };
 
-/// Which device to use and how.
+/// Options of opening a device.
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
     /// The device's number in [`super::list_devices`] or a part of its name; `None` takes the best.

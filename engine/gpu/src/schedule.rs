@@ -115,7 +115,7 @@ impl Cursor {
     }
 }
 
-/// Which is cut, for the smallest pieces. A kernel knows its groups by their index alone, so that those of a folded dispatch may
+/// The axis that is cut, for the smallest pieces. A kernel knows its groups by their index alone, so that those of a folded dispatch may
 /// be cut along x, too.
 fn longest_axis(groups: [u32; 3]) -> usize {
     (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0)

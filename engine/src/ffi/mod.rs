@@ -5,7 +5,9 @@
 //! C can get wrong (enumerations, booleans) arrive as plain integers and are checked.
 #![allow(unsafe_code, non_camel_case_types, clippy::missing_safety_doc)]
 
+mod capture;
 mod context;
+mod gradients;
 mod model;
 mod photo;
 mod picture;
@@ -22,6 +24,7 @@ mod vulkan;
 const _: () = {
     const fn any_thread<T: Send + Sync>() {}
     any_thread::<zs_bytes>();
+    any_thread::<zs_capture>();
     any_thread::<zs_context>();
     any_thread::<zs_model>();
     any_thread::<zs_photo>();
@@ -29,7 +32,9 @@ const _: () = {
     any_thread::<zs_scene>();
 };
 
+pub use capture::*;
 pub use context::*;
+pub use gradients::*;
 pub use model::*;
 pub use photo::*;
 pub use picture::*;

@@ -10,12 +10,12 @@ use std::ffi::{c_char, c_void};
 
 /// A photo, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
 pub struct zs_photo {
-    image: Image,
+    pub(super) image: Image,
 }
 
 /// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-/// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation:
-/// photos that have one and such cameras have to be decoded by the app. `path` is UTF-8.
+/// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation: read
+/// photos with such cameras by zs_capture_open_photo. `path` is UTF-8.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_photo) -> zs_status {
     // SAFETY: a string or NULL.

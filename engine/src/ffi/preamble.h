@@ -6,8 +6,9 @@
  *     zs_context    a device at work; creates
  *     zs_model      a network with its weights on the device; makes
  *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; zs_refine makes them sharp; is drawn by
- *     zs_renderer   a scene on the device
+ *     zs_renderer   a scene on the device; zs_render_backward gives gradients of its pictures
  *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
+ *     zs_capture    the cameras of photos, as a transforms.json or COLMAP has them
  *     zs_bytes      a scene's file in memory
  *
  * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message

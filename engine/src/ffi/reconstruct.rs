@@ -1,6 +1,7 @@
 //! Reconstruction: photos to a scene.
 
 use super::{
+    capture::zs_capture,
     model::{report, zs_model, zs_progress},
     picture::{zs_camera, zs_image},
     pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
@@ -13,6 +14,7 @@ use crate::{
     reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
     types::{
         Camera, Pose,
+        poses::Unit,
         preprocess::{View, fit, view_cameras},
     },
 };
@@ -48,6 +50,9 @@ pub(super) type zs_world_value = i32;
 /// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
 pub const ZS_RATIO_AUTO: f64 = 0.0;
 
+/// The length that is found from the cameras and, where there is a capture, from its points.
+pub const ZS_UNIT_AUTO: f64 = 0.0;
+
 /// What to reconstruct.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -60,7 +65,8 @@ pub struct zs_reconstruct_options {
     /// Default 1.
     pub ratio: f64,
     /// Length in the unit of `cameras`, and of the scene, that the network takes for 1. It is trained with what the photos see at
-    /// a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20. Default 1.
+    /// a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20, or ZS_UNIT_AUTO.
+    /// Default 1.
     pub unit: f64,
     /// Which tokens are kept. Default ZS_SELECT_KMEANS.
     pub selection: zs_selection_value,
@@ -80,6 +86,9 @@ pub struct zs_reconstruct_options {
     pub progress: zs_progress,
     /// Given to `progress`.
     pub user_data: *mut c_void,
+    /// The capture that `cameras` are of, for ZS_UNIT_AUTO: its points and all its cameras then say how far away the scene is; where
+    /// it is NULL, `cameras` do. Default NULL.
+    pub capture: *const zs_capture,
 }
 
 // SAFETY: repr(C), pairs of 32 bits, two f64, a u64 and pointers: no padding.
@@ -100,6 +109,7 @@ unsafe impl Versioned for zs_reconstruct_options {
             cameras: std::ptr::null(),
             progress: None,
             user_data: std::ptr::null_mut(),
+            capture: std::ptr::null(),
         }
     }
 }
@@ -151,7 +161,16 @@ pub unsafe extern "C" fn zs_reconstruct(
         let told = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
         // SAFETY: the caller's pixels.
         let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
+        // SAFETY: an object or NULL.
+        let capture = unsafe { options.capture.as_ref() };
+        let origin = cameras.first().map(|first| first.pose);
+        let all: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
         let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
+        let unit = match (&cameras, origin, capture) {
+            (Some(views), Some(origin), Some(capture)) => capture.poses.unit(unit, views, &origin)?.length,
+            (Some(views), Some(origin), None) => Unit::of(unit, &all, None, views, &origin)?.length,
+            _ => unit.unwrap_or(1.0),
+        };
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let request = Request { ratio, selection, cameras, unit };
         let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
@@ -203,12 +222,16 @@ impl zs_reconstruct_options {
         Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
     }
 
-    fn unit(&self) -> Result<f64, Failure> {
+    /// `None` is found from the cameras.
+    fn unit(&self) -> Result<Option<f64>, Failure> {
+        if self.unit == ZS_UNIT_AUTO {
+            return Ok(None);
+        }
         // The scene is f32.
         if !(self.unit as f32).is_normal() || self.unit < 0.0 {
-            return Err(Failure::argument("unit", self.unit, "a length above 0"));
+            return Err(Failure::argument("unit", self.unit, "a length above 0, or ZS_UNIT_AUTO"));
         }
-        Ok(self.unit)
+        Ok(Some(self.unit))
     }
 
     /// The pose in the scene's world of its first camera, where that is another than the world.

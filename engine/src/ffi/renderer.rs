@@ -8,7 +8,7 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use crate::{
-    stages::render::{Depth, Frame, MAX_SIDE, RenderRequest, Renderer},
+    stages::render::{Depth, Differentiator, Frame, MAX_SIDE, RenderRequest, Renderer},
     types::Camera,
 };
 use std::{
@@ -22,12 +22,23 @@ pub struct zs_renderer {
     /// Whether the device is the app's.
     pub(super) adopted: bool,
     renderer: Mutex<Renderer>,
+    /// Made when gradients are first asked for.
+    differentiator: Mutex<Option<Differentiator>>,
 }
 
 impl zs_renderer {
     /// Also where a panicking call held the lock: a renderer checks its plans anew every time.
     pub(super) fn lock(&self) -> MutexGuard<'_, Renderer> {
         self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    /// Without one where a panicking call held the lock.
+    pub(super) fn differentiator(&self) -> MutexGuard<'_, Option<Differentiator>> {
+        self.differentiator.lock().unwrap_or_else(|poisoned| {
+            let mut found = poisoned.into_inner();
+            *found = None;
+            found
+        })
     }
 }
 
@@ -124,7 +135,7 @@ pub unsafe extern "C" fn zs_renderer_create(
         let (context, scene) = unsafe { (borrow(context, "context")?, borrow(scene, "scene")?) };
         let mut renderer = Renderer::new(&context.device);
         scene.load(&mut renderer)?;
-        Ok(zs_renderer { adopted: context.adopted, renderer: Mutex::new(renderer) })
+        Ok(zs_renderer { adopted: context.adopted, renderer: Mutex::new(renderer), differentiator: Mutex::default() })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(renderer, create) }
@@ -224,7 +235,7 @@ impl zs_render_options {
     }
 
     /// The request of all pictures together.
-    fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
+    pub(super) fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,
             1 => Depth::Accumulated,

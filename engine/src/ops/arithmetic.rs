@@ -1,4 +1,4 @@
-//! Which number types and kernels linear layers, attention and k-means use.
+//! Number types and kernels of linear layers, attention and k-means use.
 
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
@@ -80,7 +80,7 @@ impl Arithmetic {
     pub const EXACT: Self =
         Self { element: Element::F32, linear: None, attention: None, quantised: None, nearest: None };
 
-    /// That of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
+    /// The arithmetic of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
         let element = match precision {
             Precision::Exact => return Some(Self::EXACT),

@@ -60,9 +60,9 @@ enum Packing {
     GatedVector,
     /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
     Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
-    /// A `[inner, columns]` matrix as if it were `[columns, inner]`, and behind it, from a multiple of 256 bytes on, a bias
-    /// `[columns]` of zeros.
-    Transposed { inner: usize, columns: usize, kernel: LinearKernel },
+    /// An `[inner / taps, taps, columns]` matrix as if it were `[columns, taps, inner / taps]`, the taps from last to first, and
+    /// behind it, from a multiple of 256 bytes on, a bias `[columns]` of zeros.
+    Transposed { taps: usize, inner: usize, columns: usize, kernel: LinearKernel },
 }
 
 /// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
@@ -127,14 +127,30 @@ impl ParameterLayout {
         self.matrix(name, &[inner], columns, false, Arithmetic::EXACT)
     }
 
+    /// As [`ParameterLayout::convolution`], in f32 whatever the arithmetic.
+    pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
+        self.matrix(name, kernel, columns, false, Arithmetic::EXACT)
+    }
+
     /// The layer from gradients by the results of the layer `name`, `[rows, columns]`, to those by its inputs, `[rows, inner]`:
     /// its weight transposed, without bias, in f32 whatever the arithmetic.
     pub fn transposed_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        let (shape, kernel) = ([columns, inner], LinearKernel::Panels(Element::F32));
-        let [inner, columns] = shape;
+        self.transposed(name, &[columns, inner], 1)
+    }
+
+    /// As [`ParameterLayout::transposed_linear`], for a convolution of `inputs` channels with a kernel of these sides: a
+    /// convolution of gradients with the kernel turned round.
+    pub fn transposed_convolution(&mut self, name: &str, sides: [usize; 2], inputs: usize, outputs: usize) -> Linear {
+        self.transposed(name, &[outputs, sides[0], sides[1], inputs], sides[0] * sides[1])
+    }
+
+    /// The weight `NAME.weight` `[outputs, .., inputs]`, of so many taps, from outputs to inputs.
+    fn transposed(&mut self, name: &str, shape: &[usize], taps: usize) -> Linear {
+        let kernel = LinearKernel::Panels(Element::F32);
+        let (inner, columns) = (taps * shape[0], shape[shape.len() - 1]);
         let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
-        let packing = Packing::Transposed { inner, columns, kernel };
-        let both = self.add::<u8>(&format!("{name}.weight"), &shape, bias_at + size_of::<f32>() * columns, packing);
+        let packing = Packing::Transposed { taps, inner, columns, kernel };
+        let both = self.add::<u8>(&format!("{name}.weight"), shape, bias_at + size_of::<f32>() * columns, packing);
         Linear {
             weight: both.slice::<u8>(0, bias_at),
             bias: both.slice::<f32>(bias_at / size_of::<f32>(), columns),
@@ -244,9 +260,11 @@ impl Packing {
                 let value = |column| source[source_row(column, source.len(), true)];
                 packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
             }
-            Packing::Transposed { inner, columns, kernel } => {
+            Packing::Transposed { taps, inner, columns, kernel } => {
+                let outputs = inner / taps;
+                let place = |c: usize, k: usize| (k % outputs * taps + taps - 1 - k / outputs) * columns + c;
                 let turned: Vec<f32> =
-                    (0..columns).flat_map(|c| (0..inner).map(move |k| source[k * columns + c])).collect();
+                    (0..columns).flat_map(|c| (0..inner).map(move |k| source[place(c, k)])).collect();
                 Packing::Matrix { inner, columns, gated: false, kernel }.pack(&turned, packed);
                 packed.resize(packed.len().next_multiple_of(256) + size_of::<f32>() * columns, 0);
             }

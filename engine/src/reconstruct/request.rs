@@ -80,7 +80,7 @@ pub struct Shape {
     pub cameras: bool,
 }
 
-/// Which tokens a plan keeps.
+/// Tokens that a plan keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
     /// All: nothing is chosen and nothing gathered.

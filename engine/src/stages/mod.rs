@@ -6,6 +6,7 @@ pub mod cluster;
 pub mod fuse;
 pub mod gaussians;
 pub mod loss;
+pub mod lpips;
 pub mod render;
 
 pub use architecture::{Architecture, RECIPES, VARIANTS};

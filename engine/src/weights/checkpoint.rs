@@ -164,7 +164,7 @@ impl Checkpoint {
         let rounded = (rounded > 0).then(|| format!("{}: {rounded} tensors of f64 are rounded to f32", path.display()));
         let parameters = architecture.parameters();
         let picture_side = contents.picture_side.unwrap_or(DEFAULT_SIZE);
-        let tensors = matching(path, &architecture, &parameters, contents)?;
+        let tensors = matching(path, &architecture.name, &parameters, contents)?;
         let provenance = path.display().to_string();
         let source = Source::Stored { file, tensors };
         let notes = assumed.into_iter().chain(rounded).collect();
@@ -282,9 +282,9 @@ impl Checkpoint {
 }
 
 /// The file's tensors in the order of `parameters`, if they are those and no others.
-fn matching(
+pub(super) fn matching(
     path: &Path,
-    architecture: &Architecture,
+    network: &str,
     parameters: &[(String, Vec<usize>)],
     mut contents: Contents,
 ) -> Result<Vec<Stored>> {
@@ -301,6 +301,6 @@ fn matching(
     if missing.is_empty() && unexpected.is_empty() && misshapen.is_empty() {
         return Ok(tensors);
     }
-    let (path, architecture) = (PathBuf::from(path), architecture.name.clone());
+    let (path, architecture) = (PathBuf::from(path), network.to_owned());
     Err(Error::Weights { path, architecture, missing, unexpected, misshapen })
 }

@@ -10,6 +10,7 @@ mod pickle;
 mod safetensors;
 mod seeded;
 mod tensor;
+mod tensors;
 mod torch;
 mod variant;
 
@@ -17,6 +18,7 @@ use std::path::Path;
 
 pub use checkpoint::Checkpoint;
 pub use tensor::Dtype;
+pub use tensors::Tensors;
 
 use crate::Result;
 pub use crate::{

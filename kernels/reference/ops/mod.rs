@@ -5,6 +5,7 @@ pub mod add;
 pub mod attention;
 pub mod gather_rows;
 pub mod gelu;
+pub mod im2col;
 pub mod layer_norm;
 pub mod linear;
 pub mod place_columns;

@@ -5,7 +5,7 @@ use crate::process;
 use std::{
     fmt,
     path::{Path, PathBuf},
-    process::Command,
+    process::{Command, ExitStatus},
 };
 use zipsplat::{Error, Result};
 
@@ -29,7 +29,19 @@ pub struct Colmap {
 pub enum Step {
     Features,
     Matches,
-    Cameras,
+    Cameras(Mapping),
+}
+
+/// How the last step is tried: COLMAP draws at random, and its thresholds are those of many photos with much in common.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Mapping {
+    seed: u32,
+    /// Least angle in degrees at which the first two photos see a point.
+    first_angle: u32,
+    /// Least points that the first two photos share.
+    first_points: u32,
+    /// Least points by which a further photo is joined.
+    points: u32,
 }
 
 /// The facts in COLMAP's words.
@@ -40,7 +52,7 @@ pub struct Told {
     /// Pairs of photos that show the same.
     pub pairs: Option<usize>,
     /// COLMAP said that no pair of photos is a start.
-    pub no_start: bool,
+    no_start: bool,
     /// The disk was full, which COLMAP 3 says and does not fail of.
     pub no_room: bool,
     /// The next line has the number of pairs.
@@ -52,15 +64,22 @@ pub struct Told {
 /// Lines of a program's last words.
 const LAST: usize = 3;
 
-impl Step {
-    pub const ALL: [Self; 3] = [Self::Features, Self::Matches, Self::Cameras];
+impl Mapping {
+    /// The ways of trying, in order: COLMAP's own thresholds first.
+    pub const ALL: [Self; 3] = [
+        Self { seed: 0, first_angle: 16, first_points: 100, points: 30 },
+        Self { seed: 1, first_angle: 8, first_points: 50, points: 20 },
+        Self { seed: 2, first_angle: 4, first_points: 30, points: 15 },
+    ];
+}
 
+impl Step {
     /// The name of the step, for progress and times.
     pub fn name(self) -> &'static str {
         match self {
             Self::Features => "find features",
             Self::Matches => "match photos",
-            Self::Cameras => "find cameras",
+            Self::Cameras(_) => "find cameras",
         }
     }
 }
@@ -119,22 +138,25 @@ impl Colmap {
         &self.program
     }
 
-    /// The command of a step in a folder with `images`, which gets `database.db` and `sparse`. It uses neither GPU nor display.
+    /// The command of a step in a folder with `images`, which gets `database.db`; the models go to `models`. It uses neither GPU
+    /// nor display.
     ///
     /// # Errors
     /// [`Error::Io`] where it cannot be asked which options it has.
-    pub fn command(&self, step: Step, folder: &Path, pairs: Pairs, side: u32) -> Result<Command> {
+    pub fn command(&self, step: Step, [folder, models]: [&Path; 2], pairs: Pairs, side: u32) -> Result<Command> {
         let mut command = Command::new(&self.program);
         // What it leaves behind goes with the folder.
         headless(&mut command).env("TMPDIR", folder);
         if self.python {
-            let step = match (step, pairs) {
-                (Step::Features, _) => "features",
-                (Step::Matches, Pairs::All) => "all",
-                (Step::Matches, Pairs::Near) => "near",
-                (Step::Cameras, _) => "cameras",
+            let words: (_, Vec<u32>) = match (step, pairs) {
+                (Step::Features, _) => ("features", vec![side, FEATURES]),
+                (Step::Matches, Pairs::All) => ("all", Vec::new()),
+                (Step::Matches, Pairs::Near) => ("near", Vec::new()),
+                (Step::Cameras(Mapping { seed, first_angle, first_points, points }), _) => {
+                    ("cameras", vec![seed, first_angle, first_points, points])
+                }
             };
-            command.args(["-c", PYCOLMAP, step]).arg(folder).args([side.to_string(), FEATURES.to_string()]);
+            command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(u32::to_string));
             return Ok(command);
         }
         let (verb, options): (_, Vec<(&[&str], u32)>) = match (step, pairs) {
@@ -158,9 +180,17 @@ impl Colmap {
                 ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0)])
             }
             // Points that only two photos show are many where photos are few, and a start for refinement.
-            (Step::Cameras, _) => {
-                ("mapper", vec![(&["Mapper.min_model_size"], 2), (&["Mapper.tri_ignore_two_view_tracks"], 0)])
-            }
+            (Step::Cameras(mapping), _) => (
+                "mapper",
+                vec![
+                    (&["Mapper.min_model_size"], 2),
+                    (&["Mapper.tri_ignore_two_view_tracks"], 0),
+                    (&["Mapper.random_seed", "default_random_seed", "random_seed"], mapping.seed),
+                    (&["Mapper.init_min_tri_angle"], mapping.first_angle),
+                    (&["Mapper.init_min_num_inliers"], mapping.first_points),
+                    (&["Mapper.abs_pose_min_num_inliers"], mapping.points),
+                ],
+            ),
         };
         let asked = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]));
         let help = asked.map_err(|source| Error::io(&self.program, source))?;
@@ -169,8 +199,8 @@ impl Colmap {
         if step != Step::Matches {
             command.arg("--image_path").arg(folder.join("images"));
         }
-        if step == Step::Cameras {
-            command.arg("--output_path").arg(folder.join("sparse"));
+        if verb == "mapper" {
+            command.arg("--output_path").arg(models);
         }
         // Versions differ in what they call an option; what one has not, it does without.
         for (names, value) in options {
@@ -219,6 +249,12 @@ impl Told {
             self.last.drain(..self.last.len().saturating_sub(LAST));
         }
         far
+    }
+
+    /// Whether a step ended so because there is nothing to find; the next time may be another.
+    pub fn found_nothing(&mut self, step: Step, status: ExitStatus) -> bool {
+        let no_start = std::mem::take(&mut self.no_start);
+        matches!(step, Step::Cameras(_)) && no_start && status.code() == Some(1)
     }
 
     /// The last that was said.

@@ -1,6 +1,9 @@
 //! Cameras of photos that have none, found by COLMAP.
 
-use super::colmap::{Colmap, Step, Told};
+use super::{
+    colmap::{Colmap, Mapping, Step, Told},
+    work::{Work, make_folder},
+};
 use crate::{
     outputs::LOG_START,
     photos::names,
@@ -10,25 +13,23 @@ use crate::{
 };
 use clap::{Args, ValueEnum};
 use std::{
-    collections::HashMap,
-    fs::File,
-    io::{BufReader, Write},
+    io::Write,
     path::{Path, PathBuf},
+    process::ExitStatus,
     time::{Duration, Instant},
 };
 use tempfile::{NamedTempFile, TempDir};
 use zipsplat::{
     Error, Result,
-    types::{
-        Image, open_file,
-        poses::{Frame, Poses, read_cloud, read_poses},
-    },
+    types::poses::{Frame, Poses, read_cloud, read_poses},
 };
 
 /// The word that stands for a file of cameras where they are to be found.
 const FIND: &str = "find";
 /// Most photos of which all pairs are matched where nobody says: their number goes with the square.
 const ALL_PAIRS: usize = 100;
+/// Of so few photos none should be lost without another try.
+const FEW_PHOTOS: usize = 12;
 /// Features of a photo below which there is little to recognise.
 const FEW: usize = 300;
 /// Share of a step before which nobody can tell how long it takes.
@@ -51,12 +52,12 @@ pub struct Finding {
     pub find_size: u32,
 }
 
-/// Which photos are matched with which.
+/// Pairs of photos that are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pairs {
     /// Every one with every other
     All,
-    /// Those that are near each other in the order of their names, as frames of a video are
+    /// Photos near each other in the order of their names, as frames of a video are
     Near,
 }
 
@@ -76,6 +77,8 @@ pub struct Found {
     /// The numbers of photos, of those that have no camera, in groups that COLMAP could not join with the others.
     pub groups: Vec<usize>,
     pub points: usize,
+    /// How often the photos were mapped.
+    pub mappings: usize,
     /// The program that found them.
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
@@ -86,11 +89,15 @@ pub struct Found {
 /// All that COLMAP said.
 pub(super) struct Log(NamedTempFile);
 
-/// The photos in a folder of their own, under names that COLMAP's files have room for.
-struct Work {
-    folder: TempDir,
-    /// Each photo and the name of its copy.
-    photos: Vec<(PathBuf, String)>,
+/// COLMAP at work on photos.
+struct Search<'a> {
+    colmap: &'a Colmap,
+    work: &'a Work,
+    pairs: Pairs,
+    side: u32,
+    log: Log,
+    told: Told,
+    times: Vec<(&'static str, Duration)>,
 }
 
 impl Known {
@@ -125,38 +132,15 @@ impl Found {
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
         }
-        let pairs = finding.pairs.unwrap_or(if photos.len() > ALL_PAIRS { Pairs::Near } else { Pairs::All });
         let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, stage))?;
-        let (mut log, mut told, mut times) = (Log::new()?, Told::default(), Vec::new());
-        for step in Step::ALL {
-            let mut command = colmap.command(step, work.folder.path(), pairs, finding.find_size)?;
-            let (status, took) = session.stage(step.name(), |stage| {
-                let started = Instant::now();
-                process::run(&mut command, stage, |line| {
-                    log.write(line)?;
-                    told.hear(line, photos.len()).map_or(Ok(()), |far| told_far(stage, step, far, started))
-                })
-            })?;
-            times.push((step.name(), took));
-            if told.no_room {
-                let why = "COLMAP found no room left for its files; TMPDIR says where they go";
-                return Err(process::failure(&std::env::temp_dir(), why, status));
-            }
-            // So the mapper ends where there is nothing to find.
-            let finds_nothing = step == Step::Cameras && told.no_start && status.code() == Some(1);
-            if !status.success() && !finds_nothing {
-                let place = log.keep()?;
-                let said = match told.last_words() {
-                    words if words.is_empty() => String::new(),
-                    words => format!("; its last words: {words}"),
-                };
-                let why = format!("could not {}: {status}{said}; all of them: {}", step.name(), place.display());
-                return Err(process::failure(colmap.program(), &why, status));
+        let mut search = Search::new(finding, &colmap, &work)?;
+        for step in [Step::Features, Step::Matches] {
+            if let Some(status) = search.run(session, step, work.folder.path())? {
+                return Err(search.failure(step, status));
             }
         }
-        let mut models = work.models()?;
-        // Of equal ones the first.
-        models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
+        let (models, mappings) = search.map(session)?;
+        let Search { told, log, times, .. } = search;
         let mut models = models.into_iter();
         let Some(model) = models.next() else { return Err(nothing(photos.len(), &told)) };
         let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
@@ -165,13 +149,16 @@ impl Found {
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let program = colmap.to_string();
         let count = poses.frames.len();
-        Ok((poses, Self { lost, count, groups, points, program, times, log, _work: work.folder }))
+        Ok((poses, Self { lost, count, groups, points, mappings, program, times, log, _work: work.folder }))
     }
 
     /// The outcome in words.
     pub fn told(&self) -> String {
         let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
+        if self.mappings > 1 {
+            text += &format!("; COLMAP joined few of them, so it tried {} times, and this is the most", self.mappings);
+        }
         if !self.lost.is_empty() {
             text += &format!("; without a camera: {}", names(&self.lost));
         }
@@ -180,6 +167,84 @@ impl Found {
             text += &format!("; of them groups of {} see something of their own", groups.join(", "));
         }
         text
+    }
+}
+
+impl<'a> Search<'a> {
+    fn new(finding: &Finding, colmap: &'a Colmap, work: &'a Work) -> Result<Self> {
+        let pairs = finding.pairs.unwrap_or(if work.photos.len() > ALL_PAIRS { Pairs::Near } else { Pairs::All });
+        let side = finding.find_size;
+        Ok(Self { colmap, work, pairs, side, log: Log::new()?, told: Told::default(), times: Vec::new() })
+    }
+
+    /// Runs a step; its status where it failed.
+    fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
+        let folders = [self.work.folder.path(), models];
+        let mut command = self.colmap.command(step, folders, self.pairs, self.side)?;
+        let photos = self.work.photos.len();
+        let (log, told) = (&mut self.log, &mut self.told);
+        let (status, took) = session.stage(step.name(), |stage| {
+            let started = Instant::now();
+            process::run(&mut command, stage, |line| {
+                log.write(line)?;
+                told.hear(line, photos).map_or(Ok(()), |far| told_far(stage, step, far, started))
+            })
+        })?;
+        match self.times.iter_mut().find(|(name, _)| *name == step.name()) {
+            Some((_, all)) => *all += took,
+            None => self.times.push((step.name(), took)),
+        }
+        if told.no_room {
+            let why = "COLMAP found no room left for its files; TMPDIR says where they go";
+            return Err(process::failure(&std::env::temp_dir(), why, status));
+        }
+        // So the mapper ends where there is nothing to find.
+        let found_nothing = told.found_nothing(step, status);
+        Ok(Some(status).filter(|status| !status.success() && !found_nothing))
+    }
+
+    /// The groups of photos that COLMAP could join, the largest first, and how often it tried: again where few photos are in it.
+    fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Poses>, usize)> {
+        let photos = self.work.photos.len();
+        let (mut best, mut tried): (Vec<Poses>, _) = (Vec::new(), 0);
+        let joined = |models: &[Poses]| models.first().map_or(0, |model| model.frames.len());
+        for mapping in Mapping::ALL {
+            let models = self.work.folder.path().join(format!("sparse{tried}"));
+            make_folder(&models)?;
+            tried += 1;
+            match self.run(session, Step::Cameras(mapping), &models)? {
+                Some(status) if best.is_empty() => return Err(self.failure(Step::Cameras(mapping), status)),
+                // There are cameras; the log has why there are no more.
+                Some(_) => break,
+                None => {}
+            }
+            let mut models = models_of(&models)?;
+            // Of equal ones the first.
+            models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
+            if joined(&models) > joined(&best) {
+                best = models;
+            }
+            let enough = if photos <= FEW_PHOTOS { photos } else { photos.div_ceil(2) };
+            if joined(&best) >= enough {
+                break;
+            }
+        }
+        Ok((best, tried))
+    }
+
+    /// A step's failure in COLMAP's last words; the log stays for who looks for the reason.
+    fn failure(&mut self, step: Step, status: ExitStatus) -> Error {
+        let said = match self.told.last_words() {
+            words if words.is_empty() => String::new(),
+            words => format!("; its last words: {words}"),
+        };
+        match self.log.keep() {
+            Ok(log) => {
+                let why = format!("could not {}: {status}{said}; all of them: {}", step.name(), log.display());
+                process::failure(self.colmap.program(), &why, status)
+            }
+            Err(error) => error,
+        }
     }
 }
 
@@ -215,111 +280,17 @@ fn nothing(photos: usize, told: &Told) -> Error {
     Error::argument(format!("cameras of {photos} photos"), format!("none: {why}"), expected)
 }
 
-impl Work {
-    /// Photos of one size and lens share a folder, and so a camera's intrinsics. JPEG and PNG are linked, so that COLMAP reads
-    /// their EXIF; others, which it may not read, become PNG.
-    fn new(photos: &[PathBuf], stage: &Stage<'_>) -> Result<Self> {
-        let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
-        let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
-        let mut cameras = HashMap::new();
-        make_folder(&folder.path().join("sparse"))?;
-        let mut work = Self { folder, photos: Vec::new() };
-        stage.each(&photos.iter().enumerate().collect::<Vec<_>>(), |(number, photo)| {
-            let count = cameras.len();
-            let camera = *cameras.entry((Image::size_as_stored(photo)?, optics(photo))).or_insert(count);
-            let kind = kind(photo)?;
-            let name = format!("{camera}/{number:06}.{}", kind.unwrap_or("png"));
-            let path = work.folder.path().join("images").join(&name);
-            make_folder(path.parent().unwrap_or(&path))?;
-            match kind {
-                Some(_) => link(photo, &path)?,
-                None => Image::open_as_stored(photo)?.save_png(&path)?,
-            }
-            work.photos.push(((*photo).clone(), name));
-            Ok(())
-        })?;
-        Ok(work)
+/// The groups of photos in a folder of COLMAP's.
+fn models_of(folder: &Path) -> Result<Vec<Poses>> {
+    let failed = |source| Error::io(folder, source);
+    let mut folders = Vec::new();
+    for entry in folder.read_dir().map_err(failed)? {
+        folders.push(entry.map_err(failed)?.path());
     }
-
-    /// The groups of photos that COLMAP could join.
-    fn models(&self) -> Result<Vec<Poses>> {
-        let sparse = self.folder.path().join("sparse");
-        let failed = |source| Error::io(&sparse, source);
-        let mut folders = Vec::new();
-        for entry in sparse.read_dir().map_err(failed)? {
-            folders.push(entry.map_err(failed)?.path());
-        }
-        folders.sort();
-        let models =
-            folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
-        models.map(read_poses).filter(|model| !matches!(model, Ok(poses) if poses.frames.is_empty())).collect()
-    }
-
-    /// The model with the photos' own paths, in their order, and the photos that it lacks.
-    fn named(&self, model: Poses) -> Result<(Poses, Vec<PathBuf>)> {
-        let mut frames: HashMap<String, Frame> =
-            model.frames.into_iter().map(|frame| (frame.name.clone(), frame)).collect();
-        let mut poses = Poses { points: model.points, notes: model.notes, ..Poses::default() };
-        let mut lost = Vec::new();
-        for (photo, name) in &self.photos {
-            let Some(frame) = frames.remove(name) else {
-                lost.push(photo.clone());
-                continue;
-            };
-            let of_photo = Image::size_as_stored(photo)?;
-            let of_camera = (frame.camera.intrinsics.width, frame.camera.intrinsics.height);
-            if of_camera != of_photo {
-                let found = format!("{}x{}", of_camera.0, of_camera.1);
-                let expected = format!("{}x{}, as the photo is stored", of_photo.0, of_photo.1);
-                return Err(Error::argument(
-                    format!("camera that COLMAP found for {}", photo.display()),
-                    found,
-                    expected,
-                ));
-            }
-            poses.frames.push(Frame {
-                name: photo.to_string_lossy().into_owned(),
-                photo: Some(photo.clone()),
-                ..frame
-            });
-        }
-        Ok((poses, lost))
-    }
-}
-
-fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(|source| Error::io(path, source))
-}
-
-/// The extension of a kind of photo that every COLMAP reads, by the file's first bytes.
-fn kind(photo: &Path) -> Result<Option<&'static str>> {
-    let mut start = [0; 4];
-    let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);
-    read.map_err(|source| Error::io(photo, source))?;
-    Ok(match start {
-        [0xff, 0xd8, ..] => Some("jpg"),
-        [0x89, b'P', b'N', b'G'] => Some("png"),
-        _ => None,
-    })
-}
-
-/// Puts a photo at another place without copying it, where the system can.
-fn link(photo: &Path, to: &Path) -> Result<()> {
-    let failed = |source| Error::io(photo, source);
-    let photo = photo.canonicalize().map_err(failed)?;
-    #[cfg(unix)]
-    let linked = std::os::unix::fs::symlink(&photo, to);
-    #[cfg(not(unix))]
-    let linked = std::fs::hard_link(&photo, to).or_else(|_| std::fs::copy(&photo, to).map(drop));
-    linked.map_err(failed)
-}
-
-/// Camera and lens as a photo's EXIF has them: photos of a phone may be of several lenses.
-fn optics(photo: &Path) -> Option<String> {
-    let read = exif::Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
-    let tags = [exif::Tag::Model, exif::Tag::FocalLength, exif::Tag::FocalLengthIn35mmFilm];
-    let value = |tag| read.get_field(tag, exif::In::PRIMARY).map(|field| field.display_value().to_string());
-    Some(tags.map(|tag| value(tag).unwrap_or_default()).join(" "))
+    folders.sort();
+    let models =
+        folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
+    models.map(read_poses).filter(|model| !matches!(model, Ok(poses) if poses.frames.is_empty())).collect()
 }
 
 impl Log {
@@ -338,9 +309,9 @@ impl Log {
         self.0.path()
     }
 
-    /// Leaves it for who looks for a reason.
-    fn keep(self) -> Result<PathBuf> {
-        let path = self.0.path().to_owned();
-        self.0.keep().map(|(_, path)| path).map_err(|error| Error::io(path, error.error))
+    /// Leaves it where it is.
+    fn keep(&mut self) -> Result<PathBuf> {
+        self.0.disable_cleanup(true);
+        Ok(self.path().to_owned())
     }
 }

@@ -4,6 +4,7 @@ mod colmap;
 mod find;
 mod paths;
 mod place;
+mod work;
 
 pub use find::{Finding, Found, Known};
 pub use paths::{CameraArgs, origin};

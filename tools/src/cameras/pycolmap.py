@@ -1,4 +1,4 @@
-"""A step of COLMAP through pycolmap: STEP FOLDER SIDE FEATURES. Without arguments: pycolmap's version."""
+"""A step of COLMAP through pycolmap: STEP FOLDER MODELS and the numbers of the step. Without arguments: pycolmap's version."""
 import sys
 
 import pycolmap
@@ -16,24 +16,33 @@ def with_sift(side, features):
     return {"sift_options": options}
 
 
-def run(step, folder, side, features):
-    database, images, models = (f"{folder}/{name}" for name in ("database.db", "images", "sparse"))
+def mapped_with(seed, first_angle, first_points, points):
+    """The options of mapping."""
+    pycolmap.set_random_seed(seed)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.min_model_size = 2
+    options.triangulation.ignore_two_view_tracks = False
+    options.mapper.init_min_tri_angle = first_angle
+    options.mapper.init_min_num_inliers = first_points
+    options.mapper.abs_pose_min_num_inliers = points
+    return options
+
+
+def run(step, folder, models, numbers):
+    database, images = f"{folder}/database.db", f"{folder}/images"
     if step == "features":
         mode, device = pycolmap.CameraMode.PER_FOLDER, pycolmap.Device.cpu
-        pycolmap.extract_features(database, images, camera_mode=mode, device=device, **with_sift(side, features))
+        pycolmap.extract_features(database, images, camera_mode=mode, device=device, **with_sift(*numbers))
     elif step == "all":
         pycolmap.match_exhaustive(database, device=pycolmap.Device.cpu)
     elif step == "near":
         pycolmap.match_sequential(database, device=pycolmap.Device.cpu)
     elif step == "cameras":
-        options = pycolmap.IncrementalPipelineOptions()
-        options.min_model_size = 2
-        options.triangulation.ignore_two_view_tracks = False
-        if not pycolmap.incremental_mapping(database, images, models, options=options):
+        if not pycolmap.incremental_mapping(database, images, models, options=mapped_with(*numbers)):
             sys.exit("failed to create sparse model")
 
 
 if len(sys.argv) == 1:
     print(pycolmap.__version__)
 else:
-    run(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+    run(*sys.argv[1:4], [int(number) for number in sys.argv[4:]])

@@ -18,7 +18,8 @@ use zipsplat::Result;
 /// COLMAP, an open program for structure from motion, is installed apart: version 3 or 4, or pycolmap, in Python. It runs on the
 /// CPU and needs no display. What it finds is written as transforms.json, with the distortion of the lens, so that the photos
 /// stay as they are, and beside it points.ply, from which `refine --start points` begins, and colmap.log. Of photos in several groups
-/// that nothing joins the largest group is taken. Photos of one size, camera and focal length share a lens.
+/// that nothing joins the largest group is taken; where that has fewer than half of the photos, or of up to 12 not all, COLMAP
+/// tries up to twice more, with other random numbers and looser thresholds. Photos of one size, camera and focal length share a lens.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json
@@ -56,7 +57,7 @@ impl Cameras {
             found.times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
         let json = json!({
             "output": self.output, "photos": photos.len(), "found": found.count, "lost": found.lost,
-            "groups": found.groups, "points": found.points, "program": found.program, "seconds": seconds,
+            "groups": found.groups, "points": found.points, "mappings": found.mappings, "program": found.program, "seconds": seconds,
         });
         let mut text = format!("{}: {}\n", self.output.display(), found.told());
         found.times.iter().for_each(|(step, took)| text += &format!("  {step:<13}{:>10}\n", time(*took)));

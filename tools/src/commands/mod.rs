@@ -2,6 +2,7 @@
 
 mod bench;
 mod cameras;
+mod compare;
 mod convert;
 mod doctor;
 mod eval;
@@ -18,7 +19,7 @@ use crate::session::Session;
 use clap::Subcommand;
 use zipsplat::{Error, Result};
 
-/// What to do.
+/// The commands.
 #[derive(Subcommand)]
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
@@ -29,6 +30,7 @@ pub enum Command {
     Info(info::Info),
     Convert(convert::Convert),
     Eval(eval::Eval),
+    Compare(compare::Compare),
     Bench(bench::Bench),
     Doctor(doctor::Doctor),
     Scene(scene::Scene),
@@ -54,6 +56,7 @@ impl Command {
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),
+            Command::Compare(command) => command.run(session),
             Command::Bench(command) => command.run(session),
             Command::Doctor(command) => command.run(session),
             Command::Scene(command) => command.run(session),

@@ -1,35 +1,35 @@
 //! `zipsplat reconstruct`: photos to a scene.
 
+mod forward;
+mod refined;
+
 use super::render::Render;
 use crate::{
-    cameras::{Finding, Known, Place},
-    explain::Explanation,
+    cameras::{Finding, Found, Known, Place},
     options::{Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::{self, PhotoArgs},
-    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, Steps, placed, save_cameras},
+    refinement::{self, MOST_PIXELS, Moved, Start, Steps, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
-    unit::Unit,
     video::FrameFolder,
-    views::{FitOption, Views},
+    views::FitOption,
 };
 use clap::{ArgGroup, Args, ValueEnum};
-use indicatif::HumanCount;
+use forward::{Forward, LOAD_WEIGHTS};
+use refined::{From, Given, Made};
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
-    gpu::Device,
-    reconstruct::{MAX_VIEWS, Request, SceneTokens, Shape},
-    refine::{FrozenHead, Refine, Refined, Stopped},
+    reconstruct::MAX_VIEWS,
+    refine::{Refined, Stopped},
     stages::render::Renderer,
     types::{
-        Camera, PointCloud, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, read_cloud},
+        Pose, SceneFormat, World, WriteOptions,
+        poses::{Frame, Poses, read_cloud},
         spz_coarsening,
     },
-    weights::Checkpoint,
 };
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -118,22 +118,14 @@ pub struct Reconstruct {
 /// Steps of positions that show: over how far away the scene is.
 const COARSE: f64 = 1e-3;
 
-/// The weights and settings that the scene was made with.
-struct From<'a> {
-    device: &'a Device,
-    checkpoint: &'a Checkpoint,
-    /// The tokens, where these are moved.
-    tokens: Option<SceneTokens>,
-}
-
-/// The outcome of --refine.
-struct Made {
-    refined: Refined,
-    /// The start, in words.
-    started: &'static str,
-    /// The cameras that it was given.
-    cameras: Vec<Camera>,
-    request: Refine,
+/// Photos, and what is known of their cameras.
+struct Captured {
+    photos: Vec<PathBuf>,
+    poses: Option<Poses>,
+    /// Frames of a video.
+    frame_folder: Option<FrameFolder>,
+    /// COLMAP's files, the points among them.
+    _found: Option<Found>,
 }
 
 /// The world that a scene is in.
@@ -155,181 +147,115 @@ impl WorldName {
     }
 }
 
+/// The warning where positions in the world of the cameras are coarse, by the unit of a network's scene.
+fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
+    // Positions are f32.
+    let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length());
+    (step > COARSE * length).then(|| {
+        let world = "the world of the cameras begins far from them";
+        format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away")
+    })
+}
+
 impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let Quality { ratio, select, arithmetic, .. } = &self.quality;
-        // Whatever can be refused is refused before anything that takes time.
-        self.overwrite.check_file(&self.output)?;
-        if SceneFormat::of_extension(&self.output).is_none() {
-            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
-            return Err(Error::argument("--output", self.output.display(), expected));
-        }
-        let find = self.poses.as_deref().is_some_and(Known::to_find);
-        if let Some(place) = &self.cameras_out {
-            refuse("--cameras-out", !find, "cameras that are known", "--poses find")?;
-            Place(place).check(self.overwrite)?;
-        }
-        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
+        self.check()?;
         let drawing = self.drawing()?;
-        self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let checkpoint = self.weights.open()?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         self.quality.check(checkpoint.architecture())?;
-        let (mut photos, mut frame_folder) = {
-            let named_in =
-                self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
-            self.input.list(session, self.views, named_in)?
-        };
-        if let (true, Some(views)) = (find, self.views) {
-            photos = photos::spread(photos, views as usize);
-        }
-        let of_photos = |path: &PathBuf| Known::of(session, path, &photos, &self.finding);
-        let known = self.poses.as_ref().map(of_photos).transpose()?;
-        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
-        if let (Some(place), Some(poses), Some(found)) =
-            (&self.cameras_out, &poses, found.as_ref().and_then(Option::as_ref))
-        {
-            Place(place).save(poses, found)?;
-            frame_folder.iter_mut().for_each(FrameFolder::keep);
-        }
-        if let Some(poses) = &poses {
-            poses.notes.iter().for_each(|note| session.note(note));
-            photos = photos::posed(session, photos, poses)?;
-        }
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
-        if photos.len() > MAX_VIEWS {
-            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
-            return Err(Error::argument("views", photos.len(), expected));
-        }
-        if self.weights.is_embedded() && self.poses.is_none() && photos.len() > 1 {
-            session.note(
-                "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
-                 one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
-            );
-        }
-        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
-        fit.check(size, self.poses.is_some())?;
-        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
-        let Size(width, height) = size;
-        let (views, chosen) = (fit.count(&photos)?, (*ratio, select));
-        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, self.poses.is_some())?;
+        let Captured { photos, poses, mut frame_folder, _found } = self.captured(session)?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let device = session.device()?;
-        let (precision, arithmetic) = arithmetic.choose(session, &device)?;
-
-        let (views, load_photos) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
-        let Views { images, cameras, note } = views;
-        note.iter().for_each(|note| session.note(note));
-        let unit = match (&poses, frames.first()) {
-            (Some(poses), Some(first)) => Some(Unit::of(self.unit, poses, &cameras, &first.camera.pose)?),
-            _ => None,
-        };
-        unit.iter().filter_map(Unit::doubt).for_each(|note| session.note(note));
-        let length = unit.as_ref().map_or(1.0, |unit| unit.length);
-        let (cameras, turned) = fit.told(cameras);
-        let (model, load_weights) = session.load_model(&device, &checkpoint, arithmetic)?;
-        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit: length };
-        let of_tokens = self.refine().is_some_and(|steps| steps.tokens);
-        let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, of_tokens)?;
-        let mut scene = result.scene()?;
-        self.quality.prune(&mut scene, checkpoint.architecture());
-        turned.iter().for_each(|first| scene.place(1.0, first));
-        let refined = match (self.refine(), frames.first()) {
-            (Some(steps), Some(first)) => {
-                let from = From { device: &device, checkpoint: &checkpoint, tokens };
-                let cloud = poses.as_ref().and_then(|poses| poses.points.as_ref()).map(read_cloud).transpose()?;
-                let cloud = cloud.map(|cloud| placed(cloud, &first.camera.pose.inverse(), 1.0));
-                Some(self.refine_scene(session, steps, from, (scene.clone(), cloud.as_ref()), (&photos, &frames))?)
+        let first = frames.first().map(|frame| frame.camera.pose);
+        let steps = self.refine();
+        let cloud = match (steps, &poses, &first) {
+            (Some(_), Some(Poses { points: Some(points), .. }), Some(first)) => {
+                Some(placed(read_cloud(points)?, &first.inverse(), 1.0))
             }
             _ => None,
         };
-        if let Some(Made { refined, .. }) = &refined {
-            scene = refined.scene.clone();
-        }
+        let start = steps.map(|steps| self.start_of(steps, cloud.as_ref()));
+        let forward = match start {
+            // Points are enough: the network has nothing to add.
+            Some(From::Scene(Start::Points)) => None,
+            _ => Some(Forward::plan(self, session, &checkpoint, (&photos, poses.as_ref(), &frames))?),
+        };
+        let device = session.device()?;
+        let forward = forward.map(|plan| plan.run(session, &device)).transpose()?;
+
+        let refined = match (steps, start) {
+            (Some(steps), Some(start)) => {
+                let given = Given { device: &device, checkpoint: &checkpoint, forward: forward.as_ref() };
+                Some(self.refine_scene(session, (steps, start), given, cloud.as_ref(), (&photos, &frames))?)
+            }
+            _ => None,
+        };
+        let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
+        let Some(mut scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
         let world = frames.first().map(|first| self.world.of(first));
         if let Some(World::Cameras(first)) = &world {
             scene.place(1.0, first);
-            // Positions are f32.
-            let step = first.translation.length() * f64::from(f32::EPSILON);
-            if step > COARSE * length {
-                let world = "the world of the cameras begins far from them";
-                session
-                    .note(format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away"));
-            }
+            session.notes(coarse(first, forward.as_ref()));
         }
         if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
-            spz_coarsening(&scene).into_iter().for_each(|note| session.note(note));
+            session.notes(spz_coarsening(&scene));
         }
         let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
         if let Some(Made { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) = &refined {
-            save()?.into_iter().for_each(|note| session.note(note));
+            session.notes(save()?);
             session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
             return Err(Error::Cancelled);
         }
         let (note, write) = session.stage("write", |_| save())?;
-        note.into_iter().for_each(|note| session.note(note));
-        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, frames.first())
-        {
-            save_cameras(path, refined, &first.camera.pose, &photos, &frames)?;
+        session.notes(note);
+        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first) {
+            save_cameras(path, refined, first, &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
-            let own = refined.is_none()
-                && scene.len() == result.gaussians.len()
-                && turned.is_none()
-                && !matches!(world, Some(World::Cameras(_)));
+            let as_made = refined.is_none() && !matches!(world, Some(World::Cameras(_)));
+            let own = forward.as_ref().filter(|_| as_made).and_then(Forward::on_device);
             let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
-                true => renderer.show(&result.gaussians),
-                false => renderer.load(&scene),
+                Some(gaussians) => renderer.show(gaussians),
+                None => renderer.load(&scene),
             };
             drawing.draw(session, &mut renderer, (&scene, 0), world.as_ref(), load)
         });
         let drawn = drawn.transpose()?;
-        let peak_bytes = result.peak_bytes.max(device.allocated_bytes());
 
-        let mut times: Vec<(&str, Duration)> = vec![("load photos", load_photos), ("load weights", load_weights)];
-        times.extend(result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took)));
+        let mut times: Vec<(&str, Duration)> = forward.iter().flat_map(Forward::times).collect();
         times.extend(refined.iter().map(|made| ("refine", made.refined.took)));
         times.push(("write", write));
-        let rate = (checkpoint.bytes() as f64 / load_weights.as_secs_f64().max(1e-9)) as u64;
-        let tokens = shape.grid.tokens();
         let seconds: serde_json::Map<_, _> =
             times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
+        let peak_bytes =
+            forward.iter().map(|forward| forward.result.peak_bytes).fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
-            "output": self.output, "device": device.limits().name, "weights": checkpoint.provenance(),
-            "photos": photos.len(), "views": images.len(), "width": width, "height": height, "tokens": result.tokens,
-            "all_tokens": tokens, "unit": length, "unit_from": unit.as_ref().map(|unit| &unit.source),
-            "gaussians": scene.len(), "gaussians_per_token": result.gaussians.len() / result.tokens,
-            "peak_bytes": peak_bytes, "weights_bytes_per_second": rate, "precision": precision.name(),
-            "seconds": seconds,
+            "output": self.output, "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
+            "peak_bytes": peak_bytes, "seconds": seconds,
         });
-        let mut text = format!(
-            "{}: {} from {} of {size}\n{} of {}, {} each, {} precision; at most {} of {}\n",
-            self.output.display(),
-            counted(scene.len(), "Gaussian"),
-            counted(images.len(), "view"),
-            HumanCount(result.tokens as u64),
-            counted(tokens, "token"),
-            counted(result.gaussians.len() / result.tokens, "Gaussian"),
-            precision.name(),
-            bytes(peak_bytes),
-            device.limits().name,
-        );
-        if let Some(unit) = &unit {
-            text += &format!("{unit}\n");
+        let of = match (&refined, &forward) {
+            (Some(made), _) => {
+                let steps = counted(made.refined.best_step, "step");
+                format!(" from {}, refined for {steps} against {}", made.started, counted(photos.len(), "photo"))
+            }
+            (None, Some(forward)) => forward.views_told(),
+            (None, None) => String::new(),
+        };
+        let mut text = format!("{}: {}{of}\n", self.output.display(), counted(scene.len(), "Gaussian"));
+        if let Some(forward) = &forward {
+            text += &forward.told();
+            forward.add_to(&mut json);
         }
+        text += &format!("at most {} of {}\n", bytes(peak_bytes), device.limits().name);
         for (stage, took) in &times {
-            let rate = if *stage == "load weights" { format!("  ({}/s)", bytes(rate)) } else { String::new() };
+            let rate = forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS).map(Forward::rate_told).unwrap_or_default();
             // Writing to a string cannot fail.
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
         }
-        if self.explain {
-            let explanation = Explanation::of_stages(&result.times, &result.outline, result.left_out);
+        if let (true, Some(explanation)) = (self.explain, forward.as_ref().map(Forward::explanation)) {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
@@ -347,43 +273,57 @@ impl Reconstruct {
         session.report(&json, text)
     }
 
+    /// Refuses whatever can be refused before anything that takes time.
+    fn check(&self) -> Result<()> {
+        self.overwrite.check_file(&self.output)?;
+        if SceneFormat::of_extension(&self.output).is_none() {
+            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
+            return Err(Error::argument("--output", self.output.display(), expected));
+        }
+        if let Some(place) = &self.cameras_out {
+            refuse("--cameras-out", !self.finds(), "cameras that are known", "--poses find")?;
+            Place(place).check(self.overwrite)?;
+        }
+        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
+        self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))
+    }
+
+    fn finds(&self) -> bool {
+        self.poses.as_deref().is_some_and(Known::to_find)
+    }
+
+    /// The photos that are asked for and have cameras, where these are known or found.
+    fn captured(&self, session: &mut Session<'_>) -> Result<Captured> {
+        let named_in =
+            self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
+        let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
+        if let (true, Some(views)) = (self.finds(), self.views) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let of_photos = |path: &PathBuf| Known::of(session, path, &photos, &self.finding);
+        let known = self.poses.as_ref().map(of_photos).transpose()?;
+        let (poses, found) = known.map_or((None, None), |known| (Some(known.poses), known.found));
+        if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, &found) {
+            Place(place).save(poses, found)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
+        if let Some(poses) = &poses {
+            session.notes(&poses.notes);
+            photos = photos::posed(session, photos, poses)?;
+        }
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if photos.len() > MAX_VIEWS {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument("views", photos.len(), expected));
+        }
+        Ok(Captured { photos, poses, frame_folder, _found: found })
+    }
+
     /// The steps of --refine; on its own it takes the default's.
     fn refine(&self) -> Option<Steps> {
         self.refine.map(Option::unwrap_or_default)
-    }
-
-    /// Makes the scene look like the photos, in the world of the first one's camera.
-    fn refine_scene(
-        &self,
-        session: &mut Session<'_>,
-        steps: Steps,
-        from: From<'_>,
-        (scene, cloud): (Scene, Option<&PointCloud>),
-        (photos, frames): (&[PathBuf], &[&Frame]),
-    ) -> Result<Made> {
-        let world = frames[0].camera.pose;
-        let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
-        let cameras: Vec<Camera> = frames.iter().map(camera).collect();
-        let (photos, _) =
-            session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
-        let size = Some([self.refine_size.0, self.refine_size.1]);
-        let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
-        let request = self.moved.request(request);
-        let mut started = refinement::TOKENS;
-        let refined = if let Some(tokens) = &from.tokens {
-            let head = FrozenHead::load(from.device, from.checkpoint)?;
-            refinement::refine(session, Refinable::Tokens(&head, tokens), &photos, &cameras, &request)?
-        } else {
-            let start = Start::or_best(self.start, cloud, self.weights.is_embedded());
-            started = start.name();
-            let start = start.scene(Some(scene), cloud, &cameras)?;
-            refinement::refine(session, Refinable::Scene(from.device, &start), &photos, &cameras, &request)?
-        };
-        refinement::doubt(&refined).iter().for_each(|note| session.note(note));
-        match refined.stopped {
-            Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
-            _ => Ok(Made { refined, started, cameras, request }),
-        }
     }
 
     /// The drawing of --pictures, checked before anything that takes time.

@@ -35,7 +35,7 @@ const BUFFER: usize = 1 << 20;
   zipsplat scene --shards - --views 10 --size 126x126 --textures crops/ | python train.py
   zipsplat scene --shards unseen.bin --first-seed 1000000 --scenes 100")]
 pub struct Scene {
-    /// Which scene; with --shards the first of them
+    /// Number of the scene; with --shards the first of them
     #[arg(long, visible_alias = "first-seed", value_name = "N", default_value = "0")]
     seed: u64,
     /// Photos of a scene

@@ -1,6 +1,7 @@
 //! `zipsplat view`: scenes in a browser.
 
 use crate::{
+    heic::is_heic,
     options::{SceneInput, refuse},
     outputs::Overwrite,
     session::Session,
@@ -95,7 +96,8 @@ impl View {
 
     /// Whether the files are photos; otherwise they are scenes.
     fn is_of_photos(&self) -> Result<bool> {
-        let is_photo = |path: &PathBuf| path.is_dir() || is_video(path) || Image::size_as_stored(path).is_ok();
+        let is_photo =
+            |path: &PathBuf| path.is_dir() || is_video(path) || is_heic(path) || Image::size_as_stored(path).is_ok();
         let photos = self.files.iter().filter(|path| is_photo(path)).count();
         if photos != 0 && photos != self.files.len() {
             let other = self.files.iter().find(|path| !is_photo(path)).map(|path| path.display().to_string());

@@ -158,7 +158,7 @@ enum SlopeFault {
     HalfResult,
     /// The distribution without x times its density.
     NoDensity,
-    /// That of x sigmoid(1.702 x).
+    /// The slope of x sigmoid(1.702 x).
     SigmoidGelu,
 }
 

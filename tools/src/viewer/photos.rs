@@ -15,7 +15,6 @@ use crate::{
     refinement::{MOST_PIXELS, Moved, Start, Steps, placed},
     session::Session,
     table::counted,
-    unit::Unit,
     video::FrameFolder,
     views::{FitOption, Views},
 };
@@ -123,7 +122,7 @@ impl FromPhotos {
         let cancelled = session.cancelled();
         self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let checkpoint = self.weights.open()?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
+        session.notes(checkpoint.notes());
         self.quality.check(checkpoint.architecture())?;
         let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
         if let (Some(views), true) = (self.views, poses.is_some_and(Known::to_find)) {
@@ -132,7 +131,7 @@ impl FromPhotos {
         let known = poses.map(|poses| Known::of(session, poses, &photos, &self.finding)).transpose()?;
         let poses = known.as_ref().map(|known| &known.poses);
         if let Some(poses) = poses {
-            poses.notes.iter().for_each(|note| session.note(note));
+            session.notes(&poses.notes);
             photos = photos::posed(session, photos, poses)?;
         }
         if let Some(views) = self.views {
@@ -140,7 +139,7 @@ impl FromPhotos {
         }
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
         fit.check(size, poses.is_some())?;
-        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
+        session.notes(self.quality.doubt_size(&checkpoint));
         let count = fit.count(&photos)?;
         let chosen = (self.quality.ratio, &self.quality.select);
         Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?;
@@ -149,7 +148,7 @@ impl FromPhotos {
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (views, _) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
         let Views { images, cameras, note } = views;
-        note.iter().for_each(|note| session.note(note));
+        session.notes(note);
         let unit = self.length(session, poses, &cameras, &frames)?;
         let (told, turned) = fit.told(cameras);
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
@@ -191,8 +190,8 @@ impl FromPhotos {
         frames: &[&Frame],
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
-        let unit = Unit::of(self.unit, poses, cameras, &first.camera.pose)?;
-        unit.doubt().iter().for_each(|note| session.note(note));
+        let unit = poses.unit(self.unit, cameras, &first.camera.pose)?;
+        session.notes(unit.doubt());
         Ok(unit.length)
     }
 

@@ -194,7 +194,7 @@ impl Document {
 }
 
 impl Node {
-    /// This node's frame to its parent's.
+    /// Matrix from the node's frame to its parent's.
     fn matrix(&self) -> DMat4 {
         if let Some(columns) = &self.matrix {
             return DMat4::from_cols_array(columns);

@@ -15,7 +15,7 @@ const BATCH: usize = 1 << 16;
 pub(super) enum Fault {
     /// The bytes could not be read.
     Unread(std::io::Error),
-    /// They are not what they should be, and where in the file.
+    /// Bytes are not what they should be, and where in the file.
     Damaged { offset: u64, reason: String },
 }
 

@@ -1,10 +1,12 @@
-//! Cameras from files: `transforms.json` of instant-ngp and nerfstudio, COLMAP models, nerfstudio's camera paths, and
-//! lists of matrices.
+//! Cameras from files: `transforms.json` of instant-ngp and nerfstudio, COLMAP models, RealEstate10K's text files, nerfstudio's
+//! camera paths, and lists of matrices.
 
 mod camera_path;
 mod colmap;
 mod matrix;
+mod realestate;
 mod transforms;
+mod unit;
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
@@ -17,6 +19,7 @@ use super::{Image, Lens, PointCloud, file::read_file};
 use crate::{Error, Result};
 
 pub use transforms::{write_frames, write_transforms};
+pub use unit::{Source, Unit};
 
 /// The posed photos of a capture.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -79,6 +82,15 @@ fn undistorted(frames: &[Frame]) -> Option<String> {
 }
 
 impl Poses {
+    /// The unit of a reconstruction from `views` of this capture, as [`Unit::of`] finds it.
+    ///
+    /// # Errors
+    /// As [`Unit::of`].
+    pub fn unit(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<Unit> {
+        let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
+        Unit::of(given, &cameras, self.points.as_deref(), views, origin)
+    }
+
     /// The cameras of `photos`, each that of its frame in [`Poses::frames_of`].
     ///
     /// # Errors
@@ -166,7 +178,7 @@ const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
 /// Reads a `transforms.json`, or a COLMAP model: a folder with `cameras` and `images` as `.bin` or `.txt`, or a capture's
 /// folder that has one of these, directly or under `sparse/0`. In a folder without `transforms.json`, `transforms_train.json`
-/// is read.
+/// is read. A text file that begins with an address is one of RealEstate10K, whose frames lie beside it or in a folder of its name.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read, [`Error::Format`] naming file, frame and field when it is malformed,
@@ -176,6 +188,9 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
     let found = path.metadata().map_err(|source| Error::io(path, source))?;
     if found.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
         return transforms::read(path);
+    }
+    if found.is_file() && realestate::is_file(path) {
+        return realestate::read(path);
     }
     let folder = if found.is_file() { path.parent().unwrap_or(path) } else { path };
     if found.is_dir()

@@ -76,7 +76,7 @@ impl Ellipse {
 }
 
 /// The point nearest the cameras' view axes (least squares), drawn to `center` where these leave it open.
-fn focus(cameras: &[Camera], center: DVec3) -> DVec3 {
+pub(super) fn focus(cameras: &[Camera], center: DVec3) -> DVec3 {
     let weight = CENTER_WEIGHT * cameras.len() as f64;
     let mut normal = weight * DMat3::IDENTITY;
     let mut right = weight * center;

@@ -3,20 +3,25 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::super::{Camera, Intrinsics, Pose, quaternion_from_matrix};
-use super::{closed_path, path};
+use super::{closed_path, ellipse::focus, path};
 use crate::{Error, Result};
 
 /// Least time between two cameras, as a share of the mean: those that share a centre still turn.
 const LEAST_INTERVAL: f64 = 0.1;
+/// Cosine of the largest angle between the axis of a camera and what all look at.
+const LOOKING: f64 = 0.9;
 
 /// A path through control cameras: the centres on a centripetal Catmull-Rom spline (Yuksel et al. 2011, knots at the
 /// square roots of the distances: no cusps and no loops between two cameras), the rotations by squad (Shoemake 1987), the
-/// intrinsics linearly.
+/// intrinsics linearly. Where all cameras look at one thing, those between them look at it, too: however far apart two
+/// cameras are, the path does not swing off it.
 #[derive(Clone, Debug)]
 pub struct Spline {
     keys: Vec<Key>,
     /// Time from each camera to the next; of a closed path the last one leads to the first.
     intervals: Vec<f64>,
+    /// The point of each camera's axis that is nearest to what all look at, where there is such a thing.
+    targets: Option<Vec<DVec3>>,
 }
 
 #[derive(Clone, Debug)]
@@ -55,7 +60,7 @@ impl Spline {
         for i in 0..keys.len() {
             (keys[i].velocity, keys[i].control) = tangents(&keys, &intervals, i);
         }
-        Ok(Self { keys, intervals })
+        Ok(Self { keys, intervals, targets: targets(cameras) })
     }
 
     /// The camera at a position from 0 to [`Spline::segments`]: at `i` it is control camera `i` itself.
@@ -67,12 +72,16 @@ impl Spline {
             return key.camera;
         }
         let next = &self.keys[(segment + 1) % self.keys.len()];
-        let rotation =
+        let translation = hermite(key, next, self.intervals[segment], t);
+        let mut rotation =
             slerp(slerp(key.rotation, next.rotation, t), slerp(key.control, next.control, t), 2.0 * t * (1.0 - t));
-        let pose = Pose {
-            rotation: DMat3::from_quat(rotation.normalize()),
-            translation: hermite(key, next, self.intervals[segment], t),
-        };
+        if let Some(targets) = &self.targets {
+            // Without a step in speed at a camera.
+            let target = targets[segment].lerp(targets[(segment + 1) % targets.len()], t * t * (3.0 - 2.0 * t));
+            let [axis, wanted] = [rotation * DVec3::Z, target - translation].map(DVec3::normalize_or_zero);
+            rotation = DQuat::from_rotation_arc(axis, wanted) * rotation;
+        }
+        let pose = Pose { rotation: DMat3::from_quat(rotation.normalize()), translation };
         Camera { intrinsics: mix(&key.camera.intrinsics, &next.camera.intrinsics, t), pose }
     }
 
@@ -107,6 +116,18 @@ impl Key {
         let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
         Self { camera: *camera, rotation, velocity: DVec3::ZERO, control: rotation }
     }
+}
+
+/// The point of each camera's axis that is nearest to what all of several look at, where there is such a thing.
+fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
+    let centre = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
+    let focus = focus(cameras, centre);
+    let target = |camera: &Camera| {
+        let (axis, way) = (camera.pose.rotation.z_axis, focus - camera.pose.translation);
+        let depth = way.dot(axis);
+        (depth > 0.0 && depth >= LOOKING * way.length()).then(|| camera.pose.translation + depth * axis)
+    };
+    cameras.iter().map(target).collect()
 }
 
 /// Centripetal knot intervals, each at least a share of their mean; equal where no camera moves.

@@ -80,7 +80,7 @@ impl RenderRequest {
 pub enum Depth {
     /// The sum of depth times blending weight: 0 where nothing is.
     Accumulated,
-    /// That sum over alpha: the mean depth of what is seen.
+    /// The accumulated sum over alpha: the mean depth of what is seen.
     Expected,
 }
 

@@ -4,6 +4,7 @@
 //! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
 
 mod backward;
+mod differentiable;
 mod flights;
 mod frame;
 mod intersect;
@@ -25,6 +26,7 @@ use project::Splats;
 
 pub use super::{FrameShape, SceneGradients, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
+pub use differentiable::{Differentiator, HostGradients, Wanted};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
 pub use planned::{first_capacity, plan_pictures};

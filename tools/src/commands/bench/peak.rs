@@ -222,7 +222,7 @@ fn sustained(
     }
 }
 
-/// That of GPUs, or of CPUs.
+/// The one of GPUs, or of CPUs.
 fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
     if device.limits().cpu { cpu } else { gpu }
 }

@@ -1,17 +1,12 @@
 //! The network's unit of length in that of known cameras.
 
+use super::{super::Camera, super::Pose, read_cloud};
+use crate::Result;
 use glam::{DMat3, DVec3};
 use serde::Serialize;
 use std::{
     fmt,
     path::{Path, PathBuf},
-};
-use zipsplat::{
-    Result,
-    types::{
-        Camera, Pose,
-        poses::{Poses, read_cloud},
-    },
 };
 
 /// Mean squared sine of the angles between optical axes and the direction nearest to all of them, from which on the point that
@@ -47,23 +42,28 @@ pub enum Source {
 }
 
 impl Unit {
-    /// The unit of a reconstruction: `given`, or from the capture's point cloud where `views` see any of its points, else from
-    /// where all cameras of the capture stand and look. The world of `views` is the first one's camera, `origin` that one's
-    /// pose in the world of `poses`.
+    /// The unit of a reconstruction: `given`, or from the capture's `points` where `views` see any of them, else from where all
+    /// `cameras` of the capture stand and look. The world of `views` is the first one's camera, `origin` that one's pose in the
+    /// world of `cameras`.
     ///
     /// # Errors
     /// Where there is a point cloud that cannot be read.
-    pub fn of(given: Option<f64>, poses: &Poses, views: &[Camera], origin: &Pose) -> Result<Self> {
+    pub fn of(
+        given: Option<f64>,
+        cameras: &[Pose],
+        points: Option<&Path>,
+        views: &[Camera],
+        origin: &Pose,
+    ) -> Result<Self> {
         if let Some(length) = given {
             return Ok(Self { length, source: Source::Given });
         }
-        if let Some(path) = &poses.points
+        if let Some(path) = points
             && let Some(length) = of_points(path, views, origin)?
         {
-            return Ok(Self { length, source: Source::Points(path.clone()) });
+            return Ok(Self { length, source: Source::Points(path.to_owned()) });
         }
-        let all: Vec<Pose> = poses.frames.iter().map(|frame| frame.camera.pose).collect();
-        let (length, source) = match (of_spread(&all), of_axes(&all, origin)) {
+        let (length, source) = match (of_spread(cameras), of_axes(cameras, origin)) {
             (None, _) => (1.0, Source::Nothing),
             (Some(_), Some(length)) => (length, Source::Axes),
             (Some(spread), None) => (spread, Source::Spread),
@@ -176,17 +176,10 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zipsplat::types::{Intrinsics, Orbit, poses::Frame};
-
-    fn poses(poses: Vec<Pose>) -> Poses {
-        let lens = Intrinsics::from_fov(64, 48, 1.0, 0.8);
-        let frame =
-            |pose| Frame { name: "x".into(), photo: None, camera: Camera { intrinsics: lens, pose }, lens: None };
-        Poses { frames: poses.into_iter().map(frame).collect(), ..Poses::default() }
-    }
+    use crate::Orbit;
 
     fn found(cameras: Vec<Pose>) -> (f64, Source) {
-        let Unit { length, source } = Unit::of(None, &poses(cameras.clone()), &[], &cameras[0]).expect("no cloud");
+        let Unit { length, source } = Unit::of(None, &cameras, None, &[], &cameras[0]).expect("no cloud");
         (length, source)
     }
 

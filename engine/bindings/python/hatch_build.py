@@ -1,0 +1,39 @@
+"""Puts the shared library, and what is generated from its header, into the wheel."""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
+sys.path.insert(0, str(HERE))
+from declarations import module  # noqa: E402
+
+# The file that the package loads, by platform.
+LIBRARIES = {"linux": "libzipsplat.so", "darwin": "libzipsplat.dylib", "win32": "zipsplat.dll"}
+
+
+class Build(BuildHookInterface):  # type: ignore[type-arg]
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """One wheel for every Python of a platform: the library has a C ABI and none of CPython's."""
+        name = LIBRARIES[sys.platform]
+        library = Path(os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name))
+        if not library.is_file():
+            raise FileNotFoundError(f"{library}: expected the shared library; build.sh makes it, or set ZIPSPLAT_LIBRARY")
+        generated = Path(self.directory) / "_header.py"
+        generated.parent.mkdir(parents=True, exist_ok=True)
+        generated.write_text(module((ROOT / "engine/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8")
+        platform = os.environ.get("ZIPSPLAT_PLATFORM") or sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        build_data["tag"] = f"py3-none-{platform}"
+        build_data["pure_python"] = False
+        build_data["force_include"].update({
+            str(library): f"zipsplat/{name}",
+            str(generated): "zipsplat/_header.py",
+            str(ROOT / "LICENSE"): "zipsplat/LICENSE",
+        })

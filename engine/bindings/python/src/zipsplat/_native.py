@@ -1,0 +1,189 @@
+"""The shared library: calls whose failures are exceptions, and objects that are destroyed with their owners.
+
+cffi lets other threads of Python run while a call of the library does.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import sys
+import threading
+import weakref
+from pathlib import Path
+from typing import Any, Callable, Optional
+
+import cffi
+import numpy as np
+import numpy.typing as npt
+
+from . import errors
+from ._header import DECLARATIONS, NUMBERS
+
+__all__ = ["NUMBERS", "Handle", "Told", "array_at", "call", "ffi", "lib", "options", "structure", "text"]
+
+_NAMES = {"darwin": "libzipsplat.dylib", "win32": "zipsplat.dll"}
+
+ffi: Any = cffi.FFI()
+ffi.cdef(DECLARATIONS)
+lib: Any = ffi.dlopen(
+    os.environ.get("ZIPSPLAT_LIBRARY") or str(Path(__file__).with_name(_NAMES.get(sys.platform, "libzipsplat.so")))
+)
+if lib.zs_abi_version() != lib.ZS_ABI_VERSION:
+    raise ImportError(f"zipsplat is for ABI {lib.ZS_ABI_VERSION}, and the library has {lib.zs_abi_version()}")
+
+
+def text(pointer: Any) -> str:
+    """A string of the library's."""
+    return str(ffi.string(pointer).decode("utf-8", "replace")) if pointer else ""
+
+
+class _Calls:
+    """Calls under way, of all threads. The interpreter waits for them before it ends, and begins no other."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.running = 0
+        self.ending = False
+        # The process that uses the library, once one does.
+        self.process: Optional[int] = None
+
+    def __enter__(self) -> None:
+        process = os.getpid()
+        with self.changed:
+            if self.process not in (None, process):
+                raise errors.ForkError(
+                    "this process was forked after zipsplat had been used, and its device and threads did not come along: "
+                    'use multiprocessing\'s "spawn" or "forkserver", or use zipsplat in the child only'
+                )
+            if self.ending:
+                raise RuntimeError("zipsplat cannot be used any more: the interpreter ends")
+            self.process = process
+            self.running += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self.changed:
+            self.running -= 1
+            self.changed.notify_all()
+
+    def end(self) -> None:
+        """Asks calls that can be stopped to stop, and waits for all."""
+        with self.changed:
+            self.ending = True
+            while self.running > 0 and self.process == os.getpid():
+                self.changed.wait()
+
+
+def _after_fork() -> None:
+    # Another thread may have held the lock.
+    _calls.changed = threading.Condition()
+
+
+_calls = _Calls()
+# Whatever finalisers do at the end they do after the last call: the first of them registers them all.
+weakref.finalize(_calls, int)
+atexit.register(_calls.end)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+_thread = threading.local()
+
+
+def call(function: str, *arguments: Any) -> None:
+    """Calls a function of the library that returns a status.
+
+    Raises:
+        Error: what failed, by its status; or whatever a progress function raised.
+    """
+    with _calls:
+        status = getattr(lib, function)(*arguments)
+        message = text(lib.zs_last_error()) if status else ""
+    raised = getattr(_thread, "raised", None)
+    if raised is not None:
+        _thread.raised = None
+        raise raised
+    if status:
+        kind = errors.BY_STATUS[status] if status < len(errors.BY_STATUS) else errors.Error
+        error = kind(message)
+        error.status, error.name = status, text(lib.zs_status_name(status))
+        raise error
+
+
+class Handle:
+    """An object of the library, destroyed when nobody has it any more."""
+
+    def __init__(self, kind: str, make: str, *arguments: Any) -> None:
+        out = ffi.new(f"zs_{kind} **")
+        call(make, *arguments, out)
+        self.pointer = out[0]
+        weakref.finalize(self, _destroy, getattr(lib, f"zs_{kind}_destroy"), self.pointer, os.getpid())
+
+
+def _destroy(function: Callable[[Any], None], pointer: Any, process: int) -> None:
+    # A forked child has a copy of the memory and nothing of the device.
+    if process == os.getpid():
+        function(pointer)
+
+
+def structure(kind: str, **values: Any) -> Any:
+    """A structure that says its size."""
+    made = ffi.new(f"zs_{kind} *")
+    made.struct_size = ffi.sizeof(f"zs_{kind}")
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+def options(kind: str, **values: Any) -> Any:
+    """Options with the library's defaults but for some values."""
+    made = ffi.new(f"zs_{kind}_options *")
+    call(f"zs_{kind}_options_default", made, ffi.sizeof(f"zs_{kind}_options"))
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+class _Memory:
+    """Memory of an object of the library's, as NumPy asks for it; the array keeps the object alive."""
+
+    def __init__(self, owner: object, address: int, shape: tuple[int, ...], kind: str) -> None:
+        self.owner = owner
+        self.__array_interface__ = {"data": (address, True), "shape": shape, "typestr": kind, "version": 3}
+
+
+def array_at(owner: object, pointer: Any, shape: tuple[int, ...], kind: str = "<f4") -> npt.NDArray[Any]:
+    """An array in memory of the library's, read only, that keeps its owner alive."""
+    if 0 in shape:
+        return np.zeros(shape, kind)
+    return np.asarray(_Memory(owner, int(ffi.cast("uintptr_t", pointer)), shape, kind))
+
+
+class Told:
+    """A function of Python's that a call tells how far it is, and that may stop it by returning False."""
+
+    def __init__(self, function: Optional[Callable[..., object]]) -> None:
+        self.function = function
+        self.handle = ffi.new_handle(self)
+
+    def tell(self, *now: object) -> int:
+        """1 to stop."""
+        stopped = _calls.ending or (self.function is not None and self.function(*now) is False)
+        return 1 if stopped else 0
+
+
+def _raised(_kind: object, value: BaseException, _trace: object) -> None:
+    # The call stops, and raises it: also what Ctrl-C raises in whatever Python runs just then.
+    _thread.raised = value
+
+
+@ffi.callback("int32_t(void *, double, const char *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
+def progress(told: Any, fraction: float, stage: Any) -> int:
+    """The progress of a reconstruction or of loading a model, as the library tells it."""
+    found: Told = ffi.from_handle(told)
+    return found.tell(fraction, text(stage))
+
+
+@ffi.callback("int32_t(void *, const struct zs_refining *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
+def refine_progress(told: Any, now: Any) -> int:
+    """The progress of a refinement, as the library tells it."""
+    found: Told = ffi.from_handle(told)
+    return found.tell(now)

@@ -1,0 +1,73 @@
+"""Tensors of torch: the library's pictures and gradients as a function that autograd knows."""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Sequence
+
+import numpy as np
+import torch
+
+from . import gsplat
+
+
+class Torch:
+    """What is done with tensors: computed on the host, as the library's device need not be torch's, and given back on theirs."""
+
+    def __init__(self, device: Any) -> None:
+        self.device = device
+
+    def array(self, values: Any) -> Any:
+        return torch.as_tensor(values).to("cpu", torch.float32)
+
+    concatenate = staticmethod(torch.cat)
+    ones_like = staticmethod(torch.ones_like)
+
+    @staticmethod
+    def lowest(values: Any) -> float:
+        return float(values.detach().min()) if values.numel() else 0.0
+
+    def result(self, values: Any) -> Any:
+        return values.to(self.device)
+
+    @staticmethod
+    def rasterise(
+        how: Any, geometry: Sequence[Any], coeffs: Optional[Any], viewmats: Any, Ks: Any, depth: bool
+    ) -> tuple[Any, Any, Any]:
+        found = _Rasterise.apply(how, depth, Ks, viewmats, coeffs, *geometry)
+        rgb = None if coeffs is None else found[0]
+        return rgb, found[1], found[2] if depth else None
+
+
+class _Rasterise(torch.autograd.Function):  # type: ignore[misc]
+    """Gaussians and cameras to colours, alphas and accumulated depths."""
+
+    @staticmethod
+    def forward(context: Any, how: Any, depth: bool, Ks: Any, viewmats: Any, coeffs: Any, *geometry: Any) -> tuple[Any, ...]:
+        context.how, context.depth, context.color = how, depth, coeffs is not None
+        context.save_for_backward(Ks, viewmats, *([] if coeffs is None else [coeffs]), *geometry)
+        context.set_materialize_grads(False)
+        arrays = [tensor.detach().numpy() for tensor in geometry]
+        colors = None if coeffs is None else coeffs.detach().numpy()
+        planes = gsplat._forward(how, arrays, colors, viewmats.detach().numpy(), Ks.detach().numpy(), depth)
+        return tuple(torch.zeros(0) if plane is None else torch.from_numpy(plane) for plane in planes)
+
+    @staticmethod
+    def backward(context: Any, *d_planes: Any) -> tuple[Any, ...]:
+        Ks, viewmats, *rest = context.saved_tensors
+        coeffs = rest.pop(0) if context.color else None
+        asked = [context.color, True, context.depth]
+        weights = [d.numpy() if wanted and d is not None else None for wanted, d in zip(asked, d_planes)]
+        found, by_viewmats = gsplat._backward(
+            context.how,
+            [tensor.detach().numpy() for tensor in rest],
+            None if coeffs is None else coeffs.detach().numpy(),
+            viewmats.detach().numpy(),
+            Ks.detach().numpy(),
+            weights,
+            bool(context.needs_input_grad[3]),
+        )
+        fields = ["means", "quats", "scales", "opacities"]
+        geometry = [torch.from_numpy(found[name]) for name in fields]
+        by_coeffs = torch.from_numpy(found["sh_coeffs"]) if context.color else None
+        by_views: Optional[Any] = None if by_viewmats is None else torch.from_numpy(np.asarray(by_viewmats))
+        return (None, None, None, by_views, by_coeffs, *geometry)

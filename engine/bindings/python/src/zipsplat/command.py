@@ -1,0 +1,146 @@
+"""What the command `zipsplat` does and the library does not: cameras by COLMAP, figures of a capture, the page of a scene."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Optional, Union
+
+from .errors import CommandError
+
+if TYPE_CHECKING:
+    from .cameras import Capture, PathLike
+    from .images import Images
+
+
+def find_cameras(
+    photos: Images,
+    output: Optional[PathLike] = None,
+    *,
+    views: Optional[int] = None,
+    python: Optional[PathLike] = None,
+) -> Capture:
+    """The cameras of photos that have none, by the command `zipsplat cameras` and COLMAP.
+
+    Args:
+        photos: A folder, a video, or paths of photos.
+        output: A transforms.json to write, with points.ply beside it; None for a temporary one.
+        views: Takes at most so many, evenly spread.
+        python: A Python that has pycolmap, where there is no COLMAP.
+
+    Raises:
+        CommandError: the command or COLMAP is not installed, or fails.
+    """
+    from .cameras import Capture
+    from .images import paths_of
+
+    folder = None
+    if output is None:
+        folder = tempfile.TemporaryDirectory(prefix="zipsplat-")
+        output = Path(folder.name) / "transforms.json"
+    arguments = ["cameras", *(os.path.abspath(path) for path in paths_of(photos)), "-o", os.fspath(output)]
+    arguments += [] if views is None else ["--views", str(views)]
+    arguments += [] if python is None else ["--python", os.fspath(python)]
+    run(arguments)
+    capture = Capture.open(output)
+    # Its points are read where the distance of the scene is asked for.
+    capture._keeps = folder
+    return capture
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well photos that a reconstruction has not seen are predicted.
+
+    Attributes:
+        psnr: Mean PSNR in dB over the compared photos.
+        ssim: Mean SSIM.
+        nearest_psnr: Mean PSNR of the input photo that was taken nearest, a trivial prediction.
+        report: Everything that `zipsplat eval --json` says.
+    """
+
+    psnr: float
+    ssim: float
+    nearest_psnr: float
+    report: dict[str, Any]
+
+
+def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tuple[str, ...] = ()) -> Evaluation:
+    """Reconstructs a capture from some of its photos and compares pictures of it with the others, by `zipsplat eval`.
+
+    Args:
+        folder: Photos and their cameras: a transforms.json or a COLMAP model.
+        views: Photos to reconstruct from.
+        refine: Steps of a refinement before the comparison.
+        options: More options of the command, such as ("--ratio", "0.5").
+
+    Raises:
+        CommandError: the command is not installed, or fails.
+    """
+    arguments = ["eval", os.fspath(folder), "--views", str(views), *options]
+    arguments += ["--refine", str(refine)] if refine else []
+    report = json.loads(run(arguments))
+    mean = report["mean"]
+    return Evaluation(mean["psnr"], mean["ssim"], mean["nearest_psnr"], report)
+
+
+class Page:
+    """A page in one file that shows a scene, to look around in; a notebook shows it in a frame."""
+
+    def __init__(self, text: str, height: int) -> None:
+        self.text, self.height = text, height
+
+    def save(self, path: PathLike) -> None:
+        """Writes the page, to open by a double click or to mail."""
+        Path(path).write_text(self.text, encoding="utf-8")
+
+    def _repr_html_(self) -> str:
+        style = f"width: 100%; height: {self.height}px; border: 0"
+        return f'<iframe srcdoc="{html.escape(self.text)}" style="{style}" allow="fullscreen"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"<zipsplat.Page of {len(self.text):,} characters>"
+
+
+def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
+    """The page of a scene."""
+    with tempfile.TemporaryDirectory(prefix="zipsplat-") as folder:
+        scene, page = Path(folder) / "scene.ply", Path(folder) / "scene.html"
+        scene.write_bytes(ply)
+        poses: list[str] = [] if cameras is None else ["--poses", os.path.abspath(cameras)]
+        run(["view", str(scene), "-o", str(page), *poses])
+        return Page(page.read_text(encoding="utf-8"), height)
+
+
+def run(arguments: list[str]) -> str:
+    """What the command prints as JSON: the one of ZIPSPLAT_COMMAND, or of the PATH.
+
+    Raises:
+        CommandError: it is not installed, or fails, with its message.
+    """
+    name = os.environ.get("ZIPSPLAT_COMMAND", "zipsplat")
+    program: Union[str, None] = shutil.which(name)
+    if program is None:
+        raise CommandError(
+            f"this needs the command zipsplat, and {name} was not found: put a release of it on the PATH, "
+            "or set ZIPSPLAT_COMMAND to where it lies, such as tools/zipsplat in a checkout"
+        )
+    done = subprocess.run([program, "--json", "--quiet", *arguments], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise CommandError(_message(done.stderr) or f"zipsplat {arguments[0]} ended with {done.returncode}")
+    return done.stdout
+
+
+def _message(stderr: str) -> str:
+    for line in reversed(stderr.splitlines()):
+        try:
+            return str(json.loads(line)["error"])
+        except (ValueError, KeyError, TypeError):
+            continue
+    return stderr.strip()

@@ -1,0 +1,202 @@
+"""Photos from wherever Python has them, and pictures to files."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Iterable, Optional, Sequence, Union
+
+import numpy as np
+import numpy.typing as npt
+
+from ._native import Handle, array_at, call, ffi, lib, structure
+from .cameras import Camera, Capture, PathLike
+
+# The files of a folder that are taken for photos.
+EXTENSIONS = frozenset({".png", ".jpg", ".jpeg", ".webp"})
+
+Image = Union[PathLike, bytes, npt.NDArray[Any], Any]
+Images = Union[PathLike, Capture, Sequence[Image]]
+Cameras = Union[PathLike, Capture, Sequence[Camera]]
+
+
+def photos_in(folder: PathLike) -> list[Path]:
+    """The photos of a folder (PNG, JPEG, WebP) in natural order of their names, hidden files left out.
+
+    Raises:
+        ValueError: there are none.
+    """
+    files = (path for path in Path(folder).iterdir() if not path.name.startswith("."))
+    found = [path for path in files if path.is_file() and path.suffix.lower() in EXTENSIONS]
+    if not found:
+        raise ValueError(f"photos in {folder}: found none, expected files that end in {', '.join(sorted(EXTENSIONS))}")
+    return sorted(found, key=lambda path: (_natural(path.name), str(path)))
+
+
+def read_photo(path: PathLike) -> npt.NDArray[np.uint8]:
+    """A photo file as [height, width, 3] uint8, its EXIF orientation applied. The array is read only.
+
+    Raises:
+        IoError, FormatError: it cannot be read, or is no PNG, JPEG or WebP.
+    """
+    return _array(Handle("photo", "zs_photo_open", os.fsencode(path)))
+
+
+def save_png(path: PathLike, pixels: npt.ArrayLike) -> None:
+    """Writes [height, width, 3 or 4] uint8 from 0 to 255 or float from 0 to 1 as a PNG; alpha is dropped. The file appears whole or
+    not at all."""
+    images, _kept = native([pixels])
+    call("zs_image_save_png", images, os.fsencode(path))
+
+
+def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
+    """Images as the library takes them, and what has to live as long. Files are decoded several at once."""
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        loaded = list(pool.map(_load, range(len(sources)), sources))
+    out = ffi.new("zs_image[]", len(loaded))
+    for to, source in zip(out, loaded):
+        to.struct_size = ffi.sizeof("zs_image")
+        if isinstance(source, Handle):
+            call("zs_photo_get_image", source.pointer, ffi.addressof(to))
+            continue
+        to.format = _FORMATS[source.dtype.type, source.shape[2]]
+        to.height, to.width = source.shape[:2]
+        to.stride = source.strides[0]
+        to.pixels = ffi.cast("void *", source.ctypes.data)
+    return out, list(loaded)
+
+
+def matched(images: Images, cameras: Optional[Cameras]) -> tuple[list[Any], Optional[list[Camera]], Optional[Capture]]:
+    """Images, and their cameras where there are any, one each, with the capture that these are of.
+
+    Photos without a camera in a capture are left out: structure from motion seldom places every photo.
+    """
+    capture = images if isinstance(images, Capture) else None
+    if capture is not None and cameras is not None:
+        raise ValueError("a Capture has cameras of its own: expected no others")
+    if isinstance(cameras, (str, os.PathLike)):
+        cameras = Capture.open(cameras)
+    if capture is not None:
+        sources: list[Any] = [_Posed(capture, index, photo.path) for index, photo in enumerate(capture)]
+        return sources, capture.cameras, capture
+    sources = listed(images)
+    if not isinstance(cameras, Capture):
+        if cameras is not None and len(cameras) != len(sources):
+            raise ValueError(f"found {len(cameras)} cameras, expected one for each of {len(sources)} images")
+        return sources, None if cameras is None else list(cameras), None
+    posed = []
+    for source in sources:
+        if not isinstance(source, (str, os.PathLike)):
+            raise TypeError(f"found an image of type {type(source).__name__}, expected paths: a Capture knows photos by their names")
+        index = cameras.find(source)
+        if index is not None:
+            posed.append(_Posed(cameras, index, source))
+    if not posed:
+        raise ValueError(f"none of {len(sources)} photos is among the {len(cameras)} of the capture")
+    return list(posed), [cameras[photo.index].camera for photo in posed], cameras
+
+
+def listed(images: Any) -> list[Any]:
+    """The images that somebody means: those of folders, too."""
+    if isinstance(images, (str, os.PathLike)):
+        images = [images]
+    elif isinstance(images, bytes) or hasattr(images, "__array_interface__") and getattr(images, "ndim", 3) == 3:
+        raise TypeError("found one image, expected a sequence of them, such as [image]")
+    found: list[Any] = []
+    for image in images:
+        folder = isinstance(image, (str, os.PathLike)) and os.path.isdir(image)
+        found.extend(photos_in(image) if folder else [image])
+    return found
+
+
+class _Posed:
+    """A photo as its camera sees it."""
+
+    def __init__(self, capture: Capture, index: int, path: Optional[PathLike]) -> None:
+        self.capture, self.index, self.path = capture, index, path
+
+    def open(self) -> Handle:
+        path = ffi.NULL if self.path is None else os.fsencode(self.path)
+        return Handle("photo", "zs_capture_open_photo", self.capture._handle.pointer, self.index, path)
+
+
+_FORMATS = {
+    (np.uint8, 3): lib.ZS_PIXEL_RGB8,
+    (np.uint8, 4): lib.ZS_PIXEL_RGBA8,
+    (np.float32, 3): lib.ZS_PIXEL_RGB_F32,
+    (np.float32, 4): lib.ZS_PIXEL_RGBA_F32,
+}
+
+
+def _load(index: int, source: Any) -> Any:
+    if isinstance(source, Handle):
+        return source
+    if isinstance(source, _Posed):
+        return source.open()
+    if isinstance(source, (str, os.PathLike)):
+        return Handle("photo", "zs_photo_open", os.fsencode(source))
+    if isinstance(source, (bytes, bytearray, memoryview)):
+        data = bytes(source)
+        return Handle("photo", "zs_photo_from_memory", data, len(data))
+    return _pixels(f"image {index}", source)
+
+
+def _pixels(name: str, source: Any) -> npt.NDArray[Any]:
+    """[height, width, 3 or 4] of uint8 or float32 whose rows have no gaps."""
+    if hasattr(source, "detach"):
+        source = source.detach().cpu()
+    elif hasattr(source, "getbands"):
+        source = source if source.mode in ("RGB", "RGBA") else source.convert("RGB")
+    array = np.asarray(source) if not _only_dlpack(source) else np.from_dlpack(source)
+    if array.ndim != 3 or array.shape[2] not in (3, 4) or 0 in array.shape:
+        hint = "; torch's [channels, height, width] needs .permute(1, 2, 0)" if array.ndim == 3 and array.shape[0] in (3, 4) else ""
+        raise ValueError(f"{name}: found shape {list(array.shape)}, expected [height, width, 3 or 4]{hint}")
+    if array.dtype == np.float64 or array.dtype == np.float16:
+        array = array.astype(np.float32)
+    if array.dtype not in (np.uint8, np.float32):
+        raise TypeError(f"{name}: found {array.dtype}, expected uint8 from 0 to 255 or float32 from 0 to 1")
+    channel, pixel = array.strides[2], array.strides[1]
+    if channel != array.itemsize or pixel != array.shape[2] * array.itemsize:
+        array = np.ascontiguousarray(array)
+    return array
+
+
+def _only_dlpack(source: Any) -> bool:
+    return hasattr(source, "__dlpack__") and not hasattr(source, "__array__")
+
+
+def _array(photo: Handle) -> npt.NDArray[np.uint8]:
+    image = structure("image")
+    call("zs_photo_get_image", photo.pointer, image)
+    return array_at(photo, image.pixels, (image.height, image.width, 3), "|u1")
+
+
+def _natural(name: str) -> list[tuple[Any, ...]]:
+    """Orders numbers in names by value: 2.png before 10.png."""
+    parts: list[tuple[Any, ...]] = []
+    at = 0
+    while at < len(name):
+        end = at
+        while end < len(name) and "0" <= name[end] <= "9":
+            end += 1
+        if end == at:
+            parts.append((name[at],))
+            at += 1
+        else:
+            digits = name[at:end].lstrip("0")
+            parts.append(("0", len(digits), digits))
+            at = end
+    return parts
+
+
+def paths_of(images: Images) -> Iterable[str]:
+    """The paths of images, for the command.
+
+    Raises:
+        TypeError: some are no files.
+    """
+    for image in [images] if isinstance(images, (str, os.PathLike)) else images:
+        if not isinstance(image, (str, os.PathLike)):
+            raise TypeError(f"found an image of type {type(image).__name__}, expected paths")
+        yield os.fspath(image)

@@ -1,0 +1,115 @@
+"""Renderers: scenes to pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Optional, Sequence, Union
+
+import numpy as np
+import numpy.typing as npt
+
+from ._native import Handle, call, ffi, lib, options
+from .cameras import Camera, native
+from .context import Context, default_context
+from .scene import Scene
+
+_DEPTHS = {"expected": lib.ZS_DEPTH_EXPECTED, "accumulated": lib.ZS_DEPTH_ACCUMULATED}
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of one camera, or, with a first axis C, of several.
+
+    Attributes:
+        rgb: [C, height, width, 3] uint8, clamped and truncated as in `zipsplat render`, or float32, which is neither; in front of
+            the background.
+        alpha: [C, height, width] float32 from 0 to 1, where asked for.
+        depth: [C, height, width] float32 along the camera's z axis in world units, where asked for.
+    """
+
+    rgb: npt.NDArray[Any]
+    alpha: Optional[npt.NDArray[np.float32]] = None
+    depth: Optional[npt.NDArray[np.float32]] = None
+
+
+class Renderer:
+    """A scene on a device, ready to be drawn. Drawing pictures of the same size and kind again is fast. Threads that use one
+    renderer wait for each other.
+
+    Args:
+        scene: The scene, which the renderer copies to the device.
+        context: The device; None for the one that the scene was made on, or the best.
+    """
+
+    def __init__(self, scene: Scene, context: Optional[Context] = None) -> None:
+        self.context = context or scene._context or default_context()
+        self._handle = Handle("renderer", "zs_renderer_create", self.context._handle.pointer, scene._handle.pointer)
+
+    def set_scene(self, scene: Scene) -> None:
+        """Draws another scene from now on. Cheap for one of the same number of Gaussians and degree."""
+        call("zs_renderer_set_scene", self._handle.pointer, scene._handle.pointer)
+
+    def render(
+        self,
+        cameras: Union[Camera, Sequence[Camera]],
+        *,
+        alpha: bool = False,
+        depth: Optional[str] = None,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        antialiased: bool = False,
+        dtype: npt.DTypeLike = np.uint8,
+    ) -> Pictures:
+        """Pictures of the scene.
+
+        Args:
+            cameras: A camera, or several of one size, in the scene's world.
+            alpha: Whether to give what covers the background.
+            depth: "expected", the mean depth of what is seen, 0 where nothing is; "accumulated", the sum of depth times blending
+                weight; or None.
+            background: Red, green, blue behind the scene, from 0 to 1.
+            antialiased: Makes Gaussians thinner than a pixel fainter by as much as drawing widens them (Mip-Splatting): for scenes
+                that were made that way.
+            dtype: uint8 or float32, of the colours.
+
+        Raises:
+            ArgumentError, ValueError: a camera cannot be drawn with, or sizes differ.
+        """
+        single = isinstance(cameras, Camera)
+        views: list[Camera] = [cameras] if isinstance(cameras, Camera) else list(cameras)
+        sizes = {(camera.height, camera.width) for camera in views}
+        if len(sizes) != 1:
+            raise ValueError(f"cameras: found sizes {sorted(sizes)}, expected at least one camera, all of one size")
+        kind = np.dtype(dtype)
+        if kind not in (np.uint8, np.float32):
+            raise ValueError(f"dtype: found {kind}, expected uint8 or float32")
+        if depth is not None and depth not in _DEPTHS:
+            raise ValueError(f"depth: found {depth!r}, expected 'expected', 'accumulated' or None")
+        shape = (len(views), *sizes.pop())
+        rgb = np.empty((*shape, 3), kind)
+        alphas = np.empty(shape, np.float32) if alpha else None
+        depths = np.empty(shape, np.float32) if depth else None
+        how = options(
+            "render",
+            format=lib.ZS_PIXEL_RGB8 if kind == np.uint8 else lib.ZS_PIXEL_RGB_F32,
+            depth=_DEPTHS[depth or "expected"],
+            antialiased=int(antialiased),
+            background=[float(value) for value in background],
+        )
+        to = pictures(rgb, alphas, depths)
+        call("zs_render", self._handle.pointer, native(views), to, len(views), how)
+        planes = [None if plane is None else plane[0] if single else plane for plane in (rgb, alphas, depths)]
+        return Pictures(*planes)  # type: ignore[arg-type]
+
+
+def pictures(
+    rgb: Optional[npt.NDArray[Any]], alpha: Optional[npt.NDArray[Any]], depth: Optional[npt.NDArray[Any]]
+) -> Any:
+    """Where pictures are, as the library takes them: arrays without gaps whose first axis is the camera."""
+    planes = (("pixels", "void *", rgb), ("alpha", "float *", alpha), ("depth", "float *", depth))
+    found = [(name, kind, plane) for name, kind, plane in planes if plane is not None]
+    out = ffi.new("zs_picture[]", len(found[0][2]) if found else 0)
+    for i, to in enumerate(out):
+        to.struct_size = ffi.sizeof("zs_picture")
+        for name, kind, plane in found:
+            setattr(to, name, ffi.cast(kind, plane[i].ctypes.data))
+    return out

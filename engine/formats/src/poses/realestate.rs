@@ -1,0 +1,76 @@
+//! Camera files of RealEstate10K (Zhou et al. 2018): a video's address, then a frame a line.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+
+use super::super::file::read_file;
+use super::super::{Camera, Image, Intrinsics, Pose};
+use super::{Frame, Poses, checked};
+use crate::{Error, Result};
+
+/// Numbers of a line: microseconds, four of the lens as shares of the picture's sides, two without meaning, and a
+/// world-to-camera matrix of three rows.
+const NUMBERS: usize = 19;
+
+/// The extensions of frames.
+const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// Whether a text file is one of these.
+pub(super) fn is_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "txt")
+        && read_file(path).is_ok_and(|bytes| bytes.starts_with(b"http"))
+}
+
+/// Reads such a file. Frames are named by their microseconds and lie beside the file or in a folder there of its name.
+pub(super) fn read(path: &Path) -> Result<Poses> {
+    let bytes = read_file(path)?;
+    let text = str::from_utf8(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
+    let folders = [path.with_extension(""), path.parent().unwrap_or(Path::new("")).to_owned()];
+    let mut poses = Poses::default();
+    for (i, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
+        let label = format!("line {}", i + 1);
+        let malformed = |reason: String| Error::format(path, None, format!("{label}: {reason}"));
+        let fields: Vec<&str> = line.split_ascii_whitespace().collect();
+        if fields.len() != NUMBERS {
+            return Err(malformed(format!("found {} numbers, expected {NUMBERS}", fields.len())));
+        }
+        let name = fields[0];
+        let number = |field: &&str| {
+            let value = field.parse().ok().filter(|value: &f64| value.is_finite());
+            value.ok_or_else(|| malformed(format!("found {field:?}, expected a number")))
+        };
+        let numbers: Vec<f64> = fields.iter().map(number).collect::<Result<_>>()?;
+        let Some(photo) = find_photo(&folders, name) else {
+            poses.sizeless.push(folders[0].join(name));
+            continue;
+        };
+        let (width, height) = Image::size_as_stored(&photo)?;
+        let camera = Camera { intrinsics: intrinsics(&numbers[1..5], width, height), pose: pose(&numbers[7..]) };
+        let camera = checked(camera, "camera").map_err(malformed)?;
+        poses.frames.push(Frame { name: name.into(), photo: Some(photo), camera, lens: None });
+    }
+    if let Some(place) = poses.sizeless.first() {
+        let count = poses.sizeless.len();
+        poses.notes.push(format!("{count} frames left out: no picture of them, such as {}", place.display()));
+    }
+    Ok(poses)
+}
+
+fn find_photo(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
+    let places =
+        folders.iter().flat_map(|folder| EXTENSIONS.map(|extension| folder.join(format!("{name}.{extension}"))));
+    places.into_iter().find(|path| path.is_file())
+}
+
+/// The lens of a picture, from shares of its sides.
+fn intrinsics(shares: &[f64], width: u32, height: u32) -> Intrinsics {
+    let [w, h] = [width, height].map(f64::from);
+    Intrinsics { width, height, fx: shares[0] * w, fy: shares[1] * h, cx: shares[2] * w, cy: shares[3] * h }
+}
+
+/// Camera-to-world from three rows of world-to-camera.
+fn pose(rows: &[f64]) -> Pose {
+    let column = |i: usize| DVec3::new(rows[i], rows[4 + i], rows[8 + i]);
+    Pose { rotation: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }.inverse()
+}

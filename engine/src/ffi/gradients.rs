@@ -1,0 +1,155 @@
+//! Gradients: pictures' weights back to Gaussians and cameras, for an optimiser of yours.
+
+use super::{
+    picture::{zs_camera, zs_pixel_format},
+    pointers::{POINTER, Versioned, array, array_mut, borrow, read_array, read_given, read_versioned},
+    renderer::{zs_picture, zs_render_options, zs_renderer},
+    scene::zs_scene,
+    status::{Failure, guard, zs_status},
+};
+use crate::{
+    stages::render::{Differentiator, Frame, HostGradients, Wanted},
+    types::Camera,
+};
+
+/// Where gradients go: memory of yours for those that you want, NULL for the others. Every array is written, not added to.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_gradients {
+    /// sizeof(zs_gradients); set it before the call.
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
+    /// N x 3 by the centres.
+    pub means: *mut f32,
+    /// N x 3 by the standard deviations, which are linear.
+    pub scales: *mut f32,
+    /// N x 4 by the rotations as you pass them, of any length.
+    pub quats: *mut f32,
+    /// N by the opacities.
+    pub opacities: *mut f32,
+    /// N x K x 3 by the coefficients.
+    pub sh_coeffs: *mut f32,
+    /// count x 10 by the cameras: w x, y, z and v x, y, z, where the camera-to-world pose moves as pose o (exp(w^), v), R' = R exp(w^)
+    /// and t' = t + R v; then fx, fy, cx, cy.
+    pub cameras: *mut f32,
+}
+
+// SAFETY: repr(C), two u32 and pointers: no padding.
+unsafe impl Versioned for zs_gradients {
+    const NAME: &str = "zs_gradients";
+    const FIRST_SIZE: usize = 8 + 6 * POINTER;
+    fn defaults() -> Self {
+        let (struct_size, none) = (size_of::<Self>() as u32, std::ptr::null_mut());
+        Self {
+            struct_size,
+            reserved: 0,
+            means: none,
+            scales: none,
+            quats: none,
+            opacities: none,
+            sh_coeffs: none,
+            cameras: none,
+        }
+    }
+}
+
+/// Gives the gradients of the sum, over `count` cameras and all pixels, of what zs_render draws of `scene` times its weight. Weights
+/// are what `weights` points to, read and not written: of ZS_PIXEL_RGB_F32, which `options` must have, of alpha and of depth; NULL is 0.
+/// With the weights d loss / d pixel the gradients are those of the loss. Coefficients of bands that are 0 have gradients, too. The
+/// scene need not be the renderer's: the renderer keeps one more on the device, and what it recorded for the last four sizes
+/// and kinds. It returns when `gradients` is written; after a failure nothing is.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_render_backward(
+    renderer: *const zs_renderer,
+    scene: *const zs_scene,
+    cameras: *const zs_camera,
+    weights: *const zs_picture,
+    count: usize,
+    options: *const zs_render_options,
+    gradients: *const zs_gradients,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: objects or NULL; structures or NULL; arrays of the caller's.
+        let (renderer, scene, cameras, weights, options, to) = unsafe {
+            let (cameras, weights) = (read_array(cameras, count, "cameras")?, read_array(weights, count, "weights")?);
+            let (renderer, scene) = (borrow(renderer, "renderer")?, borrow(scene, "scene")?);
+            (renderer, scene, cameras, weights, read_versioned(options)?, read_given(gradients)?)
+        };
+        if options.checked()? != zs_pixel_format::ZS_PIXEL_RGB_F32 {
+            let expected = "ZS_PIXEL_RGB_F32, the format of their weights";
+            return Err(Failure::argument("pixel format of gradients", options.format, expected));
+        }
+        if to.reserved != 0 {
+            return Err(Failure::argument("zs_gradients, reserved", to.reserved, "0"));
+        }
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let request = options.request(zs_pixel_format::ZS_PIXEL_RGB_F32, &weights)?.differentiable();
+        let mut frames = Vec::with_capacity(count);
+        for (i, (camera, picture)) in cameras.iter().zip(&weights).enumerate() {
+            camera.validate(&format!("camera {i}"))?;
+            // SAFETY: the caller's memory, as large as the camera's picture.
+            frames.push(unsafe { picture.weights(camera, i) }?);
+        }
+        let any = [to.means, to.scales, to.quats, to.opacities, to.sh_coeffs].iter().any(|field| !field.is_null());
+        let wanted = Wanted { scene: any, cameras: !to.cameras.is_null() };
+        if request.channels() == 0 {
+            return Err(Failure::argument("weights", "NULL throughout", "those of colour, alpha or depth"));
+        }
+        let mut differentiator = renderer.differentiator();
+        let differentiator = differentiator.get_or_insert_with(|| Differentiator::new(renderer.lock().device()));
+        let found = differentiator.differentiate(&scene.scene, &cameras, &request, &frames, wanted)?;
+        // SAFETY: the caller's memory, as long as the structure says.
+        unsafe { to.write(&found) }
+    })
+}
+
+impl zs_picture {
+    /// The weights of a camera's picture.
+    ///
+    /// # Safety
+    /// Everything that is not NULL has values for every pixel.
+    unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<Frame, Failure> {
+        for (field, found) in [("reserved", i64::from(self.reserved)), ("stride", self.stride)] {
+            if found != 0 {
+                return Err(Failure::argument(format!("weights {i}, {field}"), found, "0"));
+            }
+        }
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let pixels = width as usize * height as usize;
+        let plane = |from: *const f32, values: usize, name: &str| -> Result<Option<Vec<f32>>, Failure> {
+            // SAFETY: the caller's promise.
+            (!from.is_null()).then(|| Ok(unsafe { array(from, values, name) }?.to_vec())).transpose()
+        };
+        Ok(Frame {
+            width,
+            height,
+            rgb: plane(self.pixels.cast(), 3 * pixels, "weights of colour")?,
+            alpha: plane(self.alpha, pixels, "weights of alpha")?,
+            depth: plane(self.depth, pixels, "weights of depth")?,
+            normals: None,
+            token_colors: None,
+        })
+    }
+}
+
+impl zs_gradients {
+    /// # Safety
+    /// Everything that is not NULL has room for all gradients of its kind.
+    unsafe fn write(&self, found: &HostGradients) -> Result<(), Failure> {
+        let (scene, cameras) = (&found.scene, found.cameras.as_flattened());
+        let fields = [
+            ("means", self.means, scene.means.as_flattened()),
+            ("scales", self.scales, scene.scales.as_flattened()),
+            ("quats", self.quats, scene.quats.as_flattened()),
+            ("opacities", self.opacities, &scene.opacities),
+            ("sh_coeffs", self.sh_coeffs, scene.sh_coeffs.as_flattened()),
+            ("cameras", self.cameras, cameras),
+        ];
+        for (name, to, from) in fields.into_iter().filter(|(_, to, _)| !to.is_null()) {
+            // SAFETY: the caller's promise.
+            unsafe { array_mut(to, from.len(), name) }?.copy_from_slice(from);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,261 @@
+//! Gradients of pictures for somebody else's optimiser: weights of pixels in, gradients of Gaussians and cameras out.
+
+use super::{
+    CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
+    SceneTensors, camera_rows, first_capacity,
+    range::{check, drawable},
+    record_with_gradients,
+};
+use crate::{
+    Error, Result,
+    gpu::{Arena, Device, Limits, Recorder, Resident, ResidentLayout, Run, Tensor},
+    types::{Camera, Scene},
+};
+use std::sync::Arc;
+
+/// Bytes of an intersection's largest tensor: its six moments.
+const INTERSECTION_BYTES: u64 = 24;
+/// Plans that are kept: sizes and requests that alternate.
+const PLANS: usize = 4;
+
+/// The gradients of one number by a scene's values and by cameras, on the host.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HostGradients {
+    /// By the Gaussians, each value's in its place; rotations as they are stored, of any length. Empty where not asked for.
+    pub scene: Scene,
+    /// By each camera, as [`Gradients::cameras`] has them. Empty where not asked for.
+    pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
+}
+
+/// The gradients that are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// Those of the Gaussians.
+    pub scene: bool,
+    /// Those of the cameras.
+    pub cameras: bool,
+}
+
+/// Differentiates pictures of scenes on one device. A plan is recorded once for a size, request and number of Gaussians, then
+/// replayed for one camera after the other: sums over cameras are in their order.
+pub struct Differentiator {
+    arena: Arena,
+    memory: Option<Memory>,
+    /// Last used last.
+    plans: Vec<Planned>,
+    /// Room for intersections in new plans; grows with what was drawn.
+    capacity: usize,
+}
+
+/// A scene on the device with its gradients.
+struct Memory {
+    resident: Arc<Resident>,
+    scene: SceneTensors,
+    gradients: SceneGradients,
+}
+
+struct Planned {
+    key: (FrameShape, RenderRequest, Wanted),
+    capacity: usize,
+    run: Run,
+    cameras: Tensor,
+    d_frames: Tensor,
+    d_cameras: Option<Tensor>,
+    outputs: RenderOutputs,
+}
+
+impl Differentiator {
+    /// A differentiator with an arena of its own.
+    pub fn new(device: &Device) -> Self {
+        Self { arena: Arena::new(device), memory: None, plans: Vec::new(), capacity: 0 }
+    }
+
+    /// The gradients of the sum over `cameras` of pixels times `weights`, which have what `request` asks for of each camera's
+    /// picture: colour, alpha, depth, each `None` where all its weights are 0.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where the scene, a camera or the request cannot be drawn, weights are not as many as pixels, or a rotation
+    /// is too short or too long to compute with; [`Error::Memory`] where one picture needs more than the device has.
+    ///
+    /// # Panics
+    /// Where `request` asks for what has no gradient.
+    pub fn differentiate(
+        &mut self,
+        scene: &Scene,
+        cameras: &[Camera],
+        request: &RenderRequest,
+        weights: &[Frame],
+        wanted: Wanted,
+    ) -> Result<HostGradients> {
+        scene.validate()?;
+        check(cameras, request)?;
+        if matches!(drawable(&scene.quats), std::borrow::Cow::Owned(_)) {
+            return Err(Error::argument(
+                "quats",
+                "one shorter than 1e-30 or longer than 1e30",
+                "lengths between these",
+            ));
+        }
+        if weights.len() != cameras.len() {
+            let expected = format!("one for each of {} cameras", cameras.len());
+            return Err(Error::argument("gradients of pictures", weights.len(), expected));
+        }
+        if scene.is_empty() {
+            let cameras = if wanted.cameras { vec![[0.0; CAMERA_NUMBERS]; cameras.len()] } else { Vec::new() };
+            return Ok(HostGradients { cameras, ..HostGradients::default() });
+        }
+        let _claim = self.arena.claim().expect("nobody else knows it");
+        self.load(scene)?;
+        let mut found = HostGradients::default();
+        for (camera, weights) in cameras.iter().zip(weights) {
+            let values = interleaved(camera, weights, request)?;
+            found.cameras.extend(self.add(camera, request, &values, wanted)?);
+        }
+        if let (true, Some(memory)) = (wanted.scene, &self.memory) {
+            found.scene = memory.read(scene.sh_degree)?;
+        }
+        Ok(found)
+    }
+
+    /// Brings a scene to the device, its gradients 0.
+    fn load(&mut self, scene: &Scene) -> Result<()> {
+        let size = (scene.len(), scene.sh_degree);
+        let memory = match self.memory.take().filter(|memory| (memory.scene.len, memory.scene.sh_degree) == size) {
+            Some(memory) => memory,
+            None => {
+                self.plans.clear();
+                self.capacity = 0;
+                Memory::new(self.arena.device(), size)?
+            }
+        };
+        memory.write(scene)?;
+        self.memory = Some(memory);
+        Ok(())
+    }
+
+    /// Adds one camera's gradients to those on the device, and gives its own where they are wanted.
+    fn add(
+        &mut self,
+        camera: &Camera,
+        request: &RenderRequest,
+        weights: &[f32],
+        wanted: Wanted,
+    ) -> Result<Option<[f32; CAMERA_NUMBERS]>> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let key = (FrameShape { cameras: 1, width, height }, *request, wanted);
+        loop {
+            let mut planned = match self.plans.iter().position(|plan| plan.key == key) {
+                Some(index) => self.plans.remove(index),
+                None => self.plan(key)?,
+            };
+            planned.run.write(planned.cameras, &[camera_rows(camera)])?;
+            planned.run.write(planned.d_frames, weights)?;
+            planned.run.execute()?;
+            let status: Vec<u32> = planned.run.read(planned.outputs.status)?;
+            let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
+            if needed <= planned.capacity {
+                let found = planned.d_cameras.map(|tensor| planned.run.read(tensor)).transpose()?;
+                self.plans.push(planned);
+                return Ok(found.and_then(|cameras: Vec<_>| cameras.first().copied()));
+            }
+            // Nothing was added where there was too little room.
+            let available = self.limits().max_binding_bytes;
+            if needed as u64 * INTERSECTION_BYTES > available {
+                let what = "a list of the intersections of Gaussians with tiles".into();
+                return Err(Error::Memory { what, needed: needed as u64 * INTERSECTION_BYTES, available });
+            }
+            self.capacity = self.capacity.max(needed + needed / 4);
+        }
+    }
+
+    fn plan(&mut self, key: (FrameShape, RenderRequest, Wanted)) -> Result<Planned> {
+        if self.plans.len() == PLANS {
+            self.plans.remove(0);
+        }
+        let (shape, request, wanted) = key;
+        let Memory { resident, scene, gradients } = self.memory.as_ref().expect("loaded before");
+        let most = (self.limits().max_binding_bytes / INTERSECTION_BYTES) as usize;
+        let capacity = self.capacity.max(first_capacity(scene.len)).min(most);
+        let mut rec = Recorder::new(self.limits());
+        let cameras = rec.input::<CameraRows>("cameras", 1);
+        let values = request.channels() * shape.width as usize * shape.height as usize;
+        let d_frames = rec.input::<f32>("d_frames", values);
+        let d_cameras = wanted.cameras.then(|| rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1));
+        d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));
+        let gradients = Gradients { scene: wanted.scene.then_some(*gradients), cameras: d_cameras };
+        let given = |_: &mut Recorder, _| d_frames;
+        let outputs = record_with_gradients(&mut rec, scene, cameras, shape, &request, capacity, given, &gradients);
+        d_cameras.iter().for_each(|tensor| rec.output(*tensor));
+        let run = Run::in_arena(&self.arena, 0, rec.finish()?, [resident.clone()])?;
+        Ok(Planned { key, capacity, run, cameras, d_frames, d_cameras, outputs })
+    }
+
+    fn limits(&self) -> &Limits {
+        self.arena.device().limits()
+    }
+}
+
+impl Memory {
+    fn new(device: &Device, (len, sh_degree): (usize, u32)) -> Result<Self> {
+        let mut layout = ResidentLayout::new(device.limits());
+        let scene = SceneTensors::lay_out(&mut layout, len, sh_degree);
+        let SceneTensors { means, scales, quats, opacities, sh_coeffs, .. } =
+            SceneTensors::lay_out(&mut layout, len, sh_degree);
+        let gradients = SceneGradients { means, scales, quats, opacities, sh_coeffs };
+        Ok(Self { resident: Arc::new(Resident::new(device, &layout)?), scene, gradients })
+    }
+
+    fn write(&self, scene: &Scene) -> Result<()> {
+        let Self { resident, scene: to, gradients: d } = self;
+        resident.write(to.means, &scene.means)?;
+        resident.write(to.scales, &scene.scales)?;
+        resident.write(to.quats, &scene.quats)?;
+        resident.write(to.opacities, &scene.opacities)?;
+        resident.write(to.sh_coeffs, &scene.sh_coeffs)?;
+        let zero = |tensor: Tensor| resident.write(tensor, &vec![0u8; tensor.bytes() as usize]);
+        [d.means, d.scales, d.quats, d.opacities, d.sh_coeffs].into_iter().try_for_each(zero)
+    }
+
+    fn read(&self, sh_degree: u32) -> Result<Scene> {
+        let Self { resident, gradients: d, .. } = self;
+        Ok(Scene {
+            means: resident.read(d.means)?,
+            scales: resident.read(d.scales)?,
+            quats: resident.read(d.quats)?,
+            opacities: resident.read(d.opacities)?,
+            sh_coeffs: resident.read(d.sh_coeffs)?,
+            sh_degree,
+        })
+    }
+}
+
+/// The weights of a picture as its frame has its values, 0 where there are none.
+fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Result<Vec<f32>> {
+    let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
+    let asked = [
+        ("colour", request.rgb, &weights.rgb, 3),
+        ("alpha", request.alpha, &weights.alpha, 1),
+        ("depth", request.depth.is_some(), &weights.depth, 1),
+    ];
+    let (channels, mut first) = (request.channels(), 0);
+    let mut values = vec![0.0; pixels * channels];
+    for (what, _, plane, width) in asked.into_iter().filter(|(_, asked, ..)| *asked) {
+        if let Some(plane) = plane {
+            if plane.len() != pixels * width {
+                let name = format!("gradient of {what}");
+                return Err(Error::argument(name, plane.len(), format!("{} values", pixels * width)));
+            }
+            let pixels = values.chunks_exact_mut(channels).zip(plane.chunks_exact(width));
+            pixels.for_each(|(to, from)| to[first..first + width].copy_from_slice(from));
+        }
+        first += width;
+    }
+    Ok(values)
+}
+
+impl RenderRequest {
+    /// What has to be drawn for the gradient of this: alpha, too, where expected depth is divided by it.
+    pub fn differentiable(self) -> Self {
+        Self { alpha: self.alpha || self.depth == Some(Depth::Expected), ..self }
+    }
+}

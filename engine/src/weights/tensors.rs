@@ -1,0 +1,35 @@
+//! Tensors of a file that belongs to no ZipSplat network.
+
+use super::{checkpoint::matching, safetensors, tensor::Stored};
+use crate::{Error, Result, types::open_file};
+use std::{collections::HashMap, io::Read, path::Path};
+
+/// The tensors of a safetensors file, which are exactly those that were asked for.
+pub struct Tensors {
+    file: Vec<u8>,
+    tensors: HashMap<String, Stored>,
+}
+
+impl Tensors {
+    /// Opens a file with tensors of these names and shapes; `network` stands for them in messages.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Weights`] lists every tensor that is missing, unexpected or
+    /// misshapen.
+    pub fn open(path: &Path, network: &str, parameters: &[(String, Vec<usize>)]) -> Result<Self> {
+        let mut file = Vec::new();
+        open_file(path)?.read_to_end(&mut file).map_err(|error| Error::io(path, error))?;
+        let contents = safetensors::contents(path, &file)?;
+        let found = matching(path, network, parameters, contents)?;
+        let tensors = parameters.iter().map(|(name, _)| name.clone()).zip(found).collect();
+        Ok(Self { file, tensors })
+    }
+
+    /// Reads a tensor in C order.
+    ///
+    /// # Panics
+    /// Where the name was not asked for, or `out` has another length.
+    pub fn read(&self, name: &str, out: &mut [f32]) {
+        self.tensors[name].read(&self.file, out);
+    }
+}

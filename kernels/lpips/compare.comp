@@ -1,0 +1,55 @@
+// Compares the rectified features of two pictures pixel by pixel: sum over channels of weight (a / |a| - b / |b|)^2.
+//
+// A, B      [pixels, channels] f32, not yet rectified
+// Weights   [channels] f32
+// Sums      [pixels] f32, scale times the sum
+// DA        [pixels, channels] f32, written where GRADIENT: d_scale times the gradient by rectified features, added to what
+//           is there where ADD
+//
+// One workgroup (a subgroup) owns a pixel. Source: Zhang et al. 2018, version 0.1, with 1e-10 added to lengths.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "shared/index.glsl"
+
+layout(local_size_x_id = 0) in;
+layout(constant_id = 1) const bool GRADIENT = false;
+layout(constant_id = 2) const bool ADD = false;
+
+layout(set = 0, binding = 0) readonly buffer A { float a[]; };
+layout(set = 0, binding = 1) readonly buffer B { float b[]; };
+layout(set = 0, binding = 2) readonly buffer Weights { float weights[]; };
+layout(set = 0, binding = 3) writeonly buffer Sums { float sums[]; };
+layout(set = 0, binding = 4) buffer DA { float d_a[]; };
+
+layout(push_constant) uniform Push { uint pixels; uint channels; float scale; float d_scale; };
+
+const float EPSILON = 1e-10;
+
+void main() {
+    uint pixel = group_index();
+    if (pixel >= pixels) return;
+    uint from = pixel * channels;
+    vec2 squares = vec2(0);
+    for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
+        vec2 values = max(vec2(a[from + c], b[from + c]), 0);
+        squares += values * values;
+    }
+    vec2 lengths = sqrt(subgroupAdd(squares)), inverse = 1 / (lengths + EPSILON);
+    vec2 sum = vec2(0); // of the difference, and of its gradient along a
+    for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
+        vec2 values = max(vec2(a[from + c], b[from + c]), 0) * inverse;
+        float weighted = weights[c] * (values.x - values.y);
+        sum += vec2(weighted * (values.x - values.y), 2 * weighted * values.x);
+    }
+    sum = subgroupAdd(sum);
+    if (gl_LocalInvocationID.x == 0) sums[pixel] = scale * sum.x;
+    if (!GRADIENT) return;
+    float along = lengths.x > 0 ? sum.y / lengths.x : 0;
+    for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
+        vec2 values = max(vec2(a[from + c], b[from + c]), 0);
+        float difference = values.x * inverse.x - values.y * inverse.y;
+        float gradient = d_scale * (2 * weights[c] * difference * inverse.x - values.x * inverse.x * along);
+        d_a[from + c] = ADD ? d_a[from + c] + gradient : gradient;
+    }
+}

@@ -1,0 +1,196 @@
+//! Photos with cameras from a file: what Rust reads, and the scene that the command makes of them.
+
+use crate::calls::*;
+use std::{
+    ffi::{CStr, c_char},
+    ops::ControlFlow,
+    path::Path,
+    ptr::{null, null_mut},
+};
+use tempfile::TempDir;
+use zipsplat::{
+    ffi::{zs_status::*, *},
+    reconstruct::{Model, Request},
+    types::{
+        Camera, Distortion, Intrinsics, Lens, Orbit,
+        poses::{Frame, read_poses, write_frames},
+        preprocess::{fit, view_cameras},
+    },
+};
+use zipsplat_tests::{compare::assert_same, device::device};
+
+const COUNT: usize = 3;
+
+/// A folder with photos of a lens that distorts, their cameras, and points where asked for.
+fn capture(points: bool) -> TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::create_dir(folder.path().join("images")).expect("a folder");
+    let orbit = Orbit { center: glam::DVec3::new(1.0, 2.0, 30.0), radius: 8.0 };
+    let distortion =
+        Distortion::Perspective { numerator: [0.05, 0.0, 0.0, 0.0], denominator: [0.0; 3], tangential: [0.0; 2] };
+    let intrinsics = Intrinsics::from_fov(SIDE, SIDE, 1.0, 1.0);
+    let mut frames = Vec::new();
+    for (i, (photo, pose)) in photos(COUNT as u32).iter().zip(orbit.sweep(COUNT, 5.0, 40.0, -10.0)).enumerate() {
+        let name = format!("images/{i}.png");
+        photo.save_png(folder.path().join(&name)).expect("a photo can be written");
+        let lens = Some(Lens { intrinsics, distortion });
+        frames.push(Frame { name, photo: None, camera: Camera { intrinsics, pose }, lens });
+    }
+    if points {
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 33\n";
+        std::fs::write(folder.path().join("points.ply"), text).expect("points can be written");
+    }
+    write_frames(folder.path().join("transforms.json"), &frames, None).expect("cameras can be written");
+    folder
+}
+
+fn open(path: &Path) -> Object<zs_capture> {
+    let path = c_string(path.to_str().expect("UTF-8"));
+    // SAFETY: a string, and where to put it.
+    Object::new(zs_capture_destroy, |out| unsafe { zs_capture_open(path.as_ptr(), out) })
+}
+
+fn text(pointer: *const c_char) -> String {
+    // SAFETY: a string of a capture that lives.
+    unsafe { CStr::from_ptr(pointer) }.to_str().expect("UTF-8").to_owned()
+}
+
+struct Found {
+    cameras: Vec<zs_camera>,
+    names: Vec<String>,
+    paths: Vec<String>,
+    notes: String,
+}
+
+fn all(capture: &Object<zs_capture>) -> Found {
+    let (mut count, mut notes) = (0, null());
+    // SAFETY: a live object, and where to put what it says.
+    ok(unsafe { zs_capture_get_count(capture.handle, &mut count, &mut notes) });
+    let mut found = Found { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes: text(notes) };
+    for i in 0..count {
+        let (mut camera, mut name, mut path) = (camera(1, 1, 0.0), null(), null());
+        // SAFETY: as above.
+        ok(unsafe { zs_capture_get(capture.handle, i, &mut camera, &mut name, &mut path) });
+        found.cameras.push(camera);
+        found.names.push(text(name));
+        found.paths.push(text(path));
+    }
+    found
+}
+
+fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_photo> {
+    // SAFETY: a live object, and where to put it.
+    Object::new(zs_photo_destroy, |out| unsafe { zs_capture_open_photo(capture.handle, index, null(), out) })
+}
+
+fn pixels(photo: &Object<zs_photo>) -> zs_image {
+    let mut image = image_of(&zipsplat::Image::new(1, 1, vec![0; 3]).expect("a picture"));
+    // SAFETY: a live photo and a structure of its size.
+    ok(unsafe { zs_photo_get_image(photo.handle, &mut image) });
+    image
+}
+
+#[test]
+fn photos_and_cameras_are_rusts() {
+    let folder = capture(false);
+    let found = all(&open(folder.path()));
+    let expected = read_poses(folder.path()).expect("cameras");
+    assert_eq!(found.names, ["images/0.png", "images/1.png", "images/2.png"]);
+    assert!(found.notes.contains("distortion of 3 frames"), "{}", found.notes);
+    let capture = open(&folder.path().join("transforms.json"));
+    for (i, frame) in expected.frames.iter().enumerate() {
+        let (camera, Camera { intrinsics, pose }) = (&found.cameras[i], &frame.camera);
+        assert_eq!(camera.rotation, pose.rotation.transpose().to_cols_array());
+        assert_eq!((camera.translation, camera.fx), (pose.translation.to_array(), intrinsics.fx));
+        assert_ne!(camera.fx, Intrinsics::from_fov(SIDE, SIDE, 1.0, 1.0).fx, "the pinhole's, not the lens's");
+        assert_eq!(Path::new(&found.paths[i]), frame.photo.as_ref().expect("it is there"));
+        let (photo, expected) = (photo(&capture, i), frame.open(&found.paths[i]).expect("a photo"));
+        let image = pixels(&photo);
+        // SAFETY: the photo's memory, which lives.
+        let rgb = unsafe { std::slice::from_raw_parts(image.pixels.cast::<u8>(), expected.rgb.len()) };
+        assert_same("pixels", rgb, &expected.rgb);
+    }
+}
+
+#[test]
+fn photos_are_found_by_name() {
+    let folder = capture(false);
+    let capture = open(folder.path());
+    for (path, expected) in [("elsewhere/images/1.png", 1), ("2.png", 2), ("3.png", COUNT)] {
+        let (path, mut index) = (c_string(path), usize::MAX);
+        // SAFETY: a live object, a string, and where to put it.
+        ok(unsafe { zs_capture_find(capture.handle, path.as_ptr(), &mut index) });
+        assert_eq!(index, expected);
+    }
+}
+
+/// The unit that the cameras say, and the points where there are any, changes the scene, as it does in Rust.
+#[test]
+fn the_unit_is_found_from_the_capture() {
+    let (context, mut scenes) = (context(), Vec::new());
+    let model = model(&context);
+    for points in [false, true] {
+        let folder = capture(points);
+        let capture = open(folder.path());
+        let (found, photos) = (all(&capture), [0, 1, 2].map(|i| photo(&capture, i)));
+        let images: Vec<_> = photos.iter().map(pixels).collect();
+        let options = zs_reconstruct_options {
+            unit: ZS_UNIT_AUTO,
+            camera_count: COUNT as u32,
+            cameras: found.cameras.as_ptr(),
+            capture: capture.handle,
+            ..reconstruct_options()
+        };
+        let in_c = read(&reconstruct(&model, &images, &options));
+        let poses = read_poses(folder.path()).expect("cameras");
+        let view = |frame: &Frame| fit(&frame.open(frame.photo.as_ref().unwrap()).unwrap(), SIDE, SIDE).unwrap();
+        let views: Vec<_> = poses.frames.iter().map(view).collect();
+        let cameras: Vec<_> = poses.frames.iter().map(|frame| frame.camera).collect();
+        let cameras = view_cameras(&cameras, &views).expect("cameras");
+        let unit = poses.unit(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
+        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let request = Request { cameras: Some(cameras), unit, ..Request::default() };
+        let rust = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
+        let expected = rust.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+        assert_same(&format!("means, unit {unit}"), in_c.means.as_flattened(), expected.means.as_flattened());
+        scenes.push(in_c);
+    }
+    assert_ne!(scenes[0].means, scenes[1].means, "points say another distance than axes");
+}
+
+#[test]
+fn what_is_no_capture_is_refused() {
+    let folder = capture(false);
+    let capture = open(folder.path());
+    let (mut out, mut index) = (null_mut(), 0);
+    let open = |path: &Path, out: &mut *mut zs_capture| {
+        let path = c_string(path.to_str().expect("UTF-8"));
+        // SAFETY: a string, and where to put it.
+        unsafe { zs_capture_open(path.as_ptr(), out) }
+    };
+    fails(open(&folder.path().join("none"), &mut out), ZS_ERROR_IO, &["none"]);
+    fails(open(&folder.path().join("images"), &mut out), ZS_ERROR_ARGUMENT, &["images", "transforms.json"]);
+    // SAFETY: live objects or NULL, and where to put what they say.
+    unsafe {
+        let name = &mut null();
+        fails(
+            zs_capture_get(capture.handle, COUNT, null_mut(), name, null_mut()),
+            ZS_ERROR_ARGUMENT,
+            &["3", "below 3"],
+        );
+        std::fs::remove_file(folder.path().join("images/1.png")).expect("it was there");
+        let mut photo = null_mut();
+        fails(zs_capture_open_photo(capture.handle, 1, null(), &mut photo), ZS_ERROR_IO, &["1.png"]);
+        let refused = [
+            zs_capture_open(null(), &mut out),
+            zs_capture_get_count(null(), &mut index, null_mut()),
+            zs_capture_get_count(capture.handle, null_mut(), null_mut()),
+            zs_capture_get(null(), 0, null_mut(), null_mut(), null_mut()),
+            zs_capture_find(capture.handle, null(), &mut index),
+            zs_capture_find(capture.handle, c"0.png".as_ptr(), null_mut()),
+            zs_capture_open_photo(null(), 0, null(), &mut photo),
+        ];
+        assert_eq!(refused, [ZS_ERROR_ARGUMENT; 7]);
+        zs_capture_destroy(null_mut());
+    }
+}

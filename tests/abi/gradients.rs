@@ -1,0 +1,174 @@
+//! Gradients by way of C: Rust's bits, and slopes of what zs_render draws.
+
+use crate::calls::*;
+use std::ptr::null;
+use zipsplat::{
+    ffi::{zs_status::*, *},
+    stages::render::{CAMERA_NUMBERS, Depth, Differentiator, Frame, RenderRequest, Wanted},
+    types::{Camera, Intrinsics, Pose, Scene},
+};
+use zipsplat_tests::{compare::assert_same, device::device, scenes::random_scene};
+
+const SIZE: [u32; 2] = [40, 30];
+const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
+
+/// Weights of every pixel of two cameras, and room for gradients.
+struct Case {
+    scene: Scene,
+    cameras: [zs_camera; 2],
+    weights: [Vec<f32>; 3],
+    found: [Vec<f32>; 6],
+}
+
+impl Case {
+    fn new() -> Self {
+        let scene = random_scene(40, 1, 0.3);
+        let wave = |width: usize| (0..2 * width * PIXELS).map(|i| (0.003 * i as f32).sin()).collect();
+        let n = scene.len();
+        let found = [3 * n, 3 * n, 4 * n, n, 12 * n, 2 * CAMERA_NUMBERS].map(|len| vec![7.0; len]);
+        Self {
+            cameras: [-0.2, 0.3].map(|right| camera(SIZE[0], SIZE[1], right)),
+            weights: [3, 1, 1].map(wave),
+            found,
+            scene,
+        }
+    }
+
+    fn pictures(values: &mut [Vec<f32>; 3]) -> [zs_picture; 2] {
+        let [rgb, alpha, depth] = values;
+        [0, 1].map(|i| zs_picture {
+            alpha: alpha[i * PIXELS..].as_mut_ptr(),
+            depth: depth[i * PIXELS..].as_mut_ptr(),
+            ..picture_at(rgb[3 * i * PIXELS..].as_mut_ptr().cast())
+        })
+    }
+
+    /// The status of differentiating, with what is found in `found`.
+    fn run(&mut self, options: &zs_render_options) -> zs_status {
+        let (context, scene) = (context(), scene_of(&self.scene));
+        let renderer = renderer(&context, &scene);
+        let weights = Self::pictures(&mut self.weights);
+        let [means, scales, quats, opacities, sh_coeffs, cameras] =
+            self.found.each_mut().map(|values| values.as_mut_ptr());
+        let struct_size = size_of::<zs_gradients>() as u32;
+        let to = zs_gradients { struct_size, reserved: 0, means, scales, quats, opacities, sh_coeffs, cameras };
+        let (cameras, weights) = (self.cameras.as_ptr(), weights.as_ptr());
+        // SAFETY: live objects and arrays of their lengths.
+        unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
+    }
+
+    /// The sum of weights times what zs_render draws of another scene, by other cameras.
+    fn sum(&self, scene: &Scene, cameras: &[zs_camera; 2], options: &zs_render_options) -> f64 {
+        let (context, scene) = (context(), scene_of(scene));
+        let renderer = renderer(&context, &scene);
+        let mut drawn = self.weights.clone();
+        let pictures = Self::pictures(&mut drawn);
+        // SAFETY: live objects, and memory as large as the pictures.
+        ok(unsafe { zs_render(renderer.handle, cameras.as_ptr(), pictures.as_ptr(), 2, options) });
+        let terms = drawn.iter().flatten().zip(self.weights.iter().flatten());
+        terms.map(|(value, weight)| f64::from(*value) * f64::from(*weight)).sum()
+    }
+}
+
+fn options(depth: zs_depth) -> zs_render_options {
+    let options = render_options(zs_pixel_format::ZS_PIXEL_RGB_F32);
+    zs_render_options { depth: depth as i32, background: [0.2, 0.1, 0.4], antialiased: 1, ..options }
+}
+
+#[test]
+fn are_rusts_bits() {
+    for (depth, kind) in
+        [(zs_depth::ZS_DEPTH_ACCUMULATED, Depth::Accumulated), (zs_depth::ZS_DEPTH_EXPECTED, Depth::Expected)]
+    {
+        let mut case = Case::new();
+        ok(case.run(&options(depth)));
+        let frame = |i: usize| Frame {
+            width: SIZE[0],
+            height: SIZE[1],
+            rgb: Some(case.weights[0][3 * i * PIXELS..][..3 * PIXELS].to_vec()),
+            alpha: Some(case.weights[1][i * PIXELS..][..PIXELS].to_vec()),
+            depth: Some(case.weights[2][i * PIXELS..][..PIXELS].to_vec()),
+            normals: None,
+            token_colors: None,
+        };
+        let camera = |c: &zs_camera| Camera {
+            intrinsics: Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy },
+            pose: Pose { rotation: glam::DMat3::IDENTITY, translation: c.translation.into() },
+        };
+        let request = RenderRequest {
+            alpha: true,
+            depth: Some(kind),
+            background: [0.2, 0.1, 0.4],
+            antialiased: true,
+            ..RenderRequest::default()
+        };
+        let (cameras, frames) = (case.cameras.each_ref().map(camera), [0, 1].map(frame));
+        let wanted = Wanted { scene: true, cameras: true };
+        let found = Differentiator::new(device()).differentiate(&case.scene, &cameras, &request, &frames, wanted);
+        let found = found.expect("gradients");
+        assert_same("means", &case.found[0], found.scene.means.as_flattened());
+        assert_same("scales", &case.found[1], found.scene.scales.as_flattened());
+        assert_same("quats", &case.found[2], found.scene.quats.as_flattened());
+        assert_same("opacities", &case.found[3], &found.scene.opacities);
+        assert_same("sh_coeffs", &case.found[4], found.scene.sh_coeffs.as_flattened());
+        assert_same("cameras", &case.found[5], found.cameras.as_flattened());
+    }
+}
+
+/// The strongest number of every kind, moved by a little. Gaussians end where their alpha is 1/255: such ends move, too, which the
+/// slope sees and the gradient does not.
+#[test]
+fn are_slopes_of_pictures() {
+    let options = options(zs_depth::ZS_DEPTH_ACCUMULATED);
+    let mut case = Case::new();
+    ok(case.run(&options));
+    let strongest =
+        |values: &[f32]| (0..values.len()).max_by(|a, b| values[*a].abs().total_cmp(&values[*b].abs())).unwrap();
+    for (field, step) in [1e-3, 1e-3, 1e-2, 1e-3, 1e-2, 1e-4].into_iter().enumerate() {
+        let at = strongest(&case.found[field]);
+        let moved = |step: f64| {
+            let (mut scene, mut cameras) = (case.scene.clone(), case.cameras);
+            let values = match field {
+                0 => scene.means.as_flattened_mut(),
+                1 => scene.scales.as_flattened_mut(),
+                2 => scene.quats.as_flattened_mut(),
+                3 => &mut scene.opacities[..],
+                4 => scene.sh_coeffs.as_flattened_mut(),
+                _ => {
+                    // Of the rotation of a camera that is not turned, w is a small turn by it.
+                    let (camera, number) = (&mut cameras[at / CAMERA_NUMBERS], at % CAMERA_NUMBERS);
+                    match number {
+                        0..3 => {
+                            let (a, b) = ((number + 1) % 3, (number + 2) % 3);
+                            camera.rotation[3 * b + a] += step;
+                            camera.rotation[3 * a + b] -= step;
+                        }
+                        3..6 => camera.translation[number - 3] += step,
+                        _ => *[&mut camera.fx, &mut camera.fy, &mut camera.cx, &mut camera.cy][number - 6] += step,
+                    }
+                    return case.sum(&scene, &cameras, &options);
+                }
+            };
+            values[at] += step as f32;
+            case.sum(&scene, &cameras, &options)
+        };
+        let (slope, found) = ((moved(step) - moved(-step)) / (2.0 * step), f64::from(case.found[field][at]));
+        assert!((slope - found).abs() < 0.15 * found.abs(), "field {field}: {found}, slope {slope}");
+    }
+}
+
+#[test]
+fn what_has_none_is_refused_and_nothing_is_written() {
+    let good = options(zs_depth::ZS_DEPTH_ACCUMULATED);
+    let mut case = Case::new();
+    fails(case.run(&render_options(zs_pixel_format::ZS_PIXEL_RGB8)), ZS_ERROR_ARGUMENT, &["ZS_PIXEL_RGB_F32"]);
+    case.scene.quats[3] = [1e-35, 0.0, 0.0, 0.0];
+    fails(case.run(&good), ZS_ERROR_ARGUMENT, &["quats"]);
+    case.scene.quats[3] = [1.0, 0.0, 0.0, 0.0];
+    case.cameras[1].fx = f64::NAN;
+    fails(case.run(&good), ZS_ERROR_ARGUMENT, &["camera 1"]);
+    assert!(case.found.iter().flatten().all(|value| *value == 7.0));
+    // SAFETY: nothing is there.
+    let status = unsafe { zs_render_backward(null(), null(), null(), null(), 0, null(), null()) };
+    assert_eq!(status, ZS_ERROR_ARGUMENT);
+}

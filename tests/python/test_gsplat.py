@@ -1,0 +1,227 @@
+"""gsplat's `rasterization`: its rules, its shapes, its gradients."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zipsplat
+from zipsplat import gsplat
+
+GOLDENS = Path(os.environ["ZIPSPLAT_GOLDENS"])
+RASTERS = sorted(GOLDENS.glob("grad_raster.*.safetensors"))
+
+
+def tensors(path: Path) -> dict[str, np.ndarray]:
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    kinds = {"F32": np.float32, "F64": np.float64, "U32": np.uint32, "I32": np.int32, "I64": np.int64, "U8": np.uint8}
+    found = {}
+    for name, at in header.items():
+        if name != "__metadata__" and at["dtype"] in kinds:
+            first, last = at["data_offsets"]
+            found[name] = np.frombuffer(data[8 + size + first : 8 + size + last], kinds[at["dtype"]]).reshape(at["shape"])
+    return found
+
+
+def apart(got: Any, truth: Any) -> float:
+    """The root mean square of the difference, relative."""
+    got, truth = np.asarray(got, np.float64), np.asarray(truth, np.float64)
+    assert got.shape == truth.shape
+    return float(np.sqrt(np.sum((got - truth) ** 2) / max(np.sum(truth**2), 1e-300)))
+
+
+def of_pose(d_view: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """A gradient by viewmats as one by rigid motions: the rest of it moves no camera."""
+    turn = -np.cross(view[:, :3], d_view[:, :3], axis=1).sum(axis=2)
+    return np.concatenate([turn, -d_view[:, :3, 3]], axis=1)
+
+
+@pytest.mark.skipif(not RASTERS, reason="no goldens")
+@pytest.mark.parametrize("path", RASTERS, ids=lambda path: path.name.split(".")[1])
+def test_pictures_and_gradients_are_the_goldens(path: Path) -> None:
+    golden = tensors(path)
+    width, height = (int(size) for size in golden["size_wh"])
+    degree = int(np.sqrt(golden["sh"].shape[1])) - 1
+    background = np.stack([golden["bg"]] * len(golden["viewmats"]))
+    fields = [golden[name] for name in ("means", "quats", "scales", "opacities", "sh", "viewmats", "Ks")]
+    hard = "hard" in path.name
+    for mode in ("classic", "antialiased"):
+        if f"{mode}/v_rgb" not in golden:
+            continue
+        how = dict(sh_degree=degree, rasterize_mode=mode, backgrounds=background)
+        colors, alphas, meta = zipsplat.rasterization(*fields, width, height, render_mode="RGB+D", **how)
+        stable = golden[f"{mode}/v_alpha"] != 0
+        assert colors.shape == (2, height, width, 4) and alphas.shape == (2, height, width, 1)
+        assert (meta["width"], meta["n_cameras"]) == (width, 2)
+        for got, name in [(colors[..., :3], "rgb"), (colors[..., 3], "D"), (alphas[..., 0], "alpha")]:
+            truth = golden[f"{mode}/{name}"]
+            assert apart(got[stable], truth[stable]) < 3e-5, name
+        expected, _, _ = zipsplat.rasterization(*fields, width, height, render_mode="ED", **how)
+        assert apart(expected[..., 0][stable], golden[f"{mode}/ED"][stable]) < 3e-4
+        # Without the background, whose share of a pixel is its weight times what is let through.
+        weights = [golden[f"{mode}/v_{name}"] for name in ("rgb", "alpha", "depth")]
+        weights[1] = weights[1] - weights[0] @ golden["bg"].astype(np.float64)
+        how_native = gsplat._How(width, height, mode == "antialiased", zipsplat.default_context())
+        found, views = gsplat._backward(how_native, fields[:4], fields[4], fields[5], fields[6], weights, True)
+        allowed = 3e-4 if hard else 5e-5
+        for name in ("means", "quats", "scales", "opacities"):
+            assert apart(found[name], golden[f"{mode}/all/d_{name}"]) < allowed, (mode, name)
+        assert apart(found["sh_coeffs"], golden[f"{mode}/all/d_sh"]) < allowed
+        assert views is not None
+        got, truth = of_pose(views, fields[5]), of_pose(golden[f"{mode}/all/d_viewmats"], fields[5])
+        assert apart(got, truth) < (1e-2 if hard else 1e-4)
+
+
+def place(count: int = 40, views: int = 2, seed: int = 1) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    viewmats = np.stack([np.eye(4)] * views).astype(np.float32)
+    viewmats[:, 0, 3] = np.linspace(-0.3, 0.3, views)
+    return {
+        "means": (rng.normal(size=(count, 3)) * [0.8, 0.6, 0.4] + [0, 0, 3]).astype(np.float32),
+        "quats": rng.normal(size=(count, 4)).astype(np.float32),
+        "scales": rng.uniform(0.05, 0.3, (count, 3)).astype(np.float32),
+        "opacities": rng.uniform(0.1, 0.95, count).astype(np.float32),
+        "colors": rng.normal(size=(count, 5)).astype(np.float32),
+        "viewmats": viewmats,
+        "Ks": np.stack([[[40.0, 0, 24], [0, 42.0, 16], [0, 0, 1]]] * views).astype(np.float32),
+    }
+
+
+def test_channels_are_any_number_and_any_sign() -> None:
+    fields = place()
+    whole, alphas, _ = zipsplat.rasterization(**fields, width=48, height=32)
+    assert whole.shape == (2, 32, 48, 5) and whole.min() < -0.2
+    # Each channel is linear: of its own, and twice as strong.
+    for channel in range(5):
+        alone, _, _ = zipsplat.rasterization(**{**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}, width=48, height=32)
+        assert np.allclose(alone[..., 0], 2 * whole[..., channel], atol=2e-5)
+    lit, _, _ = zipsplat.rasterization(**fields, width=48, height=32, backgrounds=np.ones((2, 5)))
+    assert np.allclose(lit, whole + 1 - alphas, atol=1e-6)
+    # Colours of their own for each camera.
+    own = np.stack([fields["colors"], 0.5 * fields["colors"]])
+    both, _, _ = zipsplat.rasterization(**{**fields, "colors": own}, width=48, height=32)
+    assert np.allclose(both[0], whole[0], atol=1e-6) and np.allclose(both[1], 0.5 * whole[1], atol=2e-5)
+    depth, _, _ = zipsplat.rasterization(**fields, width=48, height=32, render_mode="D")
+    more, _, _ = zipsplat.rasterization(**fields, width=48, height=32, render_mode="RGB+ED")
+    assert depth.shape[-1] == 1 and more.shape[-1] == 6
+    assert np.allclose(more[..., 5:] * alphas, depth, atol=1e-4)
+
+
+def test_what_is_not_there_is_named() -> None:
+    fields = place()
+    for options in [
+        {"near_plane": 0.1},
+        {"far_plane": 100.0},
+        {"radius_clip": 1.0},
+        {"eps2d": 0.1},
+        {"sparse_grad": True},
+        {"absgrad": True},
+        {"distributed": True},
+        {"camera_model": "fisheye"},
+        {"covars": np.zeros((40, 3, 3))},
+        {"with_ut": True},
+        {"with_eval3d": True},
+        {"radial_coeffs": np.zeros((2, 6))},
+        {"tangential_coeffs": np.zeros((2, 2))},
+        {"thin_prism_coeffs": np.zeros((2, 4))},
+        {"ftheta_coeffs": 1},
+        {"rolling_shutter": "ROLLING"},
+        {"viewmats_rs": fields["viewmats"]},
+    ]:
+        with pytest.raises(NotImplementedError, match=next(iter(options))):
+            zipsplat.rasterization(**fields, width=48, height=32, **options)
+    for options, words in [
+        ({"quats": fields["quats"][:3]}, r"quats: found shape \[3, 4\]"),
+        ({"colors": fields["colors"][:3]}, "colors"),
+        ({"sh_degree": 1}, "K, 3"),
+        ({"backgrounds": np.zeros((2, 3))}, "backgrounds"),
+        ({"render_mode": "N"}, "render_mode"),
+        ({"viewmats": fields["viewmats"] + 1}, "viewmats"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            zipsplat.rasterization(**{**fields, **options}, width=48, height=32)
+    _, _, meta = zipsplat.rasterization(**fields, width=48, height=32)
+    with pytest.raises(KeyError, match="means2d"):
+        meta["means2d"]
+
+
+def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any]:
+    """Colours and alphas by gsplat's own reference in torch: its projection, and every Gaussian blended into every pixel."""
+    torch = pytest.importorskip("torch")
+    impl = pytest.importorskip("gsplat.cuda._torch_impl")
+    covars, _ = impl._quat_scale_to_covar_preci(fields["quats"], fields["scales"], compute_preci=False)
+    radii, means2d, depths, conics, _ = impl._fully_fused_projection(fields["means"], covars, fields["viewmats"], fields["Ks"], width, height)
+    y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    pictures, alphas = [], []
+    for camera in range(len(depths)):
+        color, left = torch.zeros(height, width, fields["colors"].shape[-1]), torch.ones(height, width)
+        done = torch.zeros(height, width, dtype=torch.bool)
+        for n in torch.argsort(depths[camera], stable=True).tolist():
+            if (radii[camera, n] <= 0).any():
+                continue
+            dx, dy = x - means2d[camera, n, 0], y - means2d[camera, n, 1]
+            a, b, c = conics[camera, n]
+            alpha = (fields["opacities"][n] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)).clamp(max=0.999)
+            drawn = (alpha >= 1 / 255) & ~done
+            done = done | drawn & (left * (1 - alpha) <= 1e-4)
+            alpha = torch.where(drawn & ~done, alpha, torch.zeros_like(alpha))
+            color = color + (alpha * left)[..., None] * fields["colors"][n]
+            left = left * (1 - alpha)
+        pictures.append(color)
+        alphas.append(1 - left)
+    return torch.stack(pictures), torch.stack(alphas)[..., None]
+
+
+def test_tensors_give_gsplats_pictures_and_gradients() -> None:
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("gsplat.cuda._torch_impl")
+    fields = {name: torch.from_numpy(array) for name, array in place(25).items()}
+    for name in fields:
+        fields[name].requires_grad_(name != "Ks")
+    width, height = 48, 32
+    rng = np.random.default_rng(5)
+    weights = [torch.from_numpy(rng.normal(size=(2, height, width, size)).astype(np.float32)) for size in (5, 1)]
+
+    def gradients(colors: Any, alphas: Any) -> dict[str, Any]:
+        for tensor in fields.values():
+            tensor.grad = None
+        (torch.sum(colors * weights[0]) + torch.sum(alphas * weights[1])).backward()
+        return {name: tensor.grad.numpy().copy() for name, tensor in fields.items() if tensor.grad is not None}
+
+    colors, alphas, _ = zipsplat.rasterization(**fields, width=width, height=height)
+    expected = reference(fields, width, height)
+    assert isinstance(colors, torch.Tensor) and colors.requires_grad
+    off = (np.abs(colors.detach().numpy() - expected[0].detach().numpy()) > 1e-4).mean()
+    assert off < 2e-3, "all but a few pixels at a threshold"
+    assert apart(alphas.detach(), expected[1].detach()) < 1e-3
+    # Thresholds that rounding crosses have no weight.
+    same = (torch.abs(colors - expected[0]).amax(-1, keepdim=True) < 1e-4).float().detach()
+    weights = [weight * same for weight in weights]
+    got, truth = gradients(colors, alphas), gradients(*expected)
+    for name in ("means", "quats", "scales", "opacities", "colors"):
+        assert apart(got[name], truth[name]) < 2e-3, name
+    views = fields["viewmats"].detach().numpy()
+    assert apart(of_pose(got["viewmats"], views), of_pose(truth["viewmats"], views)) < 2e-3
+
+
+def test_an_optimiser_of_torchs_finds_colours() -> None:
+    torch = pytest.importorskip("torch")
+    fields = {name: torch.from_numpy(array) for name, array in place().items()}
+    target, _, _ = zipsplat.rasterization(**fields, width=48, height=32)
+    fields["colors"] = torch.zeros_like(fields["colors"], requires_grad=True)
+    adam = torch.optim.Adam([fields["colors"]], lr=0.1)
+    losses = []
+    for _ in range(30):
+        drawn, _, _ = zipsplat.rasterization(**fields, width=48, height=32)
+        loss = torch.mean((drawn - target) ** 2)
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.05 * losses[0]

@@ -1,0 +1,203 @@
+"""Photos to scenes: from whatever Python has them, with cameras, and the bits of the command."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zipsplat
+from conftest import PHOTOS, SIZE, same
+
+
+def command(*arguments: object) -> None:
+    program = os.environ["ZIPSPLAT_COMMAND"]
+    done = subprocess.run([program, "--quiet", *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def rows(ply: bytes) -> bytes:
+    """What a PLY has of its Gaussians; the header may say more, such as the scene's world."""
+    return ply.split(b"end_header\n", 1)[1]
+
+
+def test_photos_may_be_paths_bytes_pictures_or_arrays(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
+    image = pytest.importorskip("PIL.Image")
+    arrays = [zipsplat.read_photo(photo) for photo in photos]
+    floats = [array.astype(np.float32) / 255 for array in arrays]
+    pillow = [image.open(io.BytesIO(np_png(array))) for array in arrays]
+    cases = {
+        "bytes": [photo.read_bytes() for photo in photos],
+        "uint8": arrays,
+        "float32": floats,
+        "bottom up": [np.ascontiguousarray(array[::-1])[::-1] for array in arrays],
+        "gaps": [np.repeat(array, 2, axis=1)[:, ::2] for array in arrays],
+        "pillow": pillow,
+    }
+    for name, images in cases.items():
+        assert same(model.reconstruct(images, size=SIZE), scene), name
+
+
+def np_png(array: np.ndarray) -> bytes:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        zipsplat.save_png(Path(folder) / "a.png", array)
+        return (Path(folder) / "a.png").read_bytes()
+
+
+def test_torch_tensors_are_read(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
+    torch = pytest.importorskip("torch")
+    tensors = [torch.from_numpy(zipsplat.read_photo(photo).copy()) for photo in photos]
+    assert same(model.reconstruct(tensors, size=SIZE), scene)
+    with pytest.raises(ValueError, match=r"permute\(1, 2, 0\)"):
+        model.reconstruct([tensor.permute(2, 0, 1) for tensor in tensors], size=SIZE)
+
+
+def test_anything_with_dlpack_is_read(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
+    class Foreign:
+        def __init__(self, array: np.ndarray) -> None:
+            self.array = array.copy()
+
+        def __dlpack__(self, **how: object) -> object:
+            return self.array.__dlpack__(**how)
+
+        def __dlpack_device__(self) -> object:
+            return self.array.__dlpack_device__()
+
+    foreign = [Foreign(zipsplat.read_photo(photo)) for photo in photos]
+    assert same(model.reconstruct(foreign, size=SIZE), scene)
+
+
+def test_a_folder_gives_the_bits_of_the_command(model: zipsplat.Model, tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for i, photo in zip((10, 9, 1), zipsplat.photos_in(PHOTOS)):
+        (folder / f"{i}.jpg").write_bytes(photo.read_bytes())
+    (folder / "notes.txt").write_text("left out")
+    command("reconstruct", folder, "--ratio", "auto", "--size", "70x70", "-o", tmp_path / "command.ply")
+    made = model.reconstruct(folder, size=SIZE).to_bytes("ply")
+    assert rows(made) == rows((tmp_path / "command.ply").read_bytes())
+
+
+def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture: Path) -> None:
+    written = capture / "command.ply"
+    options = ("--ratio", "auto", "--size", "70x70", "--world", "cameras")
+    command("reconstruct", *sorted(capture.glob("?.png")), "--poses", capture, *options, "-o", written)
+    opened = zipsplat.Capture.open(capture)
+    expected = model.reconstruct(opened, size=SIZE)
+    assert rows(expected.to_bytes("ply")) == rows(written.read_bytes())
+    paths = sorted(capture.glob("?.png"))
+    assert same(model.reconstruct(paths, capture / "transforms.json", size=SIZE), expected)
+    assert same(model.reconstruct(paths, opened, size=SIZE), expected)
+    # Cameras alone: the same, as there are no points and no others in the file.
+    assert same(model.reconstruct(paths, opened.cameras, size=SIZE), expected)
+    first = model.reconstruct(opened, size=SIZE, world="first_camera")
+    assert not same(model.reconstruct(opened, size=SIZE, unit=2.0), expected)
+    assert np.allclose(first.means, expected.means, atol=1e-5), "the first camera is the world's origin here"
+    pictures = zipsplat.Scene.open(written).render(opened.cameras)
+    command("render", written, "--cameras", capture / "transforms.json", "-o", capture / "drawn")
+    drawn = [zipsplat.read_photo(capture / "drawn" / f"00{i}.png") for i in range(3)]
+    assert np.array_equal(pictures.rgb, drawn)
+
+
+def test_photos_without_a_camera_are_left_out(model: zipsplat.Model, capture: Path) -> None:
+    extra = capture / "other.png"
+    extra.write_bytes((capture / "1.png").read_bytes())
+    paths = [extra, *(capture / f"{i}.png" for i in range(2))]
+    known = model.reconstruct([capture / "0.png", capture / "1.png"], capture, size=SIZE)
+    assert same(model.reconstruct(paths, capture, size=SIZE), known)
+    with pytest.raises(ValueError, match="none of 1 photos"):
+        model.reconstruct([extra], capture, size=SIZE)
+
+
+def test_a_refinement_makes_it_more_like_the_photos(model: zipsplat.Model, capture: Path) -> None:
+    opened = zipsplat.Capture.open(capture)
+    told: list[tuple[float, str]] = []
+    sharp = model.reconstruct(opened, size=SIZE, refine=15, progress=lambda done, stage: told.append((done, stage)))
+    assert sharp.refinement is not None and sharp.refinement.steps == 15
+    assert sharp.refinement.last_loss < sharp.refinement.first_loss
+    assert [done for done, _ in told] == sorted(done for done, _ in told) and told[-1] == (1.0, "refine")
+    photos = np.stack([zipsplat.read_photo(capture / f"{i}.png") for i in range(3)]).astype(float)
+
+    def apart(scene: zipsplat.Scene) -> float:
+        return float(np.mean((scene.render(opened.cameras).rgb - photos) ** 2))
+
+    assert apart(sharp) < apart(model.reconstruct(opened, size=SIZE))
+    # In the world of the first camera the same happens.
+    first = model.reconstruct(opened, size=SIZE, refine=15, world="first_camera")
+    assert first.refinement is not None
+    assert first.refinement.last_loss == pytest.approx(sharp.refinement.last_loss, rel=0.2)
+
+
+def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], capture: Path) -> None:
+    told: list[float] = []
+
+    def stop(done: float, _stage: str) -> bool:
+        told.append(done)
+        return len(told) < 3
+
+    with pytest.raises(zipsplat.CancelledError) as stopped:
+        model.reconstruct(photos, size=SIZE, progress=stop)
+    assert (stopped.value.status, stopped.value.name, len(told)) == (9, "ZS_ERROR_CANCELLED", 3)
+
+    def fail(_done: float, _stage: str) -> None:
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        model.reconstruct(photos, size=SIZE, progress=fail)
+    opened = zipsplat.Capture.open(capture)
+    place = zipsplat.Scene.open(capture / "place.ply")
+    scene = zipsplat.Scene.from_arrays(place.means, place.scales, place.quats, place.opacities, place.sh_coeffs + 0.3)
+    best = scene.refine(opened, steps=9, progress=lambda now: now.step < 2)
+    assert best.refinement is not None and (best.refinement.ended, best.refinement.steps) == ("stopped", 2)
+    with pytest.raises(KeyError, match="mine"):
+        scene.refine(opened, steps=9, progress=lambda now: fail(0, ""))
+    assert same(model.reconstruct(photos, size=SIZE), model.reconstruct(photos, size=SIZE)), "it goes on working"
+
+
+def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path], capture: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    camera = zipsplat.Camera.from_fov(8, 8)
+    picture = np.zeros((8, 8, 3), np.uint8)
+    cases: list[tuple[object, dict[str, object], type[Exception], str]] = [
+        ([tmp_path / "none.png"], {}, zipsplat.IoError, "none.png"),
+        ([b"no picture"], {}, zipsplat.FormatError, "PNG"),
+        (empty, {}, ValueError, "found none"),
+        ([], {}, zipsplat.ArgumentError, "images"),
+        (picture, {}, TypeError, "sequence"),
+        ([picture[..., 0]], {}, ValueError, r"image 0: found shape \[8, 8\]"),
+        ([picture.astype(np.int32)], {}, TypeError, "int32"),
+        ([picture], {"ratio": 1.5}, zipsplat.ArgumentError, "ratio"),
+        ([picture], {"ratio": 0}, ValueError, "ratio 0"),
+        ([picture], {"unit": -1.0}, ValueError, "unit -1.0"),
+        ([picture], {"select": "best"}, ValueError, "'kmeans', 'stride', 'random'"),
+        ([picture], {"world": "mine"}, ValueError, "first_camera"),
+        ([picture], {"world": "cameras"}, zipsplat.ArgumentError, "world"),
+        ([picture], {"size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
+        ([picture], {"refine": 5}, ValueError, "find_cameras"),
+        ([picture], {"cameras": [camera, camera]}, ValueError, "found 2 cameras"),
+        ([picture], {"cameras": [np.eye(4)]}, TypeError, "ndarray"),
+        ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),
+        ([picture], {"cameras": capture}, TypeError, "paths"),
+    ]
+    for images, options, error, words in cases:
+        with pytest.raises(error, match=words):
+            model.reconstruct(images, **options)  # type: ignore[arg-type]
+
+
+def test_models_say_what_they_are_and_refuse_what_is_none(model: zipsplat.Model, tmp_path: Path) -> None:
+    assert model.picture_side % model.patch == 0 and model.precision == "exact" and model.weight_bytes > 1e6
+    assert "lvm" in repr(model).lower() or "cpu" in repr(model).lower() or model.context.device.name in repr(model)
+    with pytest.raises(zipsplat.IoError):
+        zipsplat.Model.open(tmp_path / "none")
+    with pytest.raises(zipsplat.FormatError):
+        zipsplat.Model.open(b"0" * 64)
+    with pytest.raises(ValueError, match="'turbo'"):
+        zipsplat.Model.open(precision="most")
+    with pytest.raises(zipsplat.NoDeviceError, match="no such card"):
+        zipsplat.Context("no such card")

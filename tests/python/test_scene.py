@@ -1,0 +1,176 @@
+"""Scenes: arrays in place, files, pictures, pages."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import json
+import os
+import pickle
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zipsplat
+from conftest import same
+
+
+def test_arrays_lie_in_place_are_read_only_and_keep_the_scene_alive(scene: zipsplat.Scene) -> None:
+    made = zipsplat.Scene.from_arrays(scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs)
+    assert same(made, scene) and len(made) == len(scene) > 0
+    assert made.means.ctypes.data == zipsplat.Scene(made._handle).means.ctypes.data
+    means, expected = made.means, scene.means.copy()
+    with pytest.raises(ValueError):
+        means[0, 0] = 1
+    handle = made._handle
+    del made
+    gc.collect()
+    # More scenes would take its memory if it were free.
+    others = [zipsplat.Scene.from_arrays(scene.means + 1, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs) for _ in range(3)]
+    assert np.array_equal(means, expected) and others and handle
+
+
+@pytest.mark.parametrize("format", ["ply", "spz", "splat", "gltf", "glb"])
+def test_every_format_is_written_and_read(scene: zipsplat.Scene, tmp_path: Path, format: str) -> None:
+    path = tmp_path / f"scene.{format}"
+    scene.save(path)
+    opened = zipsplat.Scene.open(path)
+    assert len(opened) == len(scene)
+    if format != "gltf":
+        data = scene.to_bytes(format)
+        assert data == path.read_bytes()
+        assert same(zipsplat.Scene.from_bytes(data, format), opened)
+    if format in ("ply", "gltf", "glb"):
+        assert np.array_equal(opened.means, scene.means)
+    if format == "spz":
+        scene.save(path, spz_version=2)
+        assert len(zipsplat.Scene.open(path)) == len(scene)
+        with pytest.raises(zipsplat.ArgumentError, match="SPZ version"):
+            scene.save(path, spz_version=9)
+
+
+def test_scenes_are_copied_and_pickled_with_every_bit(scene: zipsplat.Scene) -> None:
+    assert same(pickle.loads(pickle.dumps(scene)), scene)
+    assert same(copy.deepcopy(scene), scene)
+
+
+def test_what_is_no_scene_is_refused(scene: zipsplat.Scene, tmp_path: Path) -> None:
+    fields = [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs]
+    with pytest.raises(ValueError, match=r"quats: found shape \[\d+, 3\]"):
+        zipsplat.Scene.from_arrays(fields[0], fields[1], fields[2][:, :3], fields[3], fields[4])
+    with pytest.raises(zipsplat.ArgumentError, match="opacit"):
+        zipsplat.Scene.from_arrays(*fields[:3], fields[3] + 2, fields[4])
+    with pytest.raises(OSError):
+        zipsplat.Scene.open(tmp_path / "none.ply")
+    (tmp_path / "bad.ply").write_bytes(b"ply\nnonsense")
+    with pytest.raises(zipsplat.FormatError, match="bad.ply"):
+        zipsplat.Scene.open(tmp_path / "bad.ply")
+    data = bytearray(scene.to_bytes("ply"))
+    data[-4:] = np.float32(np.nan).tobytes()
+    with pytest.raises(zipsplat.Error):
+        zipsplat.Scene.from_bytes(bytes(data))
+    assert len(zipsplat.Scene.from_bytes(bytes(data), drop_invalid=True)) == len(scene) - 1
+
+
+def test_pictures_are_arrays(scene: zipsplat.Scene) -> None:
+    pose = np.eye(4)
+    pose[0, 3] = 0.1
+    cameras = [zipsplat.Camera.from_fov(48, 36), zipsplat.Camera.from_fov(48, 36, camera_to_world=pose)]
+    renderer = zipsplat.Renderer(scene)
+    both = renderer.render(cameras, alpha=True, depth="expected")
+    assert (both.rgb.shape, both.rgb.dtype) == ((2, 36, 48, 3), np.uint8)
+    assert both.alpha is not None and both.depth is not None
+    assert both.alpha.shape == both.depth.shape == (2, 36, 48)
+    assert both.rgb.max() > 0 and 0 < both.alpha.max() <= 1 and both.depth.max() > 0
+    one = renderer.render(cameras[1])
+    assert one.rgb.shape == (36, 48, 3) and one.alpha is None and np.array_equal(one.rgb, both.rgb[1])
+    floats = renderer.render(cameras[1], dtype=np.float32).rgb
+    assert np.array_equal((np.clip(floats, 0, 1) * 255).astype(np.uint8), one.rgb)
+    lit = renderer.render(cameras[1], background=(1, 1, 1), dtype=np.float32).rgb
+    assert np.allclose(lit - floats, 1 - both.alpha[1][..., None], atol=1e-5)
+    accumulated = renderer.render(cameras, depth="accumulated").depth
+    assert np.allclose(accumulated, both.depth * both.alpha, rtol=1e-4, atol=1e-4)
+    empty = zipsplat.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0), np.zeros((0, 1, 3)))
+    renderer.set_scene(empty)
+    assert renderer.render(cameras[0]).rgb.max() == 0 and len(empty) == 0
+
+
+def test_what_cannot_be_drawn_is_named(scene: zipsplat.Scene) -> None:
+    camera, other = zipsplat.Camera.from_fov(48, 36), zipsplat.Camera.from_fov(40, 36)
+    for cameras, options, words in [
+        ([camera, other], {}, "all of one size"),
+        ([], {}, "at least one"),
+        (camera, {"dtype": np.int16}, "int16"),
+        (camera, {"depth": "mean"}, "'accumulated'"),
+        (zipsplat.Camera.from_fov(48, 36, camera_to_world=np.full((4, 4), np.nan)), {}, "camera 0"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            scene.render(cameras, **options)
+
+
+def test_matrices_say_which_way_they_go() -> None:
+    angle = 0.3
+    pose = np.eye(4)
+    pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    pose[:3, 3] = [1, 2, 3]
+    K = np.array([[50, 0, 24], [0, 51, 18], [0, 0, 1]])
+    [one] = zipsplat.cameras([K], 48, 36, camera_to_world=[pose])
+    [other] = zipsplat.cameras(K, 48, 36, world_to_camera=np.linalg.inv(pose)[None])
+    assert np.allclose(one.camera_to_world, other.camera_to_world) and np.array_equal(one.K, K)
+    assert np.allclose(one.world_to_camera @ pose, np.eye(4))
+    assert np.allclose(one.relative_to(other).camera_to_world, np.eye(4))
+    short = zipsplat.Camera.from_matrix(K, 48, 36, camera_to_world=pose[:3])
+    assert np.array_equal(short.camera_to_world, pose)
+    for options, words in [
+        ({}, "one of them"),
+        ({"camera_to_world": [pose], "world_to_camera": [pose]}, "one of them"),
+        ({"camera_to_world": pose}, r"\[C, 4, 4\]"),
+        ({"camera_to_world": [pose, pose], "Ks": [K]}, "Ks"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            zipsplat.cameras(**{"Ks": K, "width": 48, "height": 36, **options})
+
+
+def test_captures_are_sequences_of_photos(capture: Path) -> None:
+    opened = zipsplat.Capture.open(capture / "transforms.json")
+    assert len(opened) == 3 and [photo.name for photo in opened] == ["0.png", "1.png", "2.png"]
+    assert opened[1].path == capture / "1.png" and opened.find("elsewhere/2.png") == 2 and opened.find("9.png") is None
+    assert np.allclose(opened[2].camera.camera_to_world[:3, 3], [0.6, 0, 0])
+    with pytest.raises(zipsplat.IoError):
+        zipsplat.Capture.open(capture / "none")
+
+
+def test_a_colmap_model_is_read(tmp_path: Path) -> None:
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 80 60 70 71 40 30\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0.5 0 2 1 a.png\n\n2 1 0 0 0 -0.5 0 2 1 b.png\n\n")
+    (tmp_path / "points3D.txt").write_text("")
+    opened = zipsplat.Capture.open(tmp_path)
+    assert [photo.name for photo in opened] == ["a.png", "b.png"] and opened[0].path is None
+    assert np.allclose(opened[0].camera.camera_to_world[:3, 3], [-0.5, 0, -2]) and opened[0].camera.fy == 71
+
+
+def test_a_page_shows_the_scene(scene: zipsplat.Scene, tmp_path: Path) -> None:
+    page = scene.show(height=321)
+    frame = page._repr_html_()
+    assert frame.startswith("<iframe srcdoc=") and "321px" in frame and "<script" not in frame, "the page is escaped"
+    page.save(tmp_path / "page.html")
+    assert "<meta name=generator content=zipsplat>" in (tmp_path / "page.html").read_text()
+    assert f"{len(scene):,}" in scene._repr_html_() and f"{len(scene):,}" in repr(scene)
+
+
+def test_figures_and_cameras_come_from_the_command(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = zipsplat.evaluate(capture, views=2, options=("--size", "70x70"))
+    assert 0 < found.psnr < 99 and 0 < found.ssim <= 1 and len(found.report["views"]) == 1
+    with pytest.raises(zipsplat.CommandError, match="none"):
+        zipsplat.evaluate(tmp_path / "none")
+    # A command that says what it was asked, in place of COLMAP.
+    double = tmp_path / "double"
+    made = json.dumps(json.loads((capture / "transforms.json").read_text()))
+    double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\n")
+    double.chmod(double.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("ZIPSPLAT_COMMAND", str(double))
+    assert len(zipsplat.find_cameras(capture)) == 3
+    monkeypatch.setenv("ZIPSPLAT_COMMAND", str(tmp_path / "missing"))
+    with pytest.raises(zipsplat.CommandError, match="ZIPSPLAT_COMMAND"):
+        zipsplat.find_cameras([os.fspath(capture)])

@@ -1,0 +1,126 @@
+//! Photos in the folder that COLMAP works in.
+
+use crate::session::Stage;
+use std::{
+    collections::HashMap,
+    fs::File,
+    io::BufReader,
+    path::{Path, PathBuf},
+};
+use tempfile::TempDir;
+use zipsplat::{
+    Error, Result,
+    types::{
+        Image, open_file,
+        poses::{Frame, Poses},
+    },
+};
+
+/// The photos in a folder of their own, under names that COLMAP's files have room for.
+pub(super) struct Work {
+    pub folder: TempDir,
+    /// Each photo and the name of its copy.
+    pub photos: Vec<(PathBuf, String)>,
+}
+
+impl Work {
+    /// Photos of one size and lens share a folder, and so a camera's intrinsics. JPEG and PNG are linked, so that COLMAP reads
+    /// their EXIF; others, which it may not read, become PNG.
+    ///
+    /// # Errors
+    /// Those of photos that cannot be read, and [`Error::Io`].
+    pub fn new(photos: &[PathBuf], stage: &Stage<'_>) -> Result<Self> {
+        let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
+        let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
+        let mut cameras = HashMap::new();
+        let mut work = Self { folder, photos: Vec::new() };
+        stage.each(&photos.iter().enumerate().collect::<Vec<_>>(), |(number, photo)| {
+            let count = cameras.len();
+            let camera = *cameras.entry((Image::size_as_stored(photo)?, optics(photo))).or_insert(count);
+            let kind = kind(photo)?;
+            let name = format!("{camera}/{number:06}.{}", kind.unwrap_or("png"));
+            let path = work.folder.path().join("images").join(&name);
+            make_folder(path.parent().unwrap_or(&path))?;
+            match kind {
+                Some(_) => link(photo, &path)?,
+                None => Image::open_as_stored(photo)?.save_png(&path)?,
+            }
+            work.photos.push(((*photo).clone(), name));
+            Ok(())
+        })?;
+        Ok(work)
+    }
+
+    /// The model with the photos' own paths, in their order, and the photos that it lacks.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where a camera is of another size than its photo.
+    pub fn named(&self, model: Poses) -> Result<(Poses, Vec<PathBuf>)> {
+        let mut frames: HashMap<String, Frame> =
+            model.frames.into_iter().map(|frame| (frame.name.clone(), frame)).collect();
+        let mut poses = Poses { points: model.points, notes: model.notes, ..Poses::default() };
+        let mut lost = Vec::new();
+        for (photo, name) in &self.photos {
+            let Some(frame) = frames.remove(name) else {
+                lost.push(photo.clone());
+                continue;
+            };
+            let of_photo = Image::size_as_stored(photo)?;
+            let of_camera = (frame.camera.intrinsics.width, frame.camera.intrinsics.height);
+            if of_camera != of_photo {
+                let found = format!("{}x{}", of_camera.0, of_camera.1);
+                let expected = format!("{}x{}, as the photo is stored", of_photo.0, of_photo.1);
+                return Err(Error::argument(
+                    format!("camera that COLMAP found for {}", photo.display()),
+                    found,
+                    expected,
+                ));
+            }
+            poses.frames.push(Frame {
+                name: photo.to_string_lossy().into_owned(),
+                photo: Some(photo.clone()),
+                ..frame
+            });
+        }
+        Ok((poses, lost))
+    }
+}
+
+/// Makes a folder and those above it.
+///
+/// # Errors
+/// [`Error::Io`].
+pub(super) fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(|source| Error::io(path, source))
+}
+
+/// The extension of a kind of photo that every COLMAP reads, by the file's first bytes.
+fn kind(photo: &Path) -> Result<Option<&'static str>> {
+    let mut start = [0; 4];
+    let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);
+    read.map_err(|source| Error::io(photo, source))?;
+    Ok(match start {
+        [0xff, 0xd8, ..] => Some("jpg"),
+        [0x89, b'P', b'N', b'G'] => Some("png"),
+        _ => None,
+    })
+}
+
+/// Puts a photo at another place without copying it, where the system can.
+fn link(photo: &Path, to: &Path) -> Result<()> {
+    let failed = |source| Error::io(photo, source);
+    let photo = photo.canonicalize().map_err(failed)?;
+    #[cfg(unix)]
+    let linked = std::os::unix::fs::symlink(&photo, to);
+    #[cfg(not(unix))]
+    let linked = std::fs::hard_link(&photo, to).or_else(|_| std::fs::copy(&photo, to).map(drop));
+    linked.map_err(failed)
+}
+
+/// Camera and lens as a photo's EXIF has them: photos of a phone may be of several lenses.
+fn optics(photo: &Path) -> Option<String> {
+    let read = exif::Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
+    let tags = [exif::Tag::Model, exif::Tag::FocalLength, exif::Tag::FocalLengthIn35mmFilm];
+    let value = |tag| read.get_field(tag, exif::In::PRIMARY).map(|field| field.display_value().to_string());
+    Some(tags.map(|tag| value(tag).unwrap_or_default()).join(" "))
+}

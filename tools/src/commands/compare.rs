@@ -1,0 +1,175 @@
+//! `zipsplat compare`: how alike pictures are.
+
+use crate::{
+    metrics::{psnr, ssim, values},
+    outputs::{self, Overwrite},
+    perceptual::LpipsOption,
+    photos,
+    session::{Session, Stage},
+    table::{Table, counted},
+};
+use clap::Args;
+use serde::Serialize;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use zipsplat::{Error, Result, perceptual::Perceptual, types::Image};
+
+/// How alike two pictures are, or the pictures of two folders: PSNR, SSIM and LPIPS
+///
+/// Pictures of folders go together by name, whatever the extension. Both of a pair have one size. PSNR and SSIM are those of
+/// scikit-image (windows of 11 pixels, Gaussian), LPIPS is version 0.1.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat compare drawn.png photo.png
+  zipsplat compare pictures photos --csv scores.csv
+  zipsplat compare a.png b.png --difference off.png --lpips alex")]
+pub struct Compare {
+    /// A picture, or a folder of pictures
+    first: PathBuf,
+    /// The picture or the folder to compare with
+    second: PathBuf,
+    #[command(flatten)]
+    lpips: LpipsOption,
+    /// Table to write: name, psnr, ssim, lpips, a row for each pair
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Picture of the differences to write, four times as strong; of folders a folder of them
+    #[arg(long, value_name = "FILE|DIR")]
+    difference: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+}
+
+/// A pair of pictures and how alike they are.
+#[derive(Clone, Serialize)]
+struct Row {
+    name: String,
+    /// dB; none where the pictures are equal.
+    psnr: Option<f64>,
+    ssim: f64,
+    lpips: Option<f64>,
+}
+
+/// Two pictures of one name.
+struct Pair {
+    name: String,
+    files: [PathBuf; 2],
+    difference: Option<PathBuf>,
+}
+
+impl Compare {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let pairs = self.pairs(session)?;
+        let written = self.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
+        self.overwrite.check_replaced(written)?;
+        let mut lpips = self.lpips.open(session)?;
+        let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, lpips.as_mut()));
+        let (rows, _) = session.stage("compare", compared)?;
+        if let Some(path) = &self.csv {
+            outputs::save_csv(path, &rows)?;
+        }
+        let mean = mean(&rows);
+        let mut table = Table::new(1, &["picture", "PSNR", "SSIM", "LPIPS"]);
+        for row in rows.iter().chain((rows.len() > 1).then_some(&mean)) {
+            let psnr = row.psnr.map_or("equal".into(), |psnr| format!("{psnr:.2}"));
+            let lpips = row.lpips.map_or("-".into(), |lpips| format!("{lpips:.4}"));
+            table.row([row.name.clone(), psnr, format!("{:.4}", row.ssim), lpips]);
+        }
+        session.report(&json!({ "pictures": rows, "mean": mean }), table.to_string().trim_end())
+    }
+
+    /// The pairs of two pictures or of two folders.
+    fn pairs(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
+        let [first, second] = [&self.first, &self.second];
+        match [first.is_dir(), second.is_dir()] {
+            [false, false] => {
+                let (files, difference) = ([first.clone(), second.clone()], self.difference.clone());
+                Ok(vec![Pair { name: stem(first), files, difference }])
+            }
+            [true, true] => self.pairs_of_folders(session),
+            [folder, _] => {
+                let kind = |folder: bool| if folder { "a folder" } else { "a picture" };
+                let found = format!("{} and {}", kind(folder), kind(!folder));
+                Err(Error::argument("pictures to compare", found, "two pictures or two folders"))
+            }
+        }
+    }
+
+    fn pairs_of_folders(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
+        let [ours, theirs] =
+            [&self.first, &self.second].map(|folder| photos::list(session, std::slice::from_ref(folder)));
+        let (ours, mut theirs) = (ours?, theirs?);
+        let mut pairs = Vec::new();
+        let mut alone = Vec::new();
+        for file in ours {
+            let name = stem(&file);
+            match theirs.iter().position(|other| stem(other) == name) {
+                Some(i) => {
+                    let difference = self.difference.as_ref().map(|folder| folder.join(format!("{name}.png")));
+                    pairs.push(Pair { name, files: [file, theirs.swap_remove(i)], difference });
+                }
+                None => alone.push(file),
+            }
+        }
+        alone.extend(theirs);
+        if pairs.is_empty() {
+            let found = format!("none in {} and {}", self.first.display(), self.second.display());
+            return Err(Error::argument("pictures of the same name", found, "at least one"));
+        }
+        if !alone.is_empty() {
+            session.note(format_args!(
+                "{} without a partner: {}",
+                counted(alone.len(), "picture"),
+                photos::names(&alone)
+            ));
+        }
+        if let Some(folder) = &self.difference {
+            outputs::make_folder(folder)?;
+        }
+        Ok(pairs)
+    }
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
+    let [a, b] = [Image::open(&pair.files[0])?, Image::open(&pair.files[1])?];
+    let (width, height) = (a.width, a.height);
+    if (b.width, b.height) != (width, height) {
+        let found = format!("{width}x{height} and {}x{}", b.width, b.height);
+        return Err(Error::argument(format!("sizes of the pictures {}", pair.name), found, "one size"));
+    }
+    if width.min(height) < 11 {
+        return Err(Error::argument(
+            &pair.name,
+            format!("{width}x{height} pixels"),
+            "11x11, a window of SSIM, or more",
+        ));
+    }
+    let [x, y] = [values(&a), values(&b)];
+    let lpips = match lpips {
+        Some(lpips) if width.min(height) >= lpips.network().least_side() => {
+            Some(lpips.distance([&x, &y], [width, height])?)
+        }
+        _ => None,
+    };
+    if let Some(path) = &pair.difference {
+        let off = a.rgb.iter().zip(&b.rgb).map(|(a, b)| a.abs_diff(*b).saturating_mul(4)).collect();
+        outputs::save_picture(path, &Image::new(width, height, off)?)?;
+    }
+    let psnr = Some(psnr(&x, &y)).filter(|psnr| psnr.is_finite());
+    Ok(Row { name: pair.name.clone(), psnr, ssim: ssim(&x, &y, width as usize, height as usize), lpips })
+}
+
+/// The mean of each number; of PSNR over pictures that differ.
+fn mean(rows: &[Row]) -> Row {
+    let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+    Row {
+        name: "mean".into(),
+        psnr: mean(rows.iter().filter_map(|row| row.psnr).collect()),
+        ssim: mean(rows.iter().map(|row| row.ssim).collect()).unwrap_or_default(),
+        lpips: mean(rows.iter().filter_map(|row| row.lpips).collect()),
+    }
+}

@@ -1,0 +1,92 @@
+//! The refinement of `zipsplat reconstruct --refine`.
+
+use super::{Forward, Reconstruct};
+use crate::{
+    photos,
+    refinement::{self, Refinable, Start, Steps},
+    session::Session,
+};
+use std::path::PathBuf;
+use zipsplat::{
+    Error, Result,
+    gpu::Device,
+    refine::{FrozenHead, Refine, Refined, Stopped},
+    types::{Camera, PointCloud, poses::Frame},
+    weights::Checkpoint,
+};
+
+/// The thing that a refinement begins with.
+#[derive(Clone, Copy)]
+pub enum From {
+    Scene(Start),
+    Tokens,
+}
+
+/// The things that a refinement may need.
+pub struct Given<'a> {
+    pub device: &'a Device,
+    pub checkpoint: &'a Checkpoint,
+    /// The network's results, where it ran.
+    pub forward: Option<&'a Forward>,
+}
+
+/// The outcome of --refine.
+pub struct Made {
+    pub refined: Refined,
+    /// The start, in words.
+    pub started: String,
+    /// The cameras that it was given.
+    pub cameras: Vec<Camera>,
+    pub request: Refine,
+}
+
+impl Reconstruct {
+    /// The thing that these steps begin with.
+    pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
+        match steps.tokens {
+            true => From::Tokens,
+            false => From::Scene(Start::or_best(self.start, cloud, self.weights.is_embedded())),
+        }
+    }
+
+    /// Makes the scene look like the photos, in the world of the first one's camera.
+    ///
+    /// # Errors
+    /// As [`refinement::refine`], and where a photo or what it begins with is missing.
+    pub fn refine_scene(
+        &self,
+        session: &mut Session<'_>,
+        (steps, start): (Steps, From),
+        given: Given<'_>,
+        cloud: Option<&PointCloud>,
+        (photos, frames): (&[PathBuf], &[&Frame]),
+    ) -> Result<Made> {
+        let world = frames[0].camera.pose;
+        let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
+        let cameras: Vec<Camera> = frames.iter().map(camera).collect();
+        let (photos, _) =
+            session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
+        let size = Some([self.refine_size.0, self.refine_size.1]);
+        let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
+        let request = self.moved.request(request);
+        let (refined, started) = match (start, given.forward.and_then(|forward| forward.tokens.as_ref())) {
+            (From::Tokens, Some(tokens)) => {
+                let head = FrozenHead::load(given.device, given.checkpoint)?;
+                let from = Refinable::Tokens(&head, tokens);
+                (refinement::refine(session, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
+            }
+            (From::Tokens, None) => unreachable!("they were asked for"),
+            (From::Scene(start), _) => {
+                let scene = given.forward.map(|forward| forward.scene.clone());
+                let scene = start.scene(scene, cloud, &cameras)?;
+                let from = Refinable::Scene(given.device, &scene);
+                (refinement::refine(session, from, &photos, &cameras, &request)?, start.name().to_owned())
+            }
+        };
+        session.notes(refinement::doubt(&refined));
+        match refined.stopped {
+            Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
+            _ => Ok(Made { refined, started, cameras, request }),
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! Pictures out of files that an installed ffmpeg reads.
+
+use crate::{
+    process::{POLL, Running, failure, listen},
+    session::Stage,
+};
+use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
+use std::{
+    ffi::OsString,
+    io::{self, BufRead, BufReader, Read},
+    path::Path,
+    process::{ChildStdout, Command, Stdio},
+    sync::mpsc::{RecvTimeoutError, channel},
+};
+use zipsplat::{
+    Error, Result,
+    types::{Image, write_atomic},
+};
+
+/// Options for pictures that [`read_ppm`] reads.
+pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
+/// Quality of the photos, of 100.
+const QUALITY: u8 = 95;
+/// Lines of ffmpeg's that a message has room for.
+const MOST_LINES: usize = 3;
+
+/// Runs ffmpeg on a file with these options for what it makes of it, and gives what `read` reads of that, on a thread of
+/// its own, to `take`. Returns ffmpeg's complaints, where it went on all the same.
+///
+/// # Errors
+/// [`Error::Format`] in ffmpeg's words where the file cannot be read, [`Error::Io`] where ffmpeg fails without any, those of `take`,
+/// and [`Error::Cancelled`].
+pub fn decode<T: Send + 'static>(
+    (ffmpeg, file): (&Path, &Path),
+    options: &[&str],
+    stage: &Stage<'_>,
+    mut read: impl FnMut(&mut BufReader<ChildStdout>) -> io::Result<Option<T>> + Send + 'static,
+    mut take: impl FnMut(T) -> Result<()>,
+) -> Result<String> {
+    let failed = |source| Error::io(ffmpeg, source);
+    let mut command = Command::new(ffmpeg);
+    command.args(["-nostdin", "-loglevel", "error", "-i"]).arg(named(file)).args(options).arg("-");
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut running = Running::start(&mut command).map_err(failed)?;
+    let said = running.0.stderr.take().map(listen);
+    let Some(stdout) = running.0.stdout.take() else { return Ok(String::new()) };
+    let (send, items) = channel();
+    std::thread::spawn(move || {
+        let mut from = BufReader::new(stdout);
+        while let Some(item) = read(&mut from).transpose() {
+            let broken = item.is_err();
+            if send.send(item).is_err() || broken {
+                return;
+            }
+        }
+    });
+    let mut broken = None;
+    loop {
+        match items.recv_timeout(POLL) {
+            Ok(Ok(item)) => take(item)?,
+            Ok(Err(error)) => broken = Some(error),
+            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        stage.check()?;
+    }
+    let status = running.wait(ffmpeg.as_os_str(), stage)?;
+    let said = words(&said.and_then(|said| said.join().ok()).unwrap_or_default(), file);
+    match broken {
+        None if status.success() => Ok(said),
+        // Who is killed says nothing.
+        _ if said.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
+        _ if said.contains("matches no streams") => Err(Error::format(file, None, "ffmpeg finds no pictures in it")),
+        _ => Err(Error::format(file, None, format!("ffmpeg cannot read it: {said}"))),
+    }
+}
+
+/// The name of a file for ffmpeg: a path may look like an option or a protocol.
+pub fn named(file: &Path) -> OsString {
+    let mut name = OsString::from("file:");
+    name.push(file);
+    name
+}
+
+/// The first of ffmpeg's words about a file, each once, without where in its memory who says so.
+fn words(said: &str, file: &Path) -> String {
+    let name = format!("file:{}: ", file.display());
+    let mut lines: Vec<&str> = Vec::new();
+    for line in said.lines() {
+        let line = line.split_once("] ").filter(|(who, _)| who.starts_with('[')).map_or(line, |(_, line)| line).trim();
+        let line = line.strip_prefix(&name).unwrap_or(line);
+        if !line.is_empty() && !lines.contains(&line) {
+            lines.push(line);
+        }
+    }
+    if lines.len() > MOST_LINES {
+        lines.truncate(MOST_LINES);
+        lines.push("...");
+    }
+    lines.join("; ")
+}
+
+/// Fills a buffer; false where nothing is left.
+///
+/// # Errors
+/// Those of reading, and where it is filled in part.
+pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
+    if from.fill_buf()?.is_empty() {
+        return Ok(false);
+    }
+    from.read_exact(to).map(|()| true)
+}
+
+/// A picture as `P6`, its width, height and 255, and its bytes; none where nothing is left.
+///
+/// # Errors
+/// Those of reading, and where it begins otherwise.
+pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> {
+    if from.fill_buf()?.is_empty() {
+        return Ok(None);
+    }
+    let mut words = [const { String::new() }; 4];
+    for word in &mut words {
+        // One white byte ends each.
+        let mut byte = [0];
+        loop {
+            from.read_exact(&mut byte)?;
+            match byte[0] {
+                white if white.is_ascii_whitespace() => break,
+                other => word.push(char::from(other)),
+            }
+        }
+    }
+    let [kind, width, height, most] = words;
+    let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else {
+        return Err(io::Error::other(format!("a picture that begins {kind} {width} {height}")));
+    };
+    if kind != "P6" || most != "255" || u64::from(width) * u64::from(height) > 1 << 28 {
+        return Err(io::Error::other(format!("a picture that begins {kind} {width} {height} {most}")));
+    }
+    let mut rgb = vec![0; 3 * width as usize * height as usize];
+    from.read_exact(&mut rgb)?;
+    Ok(Some(Image { width, height, rgb }))
+}
+
+/// Writes a photo.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
+    write_atomic(path, |out| {
+        let encoder = JpegEncoder::new_with_quality(out, QUALITY);
+        let written = encoder.write_image(&image.rgb, image.width, image.height, ExtendedColorType::Rgb8);
+        written.map_err(io::Error::other)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::words;
+    use std::path::Path;
+
+    #[test]
+    fn words_are_of_the_file_and_few() {
+        let said = "[mov,mp4 @ 0x55] moov atom not found\nfile:a b.mp4: Invalid data\n\n";
+        assert_eq!(words(said, Path::new("a b.mp4")), "moov atom not found; Invalid data");
+        let said = "[h264 @ 0x1] error 1\n[h264 @ 0x2] error 1\nerror 2\nerror 3\nerror 4\n";
+        assert_eq!(words(said, Path::new("a")), "error 1; error 2; error 3; ...");
+    }
+}

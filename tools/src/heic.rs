@@ -1,0 +1,77 @@
+//! Photos as phones keep them, HEIC, by an installed ffmpeg that reads them.
+
+use crate::{
+    decode::{AS_PPM, decode, named, read_ppm, save_jpeg},
+    process,
+    session::{Session, Stage},
+};
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+    process::Command,
+};
+use zipsplat::{
+    Error, Result,
+    types::{Image, is_heic_start, open_file},
+};
+
+/// True where a file is a HEIC picture, by its first bytes; others, and those that cannot be read, are none.
+pub fn is_heic(path: &Path) -> bool {
+    let mut start = [0; 12];
+    open_file(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && is_heic_start(&start)
+}
+
+/// Writes HEIC pictures, turned as they say, as JPEG to a folder: `IMG_1.jpg` for `IMG_1.HEIC`, of more that share the name `IMG_1-1.jpg`
+/// and so on. Returns them in order.
+///
+/// # Errors
+/// [`Error::Format`] with the command that converts a picture where no ffmpeg reads it; [`Error::Io`]; [`Error::Cancelled`].
+pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], folder: &Path) -> Result<Vec<PathBuf>> {
+    let numbered: Vec<(usize, &&PathBuf)> = pictures.iter().enumerate().collect();
+    let (photos, _) = session.stage("read HEIC", |stage| {
+        stage.each(&numbered, |(i, picture)| {
+            let image = read(ffmpeg, picture, stage).map_err(|error| advised(picture, error))?;
+            let stem = picture.file_stem().unwrap_or_default();
+            let same = pictures[..*i].iter().filter(|other| other.file_stem() == Some(stem)).count();
+            let number = if same > 0 { format!("-{same}") } else { String::new() };
+            let photo = folder.join(format!("{}{number}.jpg", stem.to_string_lossy()));
+            save_jpeg(&image, &photo).map(|()| photo)
+        })
+    })?;
+    Ok(photos)
+}
+
+fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
+    let (mut pictures, mut joined) = (0, false);
+    // Without an output it says what it finds, and ends with an error.
+    process::run(Command::new(ffmpeg).args(["-nostdin", "-hide_banner", "-i"]).arg(named(picture)), stage, |line| {
+        pictures += usize::from(line.contains("Stream #") && line.contains("Video:"));
+        joined |= line.contains("Tile Grid");
+        Ok(())
+    })?;
+    // Phones cut a picture into tiles, of which older versions give the first.
+    if pictures > 1 && !joined {
+        return Err(Error::format(picture, None, "ffmpeg finds tiles and cannot join them: 7.1 and later can"));
+    }
+    let mut image = None;
+    let options = [&["-frames:v", "1"], &AS_PPM[..]].concat();
+    let said = decode((ffmpeg, picture), &options, stage, read_ppm, |read| {
+        image = Some(read);
+        Ok(())
+    })?;
+    image.ok_or_else(|| Error::format(picture, None, format!("ffmpeg gives no picture: {said}")))
+}
+
+/// The error with the command that converts a picture without ffmpeg.
+fn advised(picture: &Path, error: Error) -> Error {
+    let why = match error {
+        Error::Cancelled => return error,
+        Error::Format { reason, .. } => reason,
+        other => other.to_string(),
+    };
+    match Image::size(picture) {
+        Err(Error::Format { reason, .. }) => Error::format(picture, None, format!("{reason} ({why})")),
+        Err(other) => other,
+        Ok(_) => Error::format(picture, None, why),
+    }
+}
