@@ -272,7 +272,9 @@ impl View {
                 scope.spawn(|| watched.run(&ready.live, |_| ready.live.go_on()));
             }
             let stopped = || cancelled.load(Ordering::Relaxed);
-            server.serve(|path, body| served.answer(path, body), stopped)
+            let ended = server.serve(|path, body| served.answer(path, body), stopped);
+            watched.iter().for_each(|watched| watched.stop.store(true, Ordering::Relaxed));
+            ended
         })
         .map_err(|error| Error::io(address, error))
     }

@@ -161,9 +161,12 @@ impl FromPhotos {
         let cloud = poses.and_then(|poses| poses.points.as_ref()).filter(|_| self.refines());
         let cloud = cloud.map(read_cloud).transpose()?;
         let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        // Squares of one photo follow each other.
-        let each = images.len() / photos.len().max(1);
-        let names = (0..images.len()).map(|i| photos.get(i / each.max(1)).map(name).unwrap_or_default()).collect();
+        let mut names = Vec::new();
+        for photo in &photos {
+            // Squares of one photo follow each other.
+            let views = fit.count(std::slice::from_ref(photo))?;
+            names.extend(std::iter::repeat_n(name(photo), views));
+        }
         let live = Live {
             device,
             checkpoint,
