@@ -42,7 +42,7 @@ use zipsplat::{
   zipsplat view photos/ --ratios 1,0.3,0.1 -o ratios.html
   zipsplat view tenth.ply half.ply all.ply -o compared.html")]
 pub struct View {
-    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP), folders of them and videos
+    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC where ffmpeg reads it), folders of them and videos
     #[arg(required = true, value_name = "SCENES|PHOTOS")]
     files: Vec<PathBuf>,
     #[command(flatten)]

@@ -56,7 +56,7 @@ pub struct FromPhotos {
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
     /// Ratios of the scenes in a written page, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
-    #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',', num_args = 1..=8)]
+    #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',')]
     ratios: Vec<f64>,
     /// Make the scene sharp in so many steps, as reconstruct does, while the page shows it; a written page holds the result, too
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
@@ -74,8 +74,9 @@ pub struct FromPhotos {
     moved: Moved,
 }
 
-/// Ratios of a written page where nobody says.
+/// Ratios of a written page where nobody says, and the most.
 const RATIOS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
+const MOST_RATIOS: usize = 8;
 
 /// Photos whose features are on the device, and what is known of where they were taken.
 pub struct Ready<'a> {
@@ -201,11 +202,14 @@ impl FromPhotos {
     /// The ratios of a written page, the largest first, each once by the tokens that it keeps.
     ///
     /// # Errors
-    /// [`Error::Argument`] for one outside (0, 1].
+    /// [`Error::Argument`] for one outside (0, 1], and for too many.
     pub fn ratios(&self, tokens: usize) -> Result<Vec<f64>> {
         let mut ratios = if self.ratios.is_empty() { RATIOS.to_vec() } else { self.ratios.clone() };
         if let Some(wrong) = ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0)) {
             return Err(Error::argument("--ratios", wrong, "numbers in (0, 1]"));
+        }
+        if ratios.len() > MOST_RATIOS {
+            return Err(Error::argument("--ratios", ratios.len(), format!("at most {MOST_RATIOS}")));
         }
         ratios.sort_by(|a, b| b.total_cmp(a));
         ratios.dedup_by_key(|ratio| ((*ratio * tokens as f64) as usize).max(1));
