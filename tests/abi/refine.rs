@@ -13,6 +13,7 @@ use std::{
 };
 use zipsplat::{
     ffi::{zs_status::*, *},
+    gpu::Arena,
     refine::{Refine, Refined, refine_scene},
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
@@ -53,7 +54,8 @@ impl Place {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),
         };
-        refine_scene(device(), &self.moved, &self.photos, &self.cameras, request, progress).expect("a scene")
+        refine_scene(&Arena::new(device()), &self.moved, &self.photos, &self.cameras, request, progress)
+            .expect("a scene")
     }
 
     fn c_cameras(&self) -> Vec<zs_camera> {

@@ -62,7 +62,7 @@ fn held_out_photos_are_compared() {
     let json = folder.run(line).json();
     let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("the table was written");
     let lines: Vec<&str> = csv.lines().collect();
-    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_color_psnr");
+    assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips");
     assert_eq!(lines.len(), 1 + 4, "{csv}");
     let inputs: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     assert_eq!((inputs.len(), inputs[0]), (2, "images/000.png"));
@@ -224,7 +224,7 @@ fn a_camera_is_found_by_its_photo() {
     assert!(angle < 1e-3 && distance < 2e-3, "{angle} radians and {distance} from the truth");
     assert_eq!(found.intrinsics, truth.intrinsics);
     // Adam's steps stay as long as they were.
-    let found = Method::Adam.align(&mut renderer, &photo, &start, &|| Ok(())).expect("aligned");
+    let found = Method::Adam.align(&mut renderer, &photo, &start, None, &|| Ok(())).expect("aligned");
     let error = found.camera.pose;
     let (angle, distance) = (error.rotation.x_axis.angle_between(DVec3::X), error.translation.length());
     assert!(angle < 0.01 && distance < 0.01, "{angle} radians and {distance} from the truth, by Adam");

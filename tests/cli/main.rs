@@ -1,5 +1,6 @@
 //! The command line, run in process: results, errors with their exit codes, and that no failure leaves a file.
 
+mod batch;
 mod cameras;
 mod cancel;
 mod compare;

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
+use zipsplat::gpu::Arena;
 use zipsplat::refine::{Rates, Refine, Refined, Refining, Stopped, refine_scene};
 use zipsplat::stages::render::{Frame, RenderRequest, Renderer};
 use zipsplat::types::{Camera, Image, Pose, Scene};
@@ -42,7 +43,7 @@ fn moved(scene: &Scene) -> Scene {
 }
 
 fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &Refine) -> Refined {
-    refine_scene(device(), scene, photos, cameras, request, |_| ControlFlow::Continue(())).unwrap()
+    refine_scene(&Arena::new(device()), scene, photos, cameras, request, |_| ControlFlow::Continue(())).unwrap()
 }
 
 #[test]
@@ -88,7 +89,7 @@ fn the_best_so_far_is_returned_when_asked_to_stop() {
         if at.step == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let start = moved(&scene);
-    let refined = refine_scene(device(), &start, &photos, &cameras, &Refine::default(), progress).unwrap();
+    let refined = refine_scene(&Arena::new(device()), &start, &photos, &cameras, &Refine::default(), progress).unwrap();
     assert_eq!((refined.stopped, refined.best_step, refined.losses.len()), (Some(Stopped::Cancelled), 3, 3));
     assert_eq!(steps, [1, 2, 3]);
     assert_ne!(refined.scene, start);
@@ -106,7 +107,7 @@ fn scenes_are_shown_on_the_way() {
         ControlFlow::Continue(())
     };
     let request = Refine { steps: 7, show: Some(3), ..Refine::default() };
-    let refined = refine_scene(device(), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
+    let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
     assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 6]);
     assert_ne!(shown[0].1, shown[1].1);
     // As they are after as many steps of the same refinement, and not what is kept in the end.
@@ -134,7 +135,7 @@ fn what_cannot_be_refined_is_refused() {
     let (scene, photos) = photos(&cameras);
     let error = |scene: &Scene, count: usize, request: &Refine| {
         let never = |_: Refining<'_>| -> ControlFlow<()> { panic!("a step") };
-        refine_scene(device(), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
+        refine_scene(&Arena::new(device()), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
     };
     assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
     assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));

@@ -1,6 +1,7 @@
 //! Refinement of tokens through the frozen head: losses fall, bits are the same twice, and what is bad is refused.
 
 use std::ops::ControlFlow;
+use zipsplat::gpu::Arena;
 use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Model, Request, SceneTokens};
 use zipsplat::refine::{FrozenHead, Rates, Refine, Refined, refine_tokens};
@@ -44,7 +45,8 @@ fn tokens(model: &Model, unit: f64) -> SceneTokens {
 
 fn refine(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Refined {
     let (photos, cameras) = photos();
-    refine_tokens(head, tokens, &photos, &cameras, request, |_| ControlFlow::Continue(())).unwrap()
+    refine_tokens(&Arena::new(device()), head, tokens, &photos, &cameras, request, |_| ControlFlow::Continue(()))
+        .unwrap()
 }
 
 #[test]
@@ -77,13 +79,15 @@ fn what_cannot_be_refined_is_refused() {
     let tokens = tokens(&model, 1.0);
     let go_on = |_: zipsplat::refine::Refining<'_>| ControlFlow::Continue(());
     let refused = |cameras: &[Camera], request: &Refine, word: &str| {
-        let error = refine_tokens(&head, &tokens, &photos, cameras, request, go_on).unwrap_err();
+        let error = refine_tokens(&Arena::new(device()), &head, &tokens, &photos, cameras, request, go_on).unwrap_err();
         assert!(error.to_string().contains(word), "{error}");
     };
     refused(&cameras[..1], &Refine::default(), "cameras");
     refused(&cameras, &Refine { hold_out: Some(2), ..Refine::default() }, "held-out photos");
     let other =
         FrozenHead::load(device(), &Checkpoint::seeded_architecture(architectures::golden("tiny"), "tiny").unwrap());
-    let error = refine_tokens(&other.unwrap(), &tokens, &photos, &cameras, &Refine::default(), go_on).unwrap_err();
+    let error =
+        refine_tokens(&Arena::new(device()), &other.unwrap(), &tokens, &photos, &cameras, &Refine::default(), go_on)
+            .unwrap_err();
     assert!(error.to_string().contains("width of the tokens"), "{error}");
 }

@@ -3,6 +3,7 @@
 use crate::{
     metrics::{mean_color, psnr, ssim, values},
     options::Size,
+    perceptual::distance,
     photos,
     refinement::placed,
     session::Stage,
@@ -17,6 +18,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
+    perceptual::Perceptual,
     stages::render::{RenderRequest, Renderer},
     types::{
         Camera, Image, PointCloud, Pose,
@@ -73,6 +75,8 @@ pub struct Score {
     pub ssim: f64,
     pub nearest_psnr: f64,
     pub mean_color_psnr: f64,
+    /// None without the weights of LPIPS, and of pictures that are too small for it.
+    pub lpips: Option<f64>,
 }
 
 impl Choice {
@@ -205,6 +209,11 @@ impl Capture {
         self.views.cameras.clone()
     }
 
+    /// The inputs as they are compared, and their cameras.
+    pub fn learnt(&self) -> (Vec<Image>, Vec<Camera>) {
+        self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
+    }
+
     /// The input that was taken nearest to a photo.
     pub fn nearest(&self, view: &Posed) -> &Posed {
         let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);
@@ -217,6 +226,18 @@ impl Capture {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
 
+    /// Adds to scores how different what was drawn looks from each target, by LPIPS.
+    ///
+    /// # Errors
+    /// As [`Perceptual::distance`].
+    pub fn look(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
+        for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
+            let size = [view.image.width, view.image.height];
+            score.lpips = distance(Some(lpips), [drawn, &values(&view.image)], size)?;
+        }
+        Ok(())
+    }
+
     fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
         let (truth, near) = (values(&view.image), values(&alike(&self.nearest(view).image, &view.image)));
         Score {
@@ -225,6 +246,7 @@ impl Capture {
             ssim: ssim(drawn, &truth, view.image.width as usize, view.image.height as usize),
             nearest_psnr: psnr(&near, &truth),
             mean_color_psnr: psnr(&mean_color(&near), &truth),
+            lpips: None,
         }
     }
 }
@@ -262,6 +284,7 @@ impl Score {
             ssim: mean(|score| score.ssim),
             nearest_psnr: mean(|score| score.nearest_psnr),
             mean_color_psnr: mean(|score| score.mean_color_psnr),
+            lpips: scores.iter().map(|score| score.lpips).sum::<Option<f64>>().map(|sum| sum / scores.len() as f64),
         }
     }
 }

@@ -169,6 +169,11 @@ impl Quality {
         }
     }
 
+    /// Gaussians that are kept of every token, where not all are.
+    pub fn kept(&self) -> Option<u32> {
+        self.keep
+    }
+
     /// The ratio of so many views as a number.
     pub fn ratio_of(&self, views: usize) -> f64 {
         match self.ratio {

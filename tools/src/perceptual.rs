@@ -1,8 +1,7 @@
 //! LPIPS where commands compare pictures.
 
-use crate::session::Session;
 use clap::{Args, ValueEnum};
-use zipsplat::{Result, perceptual::Perceptual, stages::lpips::LpipsNetwork};
+use zipsplat::{Device, Result, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
 /// The choice of the network.
 #[derive(Args)]
@@ -25,25 +24,37 @@ enum Network {
 }
 
 impl LpipsOption {
-    /// Loads the weights; `None` where they are not there and were not asked for, which is noted.
+    /// Loads the weights onto a device, with `gradients` or for the distance alone; `None` where they are not there and were not asked for.
     ///
     /// # Errors
-    /// Those of opening a device and of [`Perceptual::open`]; of [`Perceptual::file`] where a network was asked for.
-    pub fn open(&self, session: &mut Session<'_>) -> Result<Option<Perceptual>> {
+    /// Those of [`Perceptual::open`]; of [`Perceptual::file`] where a network was asked for.
+    pub fn open(&self, device: &Device, gradients: bool) -> Result<Option<Perceptual>> {
         let network = match self.lpips {
             Some(Network::None) => return Ok(None),
             Some(Network::Alex) => LpipsNetwork::Alex,
             Some(Network::Vgg) | None => LpipsNetwork::Vgg,
         };
-        let path = match (Perceptual::file(network), self.lpips) {
-            (Ok(path), _) => path,
-            (Err(error), Some(_)) => return Err(error),
-            (Err(_), None) => {
-                session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
-                return Ok(None);
-            }
-        };
-        let device = session.device()?;
-        Ok(Some(Perceptual::open(&device, network, &path)?))
+        match (Perceptual::file(network), self.lpips) {
+            (Ok(path), _) => Perceptual::open(device, network, &path, gradients).map(Some),
+            (Err(error), Some(_)) => Err(error),
+            (Err(_), None) => Ok(None),
+        }
+    }
+
+    /// Whether nothing was said.
+    pub fn is_default(&self) -> bool {
+        self.lpips.is_none()
+    }
+}
+
+/// The distance of two pictures of one size, `[height][width][rgb]` in 0..1; `None` without a network and for pictures that are too
+/// small for it.
+///
+/// # Errors
+/// As [`Perceptual::distance`].
+pub fn distance(lpips: Option<&mut Perceptual>, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<Option<f64>> {
+    match lpips {
+        Some(lpips) if size[0].min(size[1]) >= lpips.network().least_side() => lpips.distance(pictures, size).map(Some),
+        _ => Ok(None),
     }
 }

@@ -183,6 +183,28 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
+/// The photos that lie in a folder itself, in natural order; there may be none.
+///
+/// # Errors
+/// Where the folder cannot be read.
+pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = visible(folder)?;
+    found.retain(|path| path.is_file() && is_photo(path));
+    found.sort_by(by_name);
+    Ok(found)
+}
+
+/// The folders in a folder, in natural order.
+///
+/// # Errors
+/// Where the folder cannot be read.
+pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = visible(folder)?;
+    found.retain(|path| path.is_dir());
+    found.sort_by(by_name);
+    Ok(found)
+}
+
 /// The photos among files, and the others. HEIC pictures are photos where there are no others: beside those they most likely are
 /// the same.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {

@@ -1,15 +1,36 @@
-//! Line plots as SVG, for reports.
+//! Plots as SVG with a legend beside them, for reports.
 
 use plotters::prelude::*;
-use std::ops::Range;
+use std::{fmt::Write, ops::Range};
 
 /// Pixels of a plot; browsers scale it.
-const SIZE: (u32, u32) = (560, 380);
+const SIZE: (u32, u32) = (440, 330);
+/// Colours that people of any colour vision can tell apart (Okabe and Ito): as many series a plot has at most.
+const COLORS: [RGBColor; 6] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+];
+/// The colour of what is no series of its own.
+const GREY: RGBColor = RGBColor(150, 150, 150);
+
+/// A place of a plot.
+#[derive(Clone, Copy, Debug)]
+pub struct At {
+    pub x: f64,
+    pub y: f64,
+    /// The number that the page knows it by: the circle's `data-point`.
+    pub of: Option<usize>,
+}
 
 /// The points that are drawn in one colour.
+#[derive(Debug)]
 pub struct Series {
     pub name: String,
-    pub points: Vec<(f64, f64)>,
+    pub points: Vec<At>,
     /// Whether the points are joined, in the order given.
     pub line: bool,
 }
@@ -29,17 +50,49 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// A plot as an `<svg>` element. Points that are not finite are left out.
-pub fn plot(x: Axis<'_>, y: Axis<'_>, series: &[Series]) -> String {
-    let position = |&(px, py): &(f64, f64)| (x.position(px), y.position(py));
-    let placed: Vec<Vec<(f64, f64)>> = (series.iter())
-        .map(|s| s.points.iter().map(position).filter(|(x, y)| x.is_finite() && y.is_finite()).collect())
-        .collect();
-    let range = |value: fn(&(f64, f64)) -> f64| extent(placed.iter().flatten().map(value));
+/// A plot and its legend, under the heading that says what colours mean. Points that are not finite are left out, and so are series
+/// behind the sixth, which the legend says. `beneath` is a grey line without points of its own.
+pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
+    let shown = &series[..series.len().min(COLORS.len())];
+    let place = |at: &At| At { x: x.position(at.x), y: y.position(at.y), of: at.of };
+    let placed = |series: &Series| -> Vec<At> {
+        series.points.iter().map(place).filter(|at| at.x.is_finite() && at.y.is_finite()).collect()
+    };
+    let (points, line): (Vec<_>, _) = (shown.iter().map(placed).collect(), beneath.map(placed).unwrap_or_default());
+    let range = |value: fn(&At) -> f64| extent(points.iter().chain([&line]).flatten().map(value));
     let mut svg = String::new();
-    let drawn = draw(&mut svg, (x, range(|p| p.0)), (y, range(|p| p.1)), series, &placed);
+    let drawn = draw(&mut svg, (x, range(|at| at.x)), (y, range(|at| at.y)), (shown, &points), &line);
     drawn.expect("writing to a string does not fail");
-    svg
+    let numbers = points.iter().flatten().map(|at| at.of);
+    format!(
+        "<div class=\"plot\">{}{}</div>",
+        numbered(&svg, numbers),
+        legend(meaning, shown, series.len() - shown.len(), beneath)
+    )
+}
+
+/// The picture with the numbers of its circles, which come in their order.
+fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
+    let mut pieces = svg.split("<circle");
+    let mut numbered = pieces.next().unwrap_or_default().to_owned();
+    for (piece, number) in pieces.zip(numbers) {
+        numbered += "<circle";
+        if let Some(number) = number {
+            let _ = write!(numbered, " data-point=\"{number}\"");
+        }
+        numbered += piece;
+    }
+    numbered
+}
+
+fn legend(meaning: &str, shown: &[Series], left_out: usize, beneath: Option<&Series>) -> String {
+    let row = |(name, RGBColor(r, g, b)): (&String, RGBColor)| {
+        format!("<li><i style=\"background:rgb({r},{g},{b})\"></i>{name}</li>")
+    };
+    let names = beneath.map(|line| (&line.name, GREY)).into_iter();
+    let rows: String = names.chain(shown.iter().map(|series| &series.name).zip(COLORS)).map(row).collect();
+    let more = if left_out > 0 { format!("<li>{left_out} more: in the table</li>") } else { String::new() };
+    format!("<ul class=\"legend\"><li>{meaning}</li>{rows}{more}</ul>")
 }
 
 type Drawn = Result<(), Box<dyn std::error::Error>>;
@@ -48,35 +101,36 @@ fn draw(
     svg: &mut String,
     (x, x_range): (Axis<'_>, Range<f64>),
     (y, y_range): (Axis<'_>, Range<f64>),
-    series: &[Series],
-    placed: &[Vec<(f64, f64)>],
+    (series, placed): (&[Series], &[Vec<At>]),
+    line: &[At],
 ) -> Drawn {
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
     let mut chart = ChartBuilder::on(&root)
         .margin(8)
         .x_label_area_size(42)
-        .y_label_area_size(58)
+        .y_label_area_size(54)
         .build_cartesian_2d(x_range, y_range)?;
     chart
         .configure_mesh()
         .light_line_style(WHITE)
+        .x_labels(6)
+        .y_labels(6)
+        .label_style(("sans-serif", 14))
+        .axis_desc_style(("sans-serif", 15))
         .x_desc(x.label)
         .y_desc(y.label)
         .x_label_formatter(&|position| x.tick(*position))
         .y_label_formatter(&|position| y.tick(*position))
         .draw()?;
-    for (i, (series, points)) in series.iter().zip(placed).enumerate() {
-        let color = Palette99::pick(i).to_rgba();
+    let places = |points: &[At]| points.iter().map(|at| (at.x, at.y)).collect::<Vec<_>>();
+    chart.draw_series(LineSeries::new(places(line), GREY.stroke_width(5)))?;
+    for ((series, points), color) in series.iter().zip(placed).zip(COLORS) {
         if series.line {
-            chart.draw_series(LineSeries::new(points.iter().copied(), color.stroke_width(2)))?;
+            chart.draw_series(LineSeries::new(places(points), color.stroke_width(2)))?;
         }
-        chart
-            .draw_series(points.iter().map(|point| Circle::new(*point, 3, color.filled())))?
-            .label(&series.name)
-            .legend(move |(x, y)| Circle::new((x + 8, y), 4, color.filled()));
     }
-    if series.len() > 1 {
-        chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK.mix(0.3)).draw()?;
+    for (points, color) in placed.iter().zip(COLORS) {
+        chart.draw_series(places(points).into_iter().map(|at| Circle::new(at, 4, color.filled())))?;
     }
     root.present()?;
     Ok(())
@@ -116,13 +170,36 @@ fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
 mod tests {
     use super::*;
 
+    const LOG: Axis<'_> = Axis { label: "across", scale: Scale::Log };
+
+    fn series(name: &str, places: &[(f64, f64)]) -> Series {
+        let at = |(i, (x, y)): (usize, &(f64, f64))| At { x: *x, y: *y, of: Some(10 * i) };
+        Series { name: name.into(), points: places.iter().enumerate().map(at).collect(), line: true }
+    }
+
     #[test]
     fn points_are_drawn_and_others_left_out() {
-        let axis = |label| Axis { label, scale: Scale::Log };
-        let points = vec![(1.0, 10.0), (0.0, 1.0), (f64::NAN, 1.0), (100.0, 1.0)];
-        let svg = plot(axis("across"), axis("up"), &[Series { name: "a".into(), points, line: true }]);
-        assert!(svg.starts_with("<svg") && svg.contains("across") && svg.contains("up"));
-        assert_eq!(svg.matches("<circle").count(), 2, "{svg}");
-        assert!(plot(axis("x"), axis("y"), &[]).starts_with("<svg"));
+        let points = series("a", &[(1.0, 10.0), (0.0, 1.0), (f64::NAN, 1.0), (100.0, 1.0)]);
+        let html = plot(LOG, Axis { label: "up", ..LOG }, "letters", &[points], None);
+        assert!(html.contains("<svg") && html.contains("across") && html.contains("up"));
+        // Numbers stay those of the points that are drawn.
+        let circles: Vec<&str> = html.split("<circle").skip(1).map(|circle| &circle[..16]).collect();
+        assert_eq!(circles, [" data-point=\"0\" ", " data-point=\"30\""], "{html}");
+        assert!(plot(LOG, LOG, "nothing", &[], None).contains("<svg"));
+    }
+
+    #[test]
+    fn at_most_six_series_have_a_colour_each() {
+        let all: Vec<Series> = ('a'..='h').map(|name| series(&name.to_string(), &[(1.0, 1.0)])).collect();
+        let html = plot(LOG, LOG, "letters", &all, Some(&series("front", &[(1.0, 1.0), (2.0, 2.0)])));
+        assert_eq!(html.matches("<circle").count(), 6);
+        // What colours mean, the line beneath, six series, and what is left out.
+        assert_eq!(html.matches("<li>").count(), 1 + 1 + 6 + 1);
+        assert!(html.contains("2 more") && html.contains("front"), "{html}");
+        let mut colors: Vec<&str> =
+            html.split("background:").skip(1).filter_map(|piece| piece.split('"').next()).collect();
+        colors.sort_unstable();
+        colors.dedup();
+        assert_eq!(colors.len(), 7);
     }
 }

@@ -9,13 +9,14 @@ use clap::{Args, ValueEnum};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::{
+    fmt::{self, Display, Formatter},
     ops::ControlFlow,
     path::{Path, PathBuf},
     str::FromStr,
 };
 use zipsplat::{
     Error, Result,
-    gpu::Device,
+    gpu::Arena,
     reconstruct::SceneTokens,
     refine::{
         FrozenHead, Rates, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points,
@@ -100,6 +101,12 @@ pub struct Steps {
 impl Default for Steps {
     fn default() -> Self {
         Self { count: Refine::default().steps, tokens: false }
+    }
+}
+
+impl Display for Steps {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.count, if self.tokens { ":tokens" } else { "" })
     }
 }
 
@@ -194,7 +201,7 @@ pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> 
 
 /// The thing that is refined.
 pub enum Refinable<'a> {
-    Scene(&'a Device, &'a Scene),
+    Scene(&'a Scene),
     Tokens(&'a FrozenHead, &'a SceneTokens),
 }
 
@@ -206,12 +213,13 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// Refines, with progress. What was best so far is returned where the command should stop.
+/// Refines in an arena, with progress. What was best so far is returned where the command should stop.
 ///
 /// # Errors
 /// As [`refine_scene`], and [`Error::Cancelled`] where it should stop before the first step.
 pub fn refine(
     session: &Session<'_>,
+    arena: &Arena,
     from: Refinable<'_>,
     photos: &[Image],
     cameras: &[Camera],
@@ -224,8 +232,8 @@ pub fn refine(
             stage.at(at.step as f64 / at.steps as f64)
         };
         refined = Some(match from {
-            Refinable::Scene(device, scene) => refine_scene(device, scene, photos, cameras, request, progress)?,
-            Refinable::Tokens(head, tokens) => refine_tokens(head, tokens, photos, cameras, request, progress)?,
+            Refinable::Scene(scene) => refine_scene(arena, scene, photos, cameras, request, progress)?,
+            Refinable::Tokens(head, tokens) => refine_tokens(arena, head, tokens, photos, cameras, request, progress)?,
         });
         Ok(())
     });

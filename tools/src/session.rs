@@ -317,6 +317,11 @@ impl<'a> Stage<'a> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
+    /// The same work without a progress that is shown, for one of several steps at once; it stops as this does.
+    pub fn silent(&self) -> Stage<'_> {
+        Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
+    }
+
     /// Changes the name that is shown.
     pub fn name(&self, name: &str) {
         self.bar.set_message(name.to_owned());

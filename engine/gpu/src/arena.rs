@@ -58,6 +58,14 @@ impl Arena {
         free.is_ok().then(|| Claim(self.clone()))
     }
 
+    /// This arena and the right to run plans in it, or another one where somebody has that right now.
+    pub fn claimed(&self) -> (Self, Option<Claim>) {
+        match self.claim() {
+            Some(claim) => (self.clone(), Some(claim)),
+            None => (Self::new(self.device()), None),
+        }
+    }
+
     /// Bytes of all lanes.
     pub fn bytes(&self) -> u64 {
         let bytes = |lane: &Arc<Lane>| lock(&lane.state).sizes.iter().sum::<u64>();

@@ -17,7 +17,7 @@ pub struct zs_context {
     pub(super) adopted: bool,
 }
 
-/// What kind of device it is.
+/// Kinds of devices.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_device_kind {
@@ -29,17 +29,17 @@ pub enum zs_device_kind {
     ZS_DEVICE_CPU = 2,
 }
 
-/// What a device is. Strings are UTF-8, end with NUL and are cut where they are too long.
+/// A device. Strings are UTF-8, end with NUL and are cut where they are too long.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_info {
     /// sizeof(zs_device_info); set it before the call.
     pub struct_size: u32,
-    /// Its number, as zs_context_options.device takes it; 0 for an adopted device.
+    /// Number of the device, as zs_context_options.device takes it; 0 for an adopted device.
     pub index: u32,
-    /// Whether the engine can use it.
+    /// 1 where the engine can use the device, else 0.
     pub usable: u32,
-    /// What it is.
+    /// Kind of the device.
     pub kind: zs_device_kind_value,
     /// Bytes of the memory that kernels work in.
     pub memory_bytes: u64,
@@ -47,14 +47,14 @@ pub struct zs_device_info {
     pub name: [c_char; 256],
     /// The driver's name and version.
     pub driver: [c_char; 256],
-    /// Why it is not usable; "" where it is.
+    /// Reasons why the device is not usable; "" where it is.
     pub missing: [c_char; 512],
 }
 
 /// In structures an enumeration is its number, so that a wrong one can be refused. cbindgen names it as the enumeration.
 pub(super) type zs_device_kind_value = i32;
 
-/// How to open a device.
+/// Options of opening a device.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_context_options {

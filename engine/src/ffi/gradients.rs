@@ -12,7 +12,7 @@ use crate::{
     types::Camera,
 };
 
-/// Where gradients go: memory of yours for those that you want, NULL for the others. Every array is written, not added to.
+/// Memory of gradients: yours for those that you want, NULL for the others. Every array is written, not added to.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gradients {

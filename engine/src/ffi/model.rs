@@ -34,7 +34,7 @@ pub struct zs_model {
 /// of the call that it came from.
 pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fraction: f64, stage: *const c_char) -> i32>;
 
-/// How to load a model.
+/// Options of loading a model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_options {
@@ -52,7 +52,7 @@ pub struct zs_model_options {
     pub user_data: *mut c_void,
 }
 
-/// What a model is.
+/// Facts about a model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_info {
@@ -70,7 +70,7 @@ pub struct zs_model_info {
     pub precision: zs_precision_value,
     /// Bytes of its weights on the device.
     pub weight_bytes: u64,
-    /// Why it may be slow, a reason a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
+    /// Reasons why the model may be slow, one a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
     /// first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
     /// Also what was rounded or assumed to read the weights. The model's own memory, there until it is destroyed.
     pub notes: *const c_char,

@@ -8,7 +8,7 @@ use crate::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Pose}
 use glam::{DMat3, DVec3};
 use std::ffi::c_void;
 
-/// How a pixel lies in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+/// Layouts of a pixel in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_pixel_format {
@@ -56,7 +56,7 @@ impl zs_pixel_format {
 pub struct zs_image {
     /// sizeof(zs_image); set it before the call.
     pub struct_size: u32,
-    /// How a pixel lies in memory.
+    /// Layout of a pixel in memory.
     pub format: zs_pixel_format_value,
     /// Pixels a row, 1 to 32768.
     pub width: u32,

@@ -21,7 +21,7 @@ use crate::{
 use rayon::prelude::*;
 use std::{ffi::c_void, ops::ControlFlow};
 
-/// Which tokens are kept where the ratio is below 1.
+/// Ways to choose the tokens that are kept where the ratio is below 1.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_selection {
@@ -53,7 +53,7 @@ pub const ZS_RATIO_AUTO: f64 = 0.0;
 /// The length that is found from the cameras and, where there is a capture, from its points.
 pub const ZS_UNIT_AUTO: f64 = 0.0;
 
-/// What to reconstruct.
+/// Options of a reconstruction.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_reconstruct_options {
@@ -68,7 +68,7 @@ pub struct zs_reconstruct_options {
     /// a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20, or ZS_UNIT_AUTO.
     /// Default 1.
     pub unit: f64,
-    /// Which tokens are kept. Default ZS_SELECT_KMEANS.
+    /// The way to choose the tokens that are kept. Default ZS_SELECT_KMEANS.
     pub selection: zs_selection_value,
     /// Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
     /// to this shape and scaled to it. 0 for the model's own. Default 0.

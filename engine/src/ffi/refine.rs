@@ -10,19 +10,20 @@ use super::{
     status::{Failure, zs_status},
 };
 use crate::{
+    gpu::Arena,
     refine::{Refine, Refined, Refining, Stopped, refine_scene},
     types::Camera,
 };
 use std::{ffi::c_void, ops::ControlFlow};
 
-/// One photo is held out where there are 9 or more, else none.
+/// One photo in eight is held out where there are 9 or more, else none.
 pub const ZS_HOLD_OUT_AUTO: i32 = -1;
 
-/// Why a refinement ended.
+/// Reasons why a refinement ended.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_refine_end {
-    /// It took all steps.
+    /// All steps were taken.
     ZS_REFINE_FINISHED = 0,
     /// Your progress callback asked to stop.
     ZS_REFINE_STOPPED = 1,
@@ -32,7 +33,7 @@ pub enum zs_refine_end {
 
 pub(super) type zs_refine_end_value = i32;
 
-/// How far a refinement is. The library fills it, and later versions may add fields at its end.
+/// Progress of a refinement. The library fills it, and later versions may add fields at its end.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refining {
@@ -57,7 +58,7 @@ pub struct zs_refining {
 /// exception. It may call zs_ functions.
 pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, now: *const zs_refining) -> i32>;
 
-/// How to refine.
+/// Options of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_options {
@@ -89,7 +90,7 @@ pub struct zs_refine_options {
 pub struct zs_refine_info {
     /// sizeof(zs_refine_info); set it before the call.
     pub struct_size: u32,
-    /// Why it ended.
+    /// The reason why the refinement ended.
     pub ended: zs_refine_end_value,
     /// Steps that were taken.
     pub steps: u32,
@@ -194,7 +195,7 @@ pub unsafe extern "C" fn zs_refine(
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
         let told = |now: Refining<'_>| options.tell(&now);
-        let found = refine_scene(&context.device, &scene.scene, &photos, &cameras, &request, told)?;
+        let found = refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, told)?;
         if !info.is_null() {
             // SAFETY: as above.
             unsafe { write_versioned(info, zs_refine_info::of(&found)) }?;

@@ -54,13 +54,13 @@ pub enum zs_depth {
 
 pub(super) type zs_depth_value = i32;
 
-/// How to draw.
+/// Options of drawing.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_render_options {
     /// sizeof(zs_render_options); zs_render_options_default sets it.
     pub struct_size: u32,
-    /// Of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
+    /// Format of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
     /// is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
     /// background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
     pub format: zs_pixel_format_value,
@@ -91,7 +91,7 @@ unsafe impl Versioned for zs_render_options {
     }
 }
 
-/// Where a picture goes: memory of yours for what you want of it, NULL for what you do not.
+/// Memory of a picture: yours for what you want of it, NULL for what you do not.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_picture {

@@ -85,7 +85,7 @@ pub struct zs_gaussians {
     pub sh_coeffs: *const f32,
 }
 
-/// How a scene is written.
+/// Options of writing a scene.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_save_options {

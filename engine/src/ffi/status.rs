@@ -1,4 +1,4 @@
-//! How calls end: a status, and a message for the thread that called.
+//! The ends of calls: a status, and a message for the thread that called.
 
 use crate::Error;
 use std::{
@@ -8,12 +8,12 @@ use std::{
     panic::{AssertUnwindSafe, catch_unwind},
 };
 
-/// How a call ended. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
+/// The end of a call. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
 /// as a failure.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_status {
-    /// It did what it says.
+    /// The call did what it says.
     ZS_OK = 0,
     /// A value you gave cannot be used: give another. The message names it, what was found and what is expected.
     ZS_ERROR_ARGUMENT = 1,
@@ -34,7 +34,7 @@ pub enum zs_status {
     ZS_ERROR_DEVICE_LOST = 8,
     /// Your progress callback asked to stop.
     ZS_ERROR_CANCELLED = 9,
-    /// This build of the library does not have it.
+    /// This build of the library does not have what was asked for.
     ZS_ERROR_UNSUPPORTED = 10,
     /// A bug in the library. It goes on working, but the objects of this call are better destroyed.
     ZS_ERROR_INTERNAL = 11,
@@ -65,7 +65,7 @@ pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
     known.map_or(c"unknown status", |(_, name)| name).as_ptr()
 }
 
-/// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
+/// The failure of the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
 /// none has failed. A thread has one place for its message, the same until the thread ends: the pointer stays good, and the next
 /// call of this thread that fails writes its message there. So a call and its message may stand in one expression, whichever
 /// is evaluated first: printf("%s: %s", zs_status_name(zs_scene_open(path, &scene)), zs_last_error()). A message of more than
@@ -98,7 +98,7 @@ thread_local! {
     static LAST_ERROR: Message = Message::new();
 }
 
-/// Why a call failed.
+/// The failure of a call.
 pub(super) struct Failure {
     pub status: zs_status,
     pub message: String,

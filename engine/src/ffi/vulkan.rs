@@ -34,7 +34,7 @@ pub(super) type zs_requirement_kind_value = i32;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_requirement {
-    /// What it is.
+    /// Kind of the requirement.
     pub kind: zs_requirement_kind_value,
     /// 1 where only precisions other than exact need it: enable those that the device has, all of them, and say so in
     /// zs_vulkan_device.fast.
@@ -129,7 +129,7 @@ pub struct zs_vulkan_target {
     pub wait_count: u32,
     /// Number of `signals`. Default 0.
     pub signal_count: u32,
-    /// What has to be reached before the target is touched. Read during the call. Default NULL.
+    /// Points that have to be reached before the target is touched. Read during the call. Default NULL.
     pub waits: *const zs_semaphore_point,
     /// Given when the picture is in the target and visible to every later use. Read during the call. Default NULL.
     pub signals: *const zs_semaphore_point,

@@ -4,7 +4,7 @@
 use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, read_patches, write_choice};
 use crate::{
     Result,
-    gpu::{Arena, Claim, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
+    gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
         render::{SceneMemory, SceneTensors},
@@ -88,7 +88,7 @@ impl Model {
         let mut rec = Recorder::new(self.device.limits());
         let inputs = self.network.record_features(&mut rec, shape, &tensors);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
-        let (arena, _claim) = self.claimed();
+        let (arena, _claim) = self.arena.claimed();
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, request)?;
         let times = run.execute_with(progress)?;
@@ -114,7 +114,7 @@ impl Model {
         let into = SceneTensors::lay_out(&mut layout, self.network.gaussians_of(shape), degree);
         let mut rec = Recorder::new(self.device.limits());
         let choice = self.network.record_decoding(&mut rec, shape, &features.tensors, &into);
-        let (arena, _claim) = self.claimed();
+        let (arena, _claim) = self.arena.claimed();
         let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(&arena);
         let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
@@ -150,7 +150,7 @@ impl Model {
         let mut rec = Recorder::new(self.device.limits());
         let choice = self.network.record_tokens(&mut rec, shape, &features.tensors, tensor);
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
-        let (arena, _claim) = self.claimed();
+        let (arena, _claim) = self.arena.claimed();
         let memories = [self.parameters.resident.clone(), features.memory.clone(), memory.clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, request)?;
@@ -163,13 +163,5 @@ impl Model {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
         Shape::new(self.architecture(), grid.views, size, (request.ratio, &request.selection), cameras)
-    }
-
-    /// The model's arena, or one of its own where another thread uses that one now.
-    fn claimed(&self) -> (Arena, Option<Claim>) {
-        match self.arena.claim() {
-            Some(claim) => (self.arena.clone(), Some(claim)),
-            None => (Arena::new(&self.device), None),
-        }
     }
 }

@@ -62,12 +62,12 @@ pub(super) struct Gaussians {
 }
 
 impl Gaussians {
-    /// Brings a scene to the device, `unit` its distance from the cameras.
+    /// Brings a scene to the arena's device, `unit` its distance from the cameras.
     ///
     /// # Errors
     /// [`Error::Memory`] where the device has too little.
-    pub fn new(device: &Device, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
-        let len = scene.len();
+    pub fn new(arena: &Arena, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
+        let (device, len) = (arena.device(), scene.len());
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
         let mut layout = ResidentLayout::new(device.limits());
         let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
@@ -86,11 +86,10 @@ impl Gaussians {
             penalty: penalties[i] / len as f32,
         };
         let fields = [0, 1, 2, 3, 4].map(field);
-        let arena = Arena::new(device);
-        let update = update(&arena, &memory, &fields)?;
+        let update = update(arena, &memory, &fields)?;
         write(&memory, values, scene)?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
-        filling(&arena, &memory, zero)?.execute()?;
+        filling(arena, &memory, zero)?.execute()?;
         let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
         let tensors = scene_tensors(values, len, scene.sh_degree);
         let gaussians = Self::of(arena, request, vec![memory], tensors, begin, update)?;
@@ -99,17 +98,17 @@ impl Gaussians {
 
     /// Gaussians in the first of some memories, their gradients there with what they begin with, and a plan that moves them.
     pub(super) fn of(
-        arena: Arena,
+        arena: &Arena,
         request: &Refine,
         memories: Vec<Arc<Resident>>,
         scene: SceneTensors,
         gradients: [(Tensor, f32); 5],
         (update, schedule): (Run, Tensor),
     ) -> Result<Self> {
-        let clear = filling(&arena, &memories[0], gradients.into_iter())?;
+        let clear = filling(arena, &memories[0], gradients.into_iter())?;
         let together = together(request, arena.device().limits());
         Ok(Self {
-            arena,
+            arena: arena.clone(),
             memories,
             fields: Vec::new(),
             scene,

@@ -20,7 +20,7 @@ pub use tokens::FrozenHead;
 
 use crate::{
     Error, Result,
-    gpu::{Device, Profile},
+    gpu::{Arena, Profile},
     reconstruct::SceneTokens,
     stages::loss::Loss,
     types::{Camera, Image, Scene},
@@ -204,29 +204,32 @@ impl Refined {
 /// Refines a scene's Gaussians so that each of `photos` is what the camera of the same index sees. Cameras are those of the
 /// whole photos, in the world of the scene.
 ///
-/// `progress` is called after every step and may end the refinement: what was best until then is returned.
+/// Plans run in `arena`, which may be a model's own, so that no more memory is taken than the largest of all plans needs; where
+/// somebody else uses it now, in another one. `progress` is called after every step and may end the refinement: what was best
+/// until then is returned.
 ///
 /// # Errors
 /// [`Error::Argument`] where the scene, a photo, a camera or the request cannot be used; [`Error::Memory`] where the device
 /// has too little.
 pub fn refine_scene(
-    device: &Device,
+    arena: &Arena,
     scene: &Scene,
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
-    mut progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
+    progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
 ) -> Result<Refined> {
-    let begin = Instant::now();
     scene.validate()?;
     if scene.is_empty() {
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
-    let request = resolved(request, photos, cameras)?;
     let unit = distance(scene, cameras);
-    let grown = request.grow.map(|most| padded(scene, most));
-    let gaussians = Gaussians::new(device, grown.as_ref().unwrap_or(scene), unit, &request)?;
-    Refinement::new(gaussians, (scene.clone(), unit), photos, cameras, request)?.finish(&mut progress, begin)
+    let make = |arena: &Arena, request: &Refine| {
+        let grown = request.grow.map(|most| padded(scene, most));
+        let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), unit, request)?;
+        Ok((gaussians, (scene.clone(), unit)))
+    };
+    run(arena, make, photos, cameras, request, progress)
 }
 
 /// Refines a scene's tokens so that each of `photos` is what the camera of the same index sees, as [`refine_scene`] does: the head
@@ -235,31 +238,43 @@ pub fn refine_scene(
 /// # Errors
 /// The errors of [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
 pub fn refine_tokens(
+    arena: &Arena,
     head: &FrozenHead,
     tokens: &SceneTokens,
+    photos: &[Image],
+    cameras: &[Camera],
+    request: &Refine,
+    progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
+) -> Result<Refined> {
+    if let Some(most) = request.grow {
+        return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
+    }
+    let make = |arena: &Arena, request: &Refine| {
+        let (gaussians, scene) = tokens::gaussians(arena, head, tokens, request)?;
+        let unit = distance(&scene, cameras);
+        Ok((gaussians, (scene, unit)))
+    };
+    run(arena, make, photos, cameras, request, progress)
+}
+
+/// Refines what `make` puts on the device, which is a scene in Gaussians and its distance from the cameras.
+fn run(
+    arena: &Arena,
+    make: impl FnOnce(&Arena, &Refine) -> Result<(Gaussians, (Scene, f64))>,
     photos: &[Image],
     cameras: &[Camera],
     request: &Refine,
     mut progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
 ) -> Result<Refined> {
     let begin = Instant::now();
-    let request = resolved(request, photos, cameras)?;
-    if let Some(most) = request.grow {
-        return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
-    }
-    let (gaussians, scene) = tokens::gaussians(head, tokens, &request)?;
-    let unit = distance(&scene, cameras);
-    Refinement::new(gaussians, (scene, unit), photos, cameras, request)?.finish(&mut progress, begin)
-}
-
-/// The request with what follows from the photos filled in, where they have cameras and enough of them are learnt from.
-fn resolved(request: &Refine, photos: &[Image], cameras: &[Camera]) -> Result<Refine> {
-    let count = photos.len();
-    if count == 0 || count != cameras.len() {
-        let expected = format!("one for each of {count} photos, at least one");
+    if photos.is_empty() || photos.len() != cameras.len() {
+        let expected = format!("one for each of {} photos, at least one", photos.len());
         return Err(Error::argument("cameras", cameras.len(), expected));
     }
-    filled(request, count)
+    let request = filled(request, photos.len())?;
+    let (arena, _claim) = arena.claimed();
+    let (gaussians, scene) = make(&arena, &request)?;
+    Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
 }
 
 /// The request with what follows from the number of photos filled in.

@@ -10,12 +10,12 @@ use super::{
 };
 use crate::{
     Result,
-    gpu::{Arena, Limits, Recorder, ResidentLayout, Tensor},
+    gpu::{Arena, Limits, Plan, Recorder, ResidentLayout, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::{
         Architecture,
         gaussians::Head,
-        render::{FrameShape, Gradients, first_capacity},
+        render::{FrameShape, Gradients, SceneTensors, first_capacity},
     },
     types::Image,
 };
@@ -30,18 +30,17 @@ pub enum Moved<'a> {
 }
 
 /// Bytes of a refinement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RefinePlan {
     /// Bytes of what stays: Gaussians, their gradients, moments; of tokens also these and the head's weights in f32.
     pub kept_bytes: u64,
-    /// Bytes of the arena in which the plans of a step take turns.
-    pub arena_bytes: u64,
+    /// The plans of a step, which take turns in the arena.
+    pub plans: Vec<Plan>,
 }
 
 impl RefinePlan {
-    /// All of it.
-    pub fn bytes(&self) -> u64 {
-        self.kept_bytes + self.arena_bytes
+    /// Bytes of an arena of its own.
+    pub fn arena_bytes(&self) -> u64 {
+        Arena::lane_bytes(&self.plans)
     }
 }
 
@@ -101,31 +100,44 @@ pub fn plan_refinement(
     }
     kept_bytes += layout.bytes();
 
+    let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
+    record_steps(limits, &mut plans, &scene, &gradients, [width, height], &request)?;
+    Ok(RefinePlan { kept_bytes, plans })
+}
+
+/// Adds the plans in which photos of that size are drawn.
+fn record_steps(
+    limits: &Limits,
+    plans: &mut Vec<Plan>,
+    scene: &SceneTensors,
+    gradients: &Gradients,
+    [width, height]: [u32; 2],
+    request: &Refine,
+) -> Result<()> {
     let photo = Image { width, height, rgb: Vec::new() };
     let photo_size = |shrink| size(&photo, request.size, shrink);
     let schedule = Schedule { steps: request.steps, rate: 1.0, coarse: request.coarse };
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
     let mut shrinks: Vec<u32> = (0..request.steps).map(|step| schedule.shrink(step, shortest)).collect();
     shrinks.dedup();
-    let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
-    let each = request.room.unwrap_or_else(|| first_capacity(len)).max(1);
+    let each = request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1);
     for shrink in shrinks {
         let [width, height] = photo_size(shrink);
         let pixels = width as usize * height as usize;
-        let cameras = together(&request, limits).min(request.views_per_step).min(most_together(pixels));
+        let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
-        record_photos(&mut rec, &scene, shape, room(limits, each, cameras, true), Some((&request, &gradients)));
+        record_photos(&mut rec, scene, shape, room(limits, each, cameras, true), Some((request, gradients)));
         plans.push(rec.finish()?);
     }
     if request.hold_out.unwrap_or(0) > 0 {
         let [width, height] = photo_size(1);
         let mut rec = Recorder::new(limits);
         let shape = FrameShape { cameras: 1, width, height };
-        record_photos(&mut rec, &scene, shape, room(limits, each, 1, false), None);
+        record_photos(&mut rec, scene, shape, room(limits, each, 1, false), None);
         plans.push(rec.finish()?);
     }
-    Ok(RefinePlan { kept_bytes, arena_bytes: Arena::lane_bytes(&plans) })
+    Ok(())
 }
 
 /// One field's step.

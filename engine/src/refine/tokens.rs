@@ -20,7 +20,6 @@ use std::{ops::ControlFlow, sync::Arc};
 
 /// A model's head on a device, forwards and transposed, in f32 whatever the model computes in.
 pub struct FrozenHead {
-    device: Device,
     head: Head,
     architecture: Architecture,
     memory: Arc<Resident>,
@@ -37,13 +36,19 @@ impl FrozenHead {
         let head = Head::new(&mut parameters, &architecture);
         let read = |name: &str, out: &mut [f32]| checkpoint.read_f32(name, out);
         let memory = parameters.load(device, read, |_| ControlFlow::Continue(()))?.resident;
-        Ok(Self { device: device.clone(), head, architecture, memory })
+        Ok(Self { head, architecture, memory })
     }
 }
 
 /// The Gaussians of tokens, to be moved through them, and what they are before the first step.
-pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Result<(Gaussians, Scene)> {
-    let FrozenHead { device, head, architecture: a, memory: weights } = head;
+pub(super) fn gaussians(
+    arena: &Arena,
+    head: &FrozenHead,
+    tokens: &SceneTokens,
+    request: &Refine,
+) -> Result<(Gaussians, Scene)> {
+    let FrozenHead { head, architecture: a, memory: weights } = head;
+    let device = arena.device();
     let (count, width) = (tokens.count(), a.width + a.color_width);
     if tokens.width() != width {
         return Err(Error::argument("width of the tokens", tokens.width(), format!("{width}, as the head's")));
@@ -56,8 +61,7 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     let unit = layout.add::<f32>(1);
     let memory = Arc::new(Resident::new(device, &layout)?);
     memory.write(unit, &[tokens.unit() as f32])?;
-    let arena = Arena::new(device);
-    filling(&arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
+    filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
     let scene = scene_tensors(values, len, sh_degree);
 
     // Once: the tokens' own Gaussians. The tokens that they were given as stay.
@@ -65,7 +69,7 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     rec.copy(tokens.tensor(), moved);
     head.record(&mut rec, moved, count, unit, &scene);
     let given = [memory.clone(), weights.clone(), tokens.resident().clone()];
-    Run::in_arena(&arena, 0, rec.finish()?, given)?.execute()?;
+    Run::in_arena(arena, 0, rec.finish()?, given)?.execute()?;
 
     // Every step. What the gradient needs of the head's forward pass is computed again: it would be many times the tokens.
     let mut rec = Recorder::new(device.limits());
@@ -78,7 +82,7 @@ pub(super) fn gaussians(head: &FrozenHead, tokens: &SceneTokens, request: &Refin
     });
     head.record(&mut rec, moved, count, unit, &scene);
     let memories = vec![memory, weights.clone()];
-    let update = (Run::in_arena(&arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
+    let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
 
     let gradients = begin(gradients, len, request);
     let gaussians = Gaussians::of(arena, request, memories, scene, gradients, update)?;

@@ -3,7 +3,7 @@
 use crate::{
     metrics::{psnr, ssim, values},
     outputs::{self, Overwrite},
-    perceptual::LpipsOption,
+    perceptual::{LpipsOption, distance},
     photos,
     session::{Session, Stage},
     table::{Table, counted},
@@ -62,7 +62,11 @@ impl Compare {
         let pairs = self.pairs(session)?;
         let written = self.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
         self.overwrite.check_replaced(written)?;
-        let mut lpips = self.lpips.open(session)?;
+        let device = session.device()?;
+        let mut lpips = self.lpips.open(&device, false)?;
+        if lpips.is_none() && self.lpips.is_default() {
+            session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
+        }
         let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, lpips.as_mut()));
         let (rows, _) = session.stage("compare", compared)?;
         if let Some(path) = &self.csv {
@@ -149,12 +153,7 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
         ));
     }
     let [x, y] = [values(&a), values(&b)];
-    let lpips = match lpips {
-        Some(lpips) if width.min(height) >= lpips.network().least_side() => {
-            Some(lpips.distance([&x, &y], [width, height])?)
-        }
-        _ => None,
-    };
+    let lpips = distance(lpips, [&x, &y], [width, height])?;
     if let Some(path) = &pair.difference {
         let off = a.rgb.iter().zip(&b.rgb).map(|(a, b)| a.abs_diff(*b).saturating_mul(4)).collect();
         outputs::save_picture(path, &Image::new(width, height, off)?)?;

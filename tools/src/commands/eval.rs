@@ -8,6 +8,7 @@ use crate::{
     capture::{Capture, Choice, Posed, Score, Seeing, draw},
     options::{Quality, Size, Weights, parse_length},
     outputs::{self, Overwrite},
+    perceptual::LpipsOption,
     photos,
     refinement::{self, Moved, Refinable, Start, Steps},
     session::Session,
@@ -19,10 +20,11 @@ use clap::{ArgGroup, Args};
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
+    gpu::Arena,
     reconstruct::{Request, Shape},
     refine::{FrozenHead, Refine, Refined, Stopped},
     stages::render::Renderer,
-    types::{Camera, Image, World, WriteOptions, contact_sheet},
+    types::{Image, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -92,6 +94,9 @@ pub struct Eval {
     /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
+    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
+    #[arg(long, value_name = "K", requires = "refine")]
+    hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,
     /// Give the network and the refinement wrong cameras, to see what that costs: those of all inputs but the first are turned by
@@ -102,7 +107,9 @@ pub struct Eval {
     /// any, of what the cameras look at]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
-    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, a row for each photo compared; with --pose-free also
+    #[command(flatten)]
+    lpips: LpipsOption,
+    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row for each photo compared; with --pose-free also
     /// before_psnr, before_ssim, degrees, distance, doubt
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -140,6 +147,7 @@ impl Eval {
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
         self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let device = session.device()?;
+        let mut lpips = self.lpips.open(&device, self.pose_free && self.align == Method::Adam)?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
         let seeing = Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares };
@@ -164,14 +172,14 @@ impl Eval {
         let refined = match (self.refine, &tokens) {
             (Some(Steps { count, .. }), Some(tokens)) => {
                 let head = FrozenHead::load(&device, &checkpoint)?;
-                Some(self.refine(session, Refinable::Tokens(&head, tokens), &capture, count)?)
+                Some(self.refine(session, model.arena(), Refinable::Tokens(&head, tokens), &capture, count)?)
             }
             (Some(Steps { count, .. }), None) => {
                 let cloud = choice.points(&capture.unit)?;
                 let start = Start::or_best(self.start, cloud.as_ref(), self.weights.is_embedded());
                 started = start.name();
-                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &input_cameras(&capture))?;
-                Some(self.refine(session, Refinable::Scene(&device, &start), &capture, count)?)
+                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &capture.learnt().1)?;
+                Some(self.refine(session, model.arena(), Refinable::Scene(&start), &capture, count)?)
             }
             (None, _) => None,
         };
@@ -185,10 +193,11 @@ impl Eval {
             _ => renderer.load(&scene)?,
         }
         let targets = &capture.targets;
-        let (drawn, alignment) = if self.pose_free {
+        let (drawn, mut alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
-                let found =
-                    |view: &Posed| self.align.align(&mut renderer, &view.image, &view.camera, &|| stage.check());
+                let found = |view: &Posed| {
+                    self.align.align(&mut renderer, &view.image, &view.camera, lpips.as_mut(), &|| stage.check())
+                };
                 stage.each(targets, found)
             })?;
             let alignment = Alignment::new(&capture, &found);
@@ -197,7 +206,12 @@ impl Eval {
             let picture = |view: &Posed| draw(&mut renderer, &view.camera);
             (session.stage("compare", |stage| stage.each(targets, picture))?.0, None)
         };
-        let scores = capture.scores(&drawn);
+        let mut scores = capture.scores(&drawn);
+        if let Some(lpips) = &mut lpips {
+            session.stage("compare", |_| capture.look(&mut scores, &drawn, lpips))?;
+            let rows = alignment.iter_mut().flat_map(|alignment| &mut alignment.rows);
+            rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
+        }
 
         match (&self.csv, &alignment) {
             (Some(path), Some(alignment)) => outputs::save_csv(path, &alignment.rows)?,
@@ -228,14 +242,14 @@ impl Eval {
             capture.unit
         ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
             + &refined.as_ref().map_or_else(String::new, |refined| {
-                format!("\n{}", refinement::summary(refined, started, &input_cameras(&capture)))
+                format!("\n{}", refinement::summary(refined, started, &capture.learnt().1))
             });
         let json = serde_json::json!({
             "folder": self.folder, "weights": checkpoint.provenance(), "precision": precision.name(), "width": size.0, "height": size.1,
-            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started, &input_cameras(&capture))),
+            "score_width": compared.0, "score_height": compared.1, "refined": refined.as_ref().map(|refined| refinement::as_json(refined, started, &capture.learnt().1)),
             "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
             "tokens": result.tokens, "all_tokens": shape.grid.tokens(), "gaussians": scene.len(),
-            "peak_bytes": result.peak_bytes,
+            "peak_bytes": result.peak_bytes, "seconds": took.as_secs_f64(),
             "mean": mean, "aligned": alignment, "views": scores,
         });
         session.report(&json, text)
@@ -263,14 +277,14 @@ impl Eval {
     fn refine(
         &self,
         session: &mut Session<'_>,
+        arena: &Arena,
         from: Refinable<'_>,
         capture: &Capture,
         steps: usize,
     ) -> Result<Refined> {
-        let cameras = input_cameras(capture);
-        let photos: Vec<Image> = capture.inputs.iter().map(|input| input.image.clone()).collect();
-        let request = self.moved.request(Refine { steps, ..Refine::default() });
-        let refined = refinement::refine(session, from, &photos, &cameras, &request)?;
+        let (photos, cameras) = capture.learnt();
+        let request = self.moved.request(Refine { steps, hold_out: self.hold_out, ..Refine::default() });
+        let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
         match refined.stopped {
             Some(Stopped::Cancelled) => Err(Error::Cancelled),
@@ -279,25 +293,21 @@ impl Eval {
     }
 }
 
-/// Cameras of the whole input photos as they are compared.
-fn input_cameras(capture: &Capture) -> Vec<Camera> {
-    capture.inputs.iter().map(|input| input.camera).collect()
-}
-
 fn table(scores: &[Score], mean: &Score) -> Table {
-    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour"]);
+    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour"]);
     scores.iter().chain([mean]).for_each(|score| table.row(cells_of(score)));
     table
 }
 
-fn cells_of(score: &Score) -> [String; 5] {
-    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr])
+fn cells_of(score: &Score) -> [String; 6] {
+    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
 }
 
-/// PSNR, SSIM and the PSNR of the two predictions.
-fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4]) -> [String; 5] {
+/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
+fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
     let db = |value: f64| format!("{value:.2} dB");
-    [view.to_owned(), db(psnr), format!("{ssim:.3}"), db(nearest), db(color)]
+    let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
+    [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
 /// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.

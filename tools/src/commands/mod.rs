@@ -1,5 +1,6 @@
 //! The commands, one file each.
 
+mod batch;
 mod bench;
 mod cameras;
 mod compare;
@@ -30,6 +31,7 @@ pub enum Command {
     Info(info::Info),
     Convert(convert::Convert),
     Eval(eval::Eval),
+    Batch(batch::Batch),
     Compare(compare::Compare),
     Bench(bench::Bench),
     Doctor(doctor::Doctor),
@@ -56,6 +58,7 @@ impl Command {
             Command::Info(command) => command.run(session),
             Command::Convert(command) => command.run(session),
             Command::Eval(command) => command.run(session),
+            Command::Batch(command) => command.run(session),
             Command::Compare(command) => command.run(session),
             Command::Bench(command) => command.run(session),
             Command::Doctor(command) => command.run(session),

@@ -99,7 +99,7 @@ pub struct Reconstruct {
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
     #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
+    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]

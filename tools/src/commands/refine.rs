@@ -15,7 +15,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    gpu::Device,
+    gpu::{Arena, Device},
     refine::{self, Refined, Stopped},
     types::{
         Camera, Image, Pose, Scene, SceneFormat, World, WriteOptions,
@@ -69,7 +69,7 @@ pub struct Refine {
     /// Photos of a step
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Photos to hold out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
+    /// Photos to hold out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
     #[arg(long, value_name = "K")]
     hold_out: Option<usize>,
     #[command(flatten)]
@@ -196,8 +196,8 @@ impl Refine {
             ..refine::Refine::default()
         };
         let request = self.moved.request(request);
-        let from = Refinable::Scene(device, &started.scene);
-        Ok((refinement::refine(session, from, photos, &started.cameras, &request)?, request))
+        let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
+        Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))
     }
 
     fn report(

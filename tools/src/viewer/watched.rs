@@ -14,6 +14,7 @@ use std::{
 };
 use zipsplat::{
     Result,
+    gpu::Arena,
     reconstruct::SceneTokens,
     refine::{FrozenHead, Refine, Refined, Refining, Stopped, refine_scene, refine_tokens},
     types::{Camera, Image, Scene},
@@ -84,10 +85,12 @@ impl Watched {
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
         };
         let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
+        // Of its own: the slider goes on using the model's.
+        let arena = Arena::new(&live.device);
         let refined = match &self.start {
-            Start::Scene(scene) => refine_scene(&live.device, scene, photos, cameras, request, told),
+            Start::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, told),
             Start::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
-                .and_then(|head| refine_tokens(&head, tokens, photos, cameras, request, told)),
+                .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, told)),
         };
         self.end(refined)
     }

@@ -20,7 +20,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    gpu::Device,
+    gpu::{Arena, Device},
     refine::{Refine as Request, Refined, Stopped, refine_scene},
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Scene},
@@ -263,7 +263,7 @@ impl Case {
             profile: steps == 0,
             ..Request::default()
         };
-        refine_scene(device, &self.scene, &self.photos, &self.cameras, &request, |now| progress(now.step))
+        refine_scene(&Arena::new(device), &self.scene, &self.photos, &self.cameras, &request, |now| progress(now.step))
     }
 
     /// A row of which nothing was measured.

@@ -24,6 +24,7 @@ pub struct AlignedScore {
     /// Distance between them, in the unit of the cameras.
     distance: f64,
     doubt: Option<Doubt>,
+    pub lpips: Option<f64>,
 }
 
 fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
@@ -42,6 +43,7 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
         ssim: score.ssim,
         nearest_psnr: score.nearest_psnr,
         mean_color_psnr: score.mean_color_psnr,
+        lpips: None,
     };
     found.iter().zip(before).zip(after).map(row).collect()
 }
@@ -87,11 +89,13 @@ impl Alignment {
 
     /// The pictures' figures, and their mean.
     pub fn table(&self, mean: &Score) -> Table {
-        let mut table =
-            Table::new(1, &["view", "PSNR", "SSIM", "nearest photo", "mean colour", "degrees", "distance", "doubt"]);
+        let mut table = Table::new(
+            1,
+            &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour", "degrees", "distance", "doubt"],
+        );
         for row in &self.rows {
             let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_color_psnr];
-            let [view, psnr, ssim, nearest, color] = cells(&row.view, score);
+            let [view, psnr, ssim, lpips, nearest, color] = cells(&row.view, score, row.lpips);
             let doubt = match row.doubt {
                 None => "",
                 Some(Doubt::Flat) => "flat",
@@ -99,10 +103,10 @@ impl Alignment {
                 Some(Doubt::Color) => "color",
             };
             let [degrees, distance] = [format!("{:.2}", row.degrees), format!("{:.4}", row.distance)];
-            table.row([view, psnr, ssim, nearest, color, degrees, distance, doubt.into()]);
+            table.row([view, psnr, ssim, lpips, nearest, color, degrees, distance, doubt.into()]);
         }
-        let [view, psnr, ssim, nearest, color] = cells_of(mean);
-        table.row([view, psnr, ssim, nearest, color, String::new(), String::new(), String::new()]);
+        let [view, psnr, ssim, lpips, nearest, color] = cells_of(mean);
+        table.row([view, psnr, ssim, lpips, nearest, color, String::new(), String::new(), String::new()]);
         table
     }
 

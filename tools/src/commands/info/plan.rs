@@ -14,7 +14,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Arena, Device, Limits, Plan},
     reconstruct::{Network, NetworkPlan, Shape},
-    refine::{Moved, Refine, plan_refinement},
+    refine::{Moved, Refine, RefinePlan, plan_refinement},
     stages::render::{RenderRequest, plan_pictures},
 };
 
@@ -67,20 +67,21 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         plan_refinement(&limits, moved, views, [width, height], &Refine::default())
     });
     let refined = refined.transpose()?;
-    let refining = refined.map_or(0, |refined| refined.bytes());
+    let kept = refined.as_ref().map_or(0, |refined| refined.kept_bytes);
 
     let (weights, scene) = (network.weight_bytes(), layout.bytes());
     let of_pictures = pictures.as_ref().map_or(0, Plan::arena_bytes);
-    let first_lane = Arena::lane_bytes([&plan].into_iter().chain(&pictures));
+    let of_refinement = refined.iter().flat_map(|refined| &refined.plans);
+    let first_lane = Arena::lane_bytes([&plan].into_iter().chain(&pictures).chain(of_refinement));
     let arena = first_lane + (Arena::LANES as u64 - 1) * of_pictures;
     // What as many arenas as there are plans under way would take.
-    let separate = weights + scene + plan.arena_bytes() + Arena::LANES as u64 * of_pictures;
+    let own = refined.as_ref().map_or(0, RefinePlan::arena_bytes);
+    let separate = weights + scene + kept + plan.arena_bytes() + own + Arena::LANES as u64 * of_pictures;
     let mut rows = plan.arena_map();
     let json = json!({
         "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
-        "precision": precision.name(), "peak_bytes": weights + scene + arena + refining, "weight_bytes": weights,
-        "refine_kept_bytes": refined.map(|refined| refined.kept_bytes),
-        "refine_arena_bytes": refined.map(|refined| refined.arena_bytes), "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
+        "precision": precision.name(), "peak_bytes": weights + scene + arena + kept, "weight_bytes": weights,
+        "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own), "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
     let count = rows.len();
     if !info.all {
@@ -100,23 +101,25 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         counted(shape.grid.tokens(), "token"),
         precision.name(),
         if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name },
-        bytes(weights + scene + arena + refining)
+        bytes(weights + scene + arena + kept)
     );
     text += &format!(
         "weights {}, Gaussians {}, arena {}{}; {} commands, {:.1} GFLOP\n\n{table}",
         bytes(weights),
         bytes(scene),
         bytes(arena),
-        pictures.map_or_else(String::new, |_| format!(" (in arenas of their own {} in all)", bytes(separate))),
+        match pictures.is_some() || refined.is_some() {
+            true => format!(" (in arenas of their own {} in all)", bytes(separate)),
+            false => String::new(),
+        },
         plan.len(),
         plan.flops() as f64 / 1e9
     );
-    if let Some(refined) = refined {
+    if refined.is_some() {
         text += &format!(
-            "\nrefinement: {} beside these: {} of Gaussians, gradients and moments, an arena of {}\n",
-            bytes(refined.bytes()),
-            bytes(refined.kept_bytes),
-            bytes(refined.arena_bytes)
+            "\nrefinement: {} of Gaussians, gradients and moments beside these; of the arena it takes {}\n",
+            bytes(kept),
+            bytes(own)
         );
     }
     if rows.len() < count {

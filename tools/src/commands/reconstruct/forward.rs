@@ -15,7 +15,7 @@ use zipsplat::{
     Result,
     gpu::Device,
     ops::Precision,
-    reconstruct::{Reconstruction, Request, SceneTokens, Shape},
+    reconstruct::{Model, Reconstruction, Request, SceneTokens, Shape},
     stages::render::DeviceScene,
     types::{
         Scene,
@@ -40,6 +40,8 @@ pub struct Planned<'a> {
 
 /// The outcome of a forward pass, and how it came about.
 pub struct Forward {
+    /// The network: what comes next runs in its arena.
+    pub model: Model,
     pub result: Reconstruction,
     /// The tokens, where these are to be moved.
     pub tokens: Option<SceneTokens>,
@@ -180,6 +182,7 @@ impl Planned<'_> {
         quality.prune(&mut scene, checkpoint.architecture());
         turned.iter().for_each(|first| scene.place(1.0, first));
         Ok(Forward {
+            model,
             result,
             tokens,
             scene,

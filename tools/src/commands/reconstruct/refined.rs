@@ -9,7 +9,7 @@ use crate::{
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    gpu::Device,
+    gpu::{Arena, Device},
     refine::{FrozenHead, Refine, Refined, Stopped},
     types::{Camera, PointCloud, poses::Frame},
     weights::Checkpoint,
@@ -69,18 +69,19 @@ impl Reconstruct {
         let size = Some([self.refine_size.0, self.refine_size.1]);
         let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
         let request = self.moved.request(request);
+        let arena = given.forward.map_or_else(|| Arena::new(given.device), |forward| forward.model.arena().clone());
         let (refined, started) = match (start, given.forward.and_then(|forward| forward.tokens.as_ref())) {
             (From::Tokens, Some(tokens)) => {
                 let head = FrozenHead::load(given.device, given.checkpoint)?;
                 let from = Refinable::Tokens(&head, tokens);
-                (refinement::refine(session, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
+                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
             }
             (From::Tokens, None) => unreachable!("they were asked for"),
             (From::Scene(start), _) => {
                 let scene = given.forward.map(|forward| forward.scene.clone());
                 let scene = start.scene(scene, cloud, &cameras)?;
-                let from = Refinable::Scene(given.device, &scene);
-                (refinement::refine(session, from, &photos, &cameras, &request)?, start.name().to_owned())
+                let from = Refinable::Scene(&scene);
+                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, start.name().to_owned())
             }
         };
         session.notes(refinement::doubt(&refined));

@@ -1,11 +1,13 @@
-//! The plots: those of the paper's figures 1, 8, 10, 11 and 12, with our numbers, and the front of time and PSNR.
+//! The plots: the front of time and PSNR, and those of the paper's figures 1, 8, 10, 11 and 12, with our numbers.
+//!
+//! A colour has one meaning in each of them: what else was varied is held, at the first precision, all Gaussians of a token and no
+//! refinement.
 
 use super::{
     point::{Point, front, name},
     sweep::Sweep,
 };
-use crate::plot::{Axis, Scale, Series, plot};
-use std::collections::BTreeSet;
+use crate::plot::{At, Axis, Scale, Series, plot};
 use zipsplat::reconstruct::Selection;
 
 const fn linear(label: &str) -> Axis<'_> {
@@ -20,91 +22,104 @@ const PSNR: Axis<'_> = linear("PSNR of held-out photos, dB");
 const TIME: Axis<'_> = log("photos to Gaussians, ms");
 const GAUSSIANS: Axis<'_> = log("Gaussians");
 const VIEWS: Axis<'_> = linear("input photos");
+const SHARE: Axis<'_> = log("share of tokens");
 
-/// Heading and SVG of each plot.
+/// What a colour means: a name for it, and the value of a point.
+type Meaning = (&'static str, fn(&Point) -> String);
+
+const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());
+const CHOSEN: Meaning = ("tokens chosen by", |p| p.select.clone());
+const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
+const PRECISION: Meaning = ("precision", |p| p.precision.clone());
+const KEPT: Meaning = ("Gaussians a token", |p| p.keep.to_string());
+const STEPS: Meaning = ("steps of refinement", |p| p.refine.clone());
+
+/// A point and its number in the sweep.
+type Numbered<'a> = (usize, &'a Point);
+
+/// The plot that stands on top: time and PSNR of every point.
+pub fn pareto(points: &[Point]) -> String {
+    let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();
+    let place = |p: &Point| (p.total_ms, p.psnr);
+    let meaning = if points.iter().any(Point::is_refined) { STEPS } else { PRECISION };
+    let mut series = series(&all, meaning, place);
+    series.iter_mut().for_each(|series| series.line = false);
+    let at = |i: usize| At { x: points[i].total_ms, y: points[i].psnr, of: None };
+    let line = Series { name: "front".into(), points: front(points).into_iter().map(at).collect(), line: true };
+    plot(log("photos to refined Gaussians, ms"), PSNR, meaning.0, &series, Some(&line))
+}
+
+/// Heading and plot of each of the others.
 pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
-    let points = &sweep.points;
-    let most = points.iter().map(|p| p.views).max().unwrap_or(0);
-    let all = points.iter().map(|p| p.keep).max().unwrap_or(0);
-    let full: Vec<&Point> = points.iter().filter(|p| p.keep == all).collect();
+    let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
+    let plain = those(&all, |p| !p.is_refined());
+    let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
+    let keep = plain.iter().map(|(_, p)| p.keep).max().unwrap_or(0);
+    let first = plain.first().map_or_else(String::new, |(_, p)| p.precision.clone());
     let own = name(&Selection::KMEANS);
-    let kmeans = |p: &&Point| p.select == "all" || p.select == own;
-    vec![
-        ("What accuracy costs in time", pareto(points)),
+    let kmeans = |p: &Point| p.select == "all" || p.select == own;
+    let full = those(&plain, |p| p.keep == keep && p.precision == first);
+    let (best, ours) = (those(&full, |p| p.views == most), those(&full, kmeans));
+    let kept = those(&plain, |p| p.views == most && p.precision == first && kmeans(p));
+    let whole = those(&plain, |p| p.keep == keep && p.select == "all");
+    let refined = those(&all, |p| p.views == most && p.precision == first && p.keep == keep && kmeans(p));
+    let refined = those(&refined, |p| !p.refine.contains(':'));
+    let mut figures = vec![
         (
             "Quality against the number of Gaussians (figure 1)",
-            by(&full, GAUSSIANS, PSNR, |p| p.views == most, |p| p.select.clone(), |p| (p.gaussians as f64, p.psnr)),
+            by(&best, GAUSSIANS, PSNR, CHOSEN, |p| (p.gaussians as f64, p.psnr)),
         ),
         (
             "Quality against the budget, for each number of photos (figure 8)",
-            by(
-                &full,
-                GAUSSIANS,
-                PSNR,
-                |p| kmeans(&p),
-                |p| format!("{} photos", p.views),
-                |p| (p.gaussians as f64, p.psnr),
-            ),
+            by(&ours, GAUSSIANS, PSNR, PHOTOS, |p| (p.gaussians as f64, p.psnr)),
         ),
-        (
-            "How tokens are chosen (figure 10, left)",
-            by(&full, log("share of tokens"), PSNR, |p| p.views == most, |p| p.select.clone(), |p| (p.ratio, p.psnr)),
-        ),
+        ("How tokens are chosen (figure 10, left)", by(&best, SHARE, PSNR, CHOSEN, |p| (p.ratio, p.psnr))),
         (
             "Photos that a cluster spans (figure 10, right)",
-            by(
-                &full,
-                log("share of tokens"),
-                linear("photos a cluster"),
-                |p| kmeans(&p),
-                photos,
-                |p| (p.ratio, p.views_per_cluster.unwrap_or(f64::NAN)),
-            ),
+            by(&ours, SHARE, linear("photos a cluster"), PHOTOS, |p| {
+                (p.ratio, p.views_per_cluster.unwrap_or(f64::NAN))
+            }),
         ),
         ("Time of each stage, every token (figure 11, a)", stages(sweep)),
-        (
-            "Time against photos (figure 11, a)",
-            by(&full, VIEWS, TIME, |p| kmeans(&p), share, |p| (p.views as f64, p.forward_ms)),
-        ),
-        (
-            "Peak of memory (figure 11, b)",
-            by(&full, VIEWS, log("MiB"), |p| kmeans(&p), share, |p| (p.views as f64, mib(p.peak_bytes))),
-        ),
+        ("Time against photos (figure 11, a)", by(&ours, VIEWS, TIME, RATIO, |p| (p.views as f64, p.forward_ms))),
+        ("Time of each precision, every token", by(&whole, VIEWS, TIME, PRECISION, |p| (p.views as f64, p.forward_ms))),
+        ("Peak of memory (figure 11, b)", by(&ours, VIEWS, log("MiB"), RATIO, |p| (p.views as f64, mib(p.peak_bytes)))),
         (
             "Pictures a second (figure 12, a)",
-            by(&full, VIEWS, log("pictures a second"), |p| kmeans(&p), share, |p| (p.views as f64, 1e3 / p.render_ms)),
+            by(&ours, VIEWS, log("pictures a second"), RATIO, |p| (p.views as f64, 1e3 / p.render_ms)),
         ),
         (
             "Size of the scene's file (figure 12, b)",
-            by(&full, VIEWS, log("MiB"), |p| kmeans(&p), share, |p| (p.views as f64, mib(p.file_bytes))),
+            by(&ours, VIEWS, log("MiB"), RATIO, |p| (p.views as f64, mib(p.file_bytes))),
         ),
-        (
-            "Gaussians kept of each token",
-            by(
-                &points.iter().collect::<Vec<_>>(),
-                GAUSSIANS,
-                PSNR,
-                |p| p.views == most && kmeans(&p),
-                |p| format!("{} a token", p.keep),
-                |p| (p.gaussians as f64, p.psnr),
-            ),
-        ),
-    ]
+        ("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, |p| (p.gaussians as f64, p.psnr))),
+    ];
+    if sweep.points.iter().any(Point::is_refined) {
+        let plot = by(&refined, log("photos to refined Gaussians, ms"), PSNR, RATIO, |p| (p.total_ms, p.psnr));
+        figures.insert(0, ("Steps of refinement, from left to right (section 4.2)", plot));
+    }
+    figures
+}
+
+fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Numbered<'a>> {
+    points.iter().copied().filter(|(_, p)| keeps(p)).collect()
 }
 
 /// The same for deviations from f64; none where nothing was compared with it.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
-    let all = points.iter().map(|p| p.keep).max().unwrap_or(0);
+    let keep = points.iter().map(|p| p.keep).max().unwrap_or(0);
     let own = name(&Selection::KMEANS);
-    let compared = |p: &&Point| p.keep == all && (p.select == "all" || p.select == own) && p.psnr_to_f64.is_some();
-    let compared: Vec<&Point> = points.iter().filter(compared).collect();
+    let compared = |p: &Point| p.keep == keep && (p.select == "all" || p.select == own) && p.psnr_to_f64.is_some();
+    let most = points.iter().filter(|p| compared(p)).map(|p| p.views).max();
+    let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();
+    let compared = those(&all, |p| compared(p) && Some(p.views) == most);
     if compared.is_empty() {
         return Vec::new();
     }
     let plot = |y: Axis<'_>, of: fn(&Point) -> Option<f64>| {
-        by(&compared, log("share of tokens"), y, |_| true, photos, |p| (p.ratio, of(p).unwrap_or(f64::NAN)))
+        by(&compared, SHARE, y, PRECISION, |p| (p.ratio, of(p).unwrap_or(f64::NAN)))
     };
-    let error = |of: fn(&Point) -> Option<f64>| plot(log("rms of the difference / rms of the truth"), of);
+    let error = |of: fn(&Point) -> Option<f64>| plot(log("rms of difference / of truth"), of);
     vec![
         ("Backbone: tokens of all output layers", error(|p| p.error_backbone)),
         ("Fusion: scene tokens", error(|p| p.error_fuse)),
@@ -121,60 +136,36 @@ fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }
 
-fn photos(p: &Point) -> String {
-    format!("{} photos", p.views)
-}
-
-fn share(p: &Point) -> String {
-    format!("r = {:.2}", p.ratio)
-}
-
-/// A line a group of the points that are `of` it, joined from left to right; each precision has its own.
+/// A line a value of what colours mean, joined from left to right.
 fn by(
-    points: &[&Point],
+    points: &[Numbered<'_>],
     x: Axis<'_>,
     y: Axis<'_>,
-    of: impl Fn(&Point) -> bool,
-    group: impl Fn(&Point) -> String,
+    meaning: Meaning,
     place: impl Fn(&Point) -> (f64, f64),
 ) -> String {
-    let chosen: Vec<&&Point> = points.iter().filter(|p| of(p)).collect();
-    let precisions: BTreeSet<&str> = chosen.iter().map(|p| p.precision.as_str()).collect();
-    let name = |p: &Point| {
-        let group = group(p);
-        if precisions.len() > 1 { format!("{group}, {}", p.precision) } else { group }
-    };
-    let mut series: Vec<Series> = Vec::new();
-    for p in &chosen {
-        let name = name(p);
-        match series.iter_mut().find(|series| series.name == name) {
-            Some(series) => series.points.push(place(p)),
-            None => series.push(Series { name, points: vec![place(p)], line: true }),
-        }
-    }
+    let mut series = series(points, meaning, place);
     // Every way to choose ends at choosing all.
-    if let Some(all) = series.iter().position(|series| series.name.starts_with("all")).filter(|_| series.len() > 1) {
+    if let Some(all) = series.iter().position(|series| series.name == "all").filter(|_| series.len() > 1) {
         let all = series.remove(all);
         series.iter_mut().for_each(|series| series.points.extend(&all.points));
     }
-    series.iter_mut().for_each(|series| series.points.sort_by(|a, b| a.0.total_cmp(&b.0)));
-    plot(x, y, &series)
+    series.iter_mut().for_each(|series| series.points.sort_by(|a, b| a.x.total_cmp(&b.x)));
+    plot(x, y, meaning.0, &series, None)
 }
 
-fn pareto(points: &[Point]) -> String {
-    let place = |p: &Point| (p.forward_ms, p.psnr);
-    let precisions: BTreeSet<&str> = points.iter().map(|p| p.precision.as_str()).collect();
-    let mut series = vec![Series {
-        name: "front".into(),
-        points: front(points).into_iter().map(|i| place(&points[i])).collect(),
-        line: true,
-    }];
-    series.extend(precisions.into_iter().map(|precision| Series {
-        name: precision.into(),
-        points: points.iter().filter(|p| p.precision == precision).map(place).collect(),
-        line: false,
-    }));
-    plot(TIME, PSNR, &series)
+/// The points of each value of what colours mean, in the order of their first.
+fn series(points: &[Numbered<'_>], (_, value): Meaning, place: impl Fn(&Point) -> (f64, f64)) -> Vec<Series> {
+    let mut series: Vec<Series> = Vec::new();
+    for (i, p) in points {
+        let ((x, y), name) = (place(p), value(p));
+        let at = At { x, y, of: Some(*i) };
+        match series.iter_mut().find(|series| series.name == name) {
+            Some(series) => series.points.push(at),
+            None => series.push(Series { name, points: vec![at], line: true }),
+        }
+    }
+    series
 }
 
 fn stages(sweep: &Sweep) -> String {
@@ -186,14 +177,13 @@ fn stages(sweep: &Sweep) -> String {
     }
     let time = |name: &str, (views, times): &(usize, zipsplat::gpu::StageTimes)| {
         let took = times.0.iter().find(|(stage, _)| stage == name).map(|(_, took)| 1e3 * took.as_secs_f64());
-        (*views as f64, took.unwrap_or(f64::NAN))
+        At { x: *views as f64, y: took.unwrap_or(f64::NAN), of: None }
     };
-    let series: Vec<Series> = (names.into_iter())
-        .map(|name| Series {
-            name: name.into(),
-            points: sweep.stages.iter().map(|stage| time(name, stage)).collect(),
-            line: true,
-        })
-        .collect();
-    plot(VIEWS, log("ms"), &series)
+    let of_stage = |name: &str| Series {
+        name: name.into(),
+        points: sweep.stages.iter().map(|stage| time(name, stage)).collect(),
+        line: true,
+    };
+    let series: Vec<Series> = names.into_iter().filter(|name| !name.is_empty()).map(of_stage).collect();
+    plot(VIEWS, log("ms"), "stage", &series, None)
 }

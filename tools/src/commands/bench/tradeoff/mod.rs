@@ -1,8 +1,10 @@
 //! `zipsplat bench tradeoff`: what accuracy costs in time, as a page to look at and a table.
 
+mod drawn;
 mod figures;
 mod page;
 mod point;
+mod refined;
 mod sweep;
 mod truth;
 
@@ -11,6 +13,7 @@ use crate::{
     capture::{Capture, Choice, Seeing},
     options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
+    refinement::Steps,
     session::Session,
 };
 use clap::Args;
@@ -27,11 +30,13 @@ use zipsplat::{
 /// What accuracy costs in time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
 /// Every combination of the lists is reconstructed from photos of the capture and compared with its other photos. What does
-/// not matter is not repeated: at ratio 1 nothing is selected.
+/// not matter is not repeated: at ratio 1 nothing is selected. The page begins with three settings, fast, balanced and best, and
+/// shows picture and command of every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
   zipsplat bench tradeoff capture/ --views 4,8,16,24 --ratio 1,0.5,auto -o report/
+  zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fast --refine 0,10,25,50,100,50:tokens -o report/
 
 Writes tradeoff.html, one file that needs no other, and tradeoff.csv. Ctrl-C ends the sweep and writes what was measured.
 
@@ -54,6 +59,10 @@ pub struct Tradeoff {
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<usize>>,
+    /// Steps of refinement from the scene, or as 100:tokens from its tokens. They follow on every number of photos and share of the
+    /// tokens, in the first arithmetic, with the first way to choose and all Gaussians. 0, the scene itself, is always there
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
+    refine: Vec<Steps>,
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,

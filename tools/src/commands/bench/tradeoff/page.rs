@@ -2,82 +2,129 @@
 
 use super::{
     Tradeoff, figures,
-    point::{Point, front},
+    point::{Point, front, recommended},
     sweep::Sweep,
 };
-use crate::{capture::Capture, table::bytes};
+use crate::{
+    capture::Capture,
+    table::{bytes, counted, time},
+};
 use base64::{Engine, engine::general_purpose::STANDARD};
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
-use zipsplat::{Error, Result, types::Image};
+use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
+use std::time::Duration;
+use zipsplat::{
+    Error, Result,
+    types::{Image, resample::resize_lanczos},
+};
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1200px;margin:2em auto;padding:0 1em;color:#222}\
-    figure{display:inline-block;margin:0 1em 1.5em 0;vertical-align:top}figcaption{font-weight:600;max-width:560px}\
-    .picture img{width:180px;image-rendering:auto}table{border-collapse:collapse;font-size:13px}\
-    td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}td:first-child,code{text-align:left}\
-    .small svg{width:360px}tr.front{background:#eef6ee}code{font-size:12px;white-space:nowrap}svg{max-width:100%;height:auto}";
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
+/// Pixels of a picture's longer side, at most, and JPEG's quality of it.
+const PICTURE: u32 = 252;
+const QUALITY: u8 = 85;
 
-const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstructions of at most 20 GFLOP. All precisions take the \
-    tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. Pictures are \
-    drawn by the device from its own Gaussians and from those of f64.";
+const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstructions of at most 20 GFLOP from the most photos. All \
+    precisions take the tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. \
+    Pictures are drawn by the device from its own Gaussians and from those of f64.";
 
 /// The whole page.
 ///
 /// # Errors
 /// Where a picture cannot be encoded.
 pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
+    let points = &sweep.points;
+    let pictures: Vec<String> = sweep.pictures.iter().map(data).collect::<Result<_>>()?;
     let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=generator content=zipsplat><title>What accuracy costs in time</title>\
-         <style>{STYLE}</style><h1>What accuracy costs in time</h1>\
-         <p>{} on {}, weights: {}. {} combinations, each the median of {} runs.</p>",
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
+         <meta name=viewport content=\"width=device-width,initial-scale=1\"><meta name=generator content=zipsplat>\
+         <title>What accuracy costs in time</title><style>{STYLE}</style><h1>What accuracy costs in time</h1>\
+         <p>{} on {}, weights: {}. {} points; times of reconstructions are medians of {}, a refinement runs once.</p>",
         escape(&args.folder.display().to_string()),
         escape(device),
         escape(weights),
-        sweep.points.len(),
-        args.repeats
+        points.len(),
+        counted(args.repeats as usize, "run")
     );
-    let plots = |figures: Vec<(&str, String)>| -> String {
-        let figure = |(heading, svg)| format!("<figure><figcaption>{heading}</figcaption>{svg}</figure>");
-        figures.into_iter().map(figure).collect()
-    };
-    html += &plots(figures::figures(sweep));
-    let deviations = figures::deviations(&sweep.points);
-    if !deviations.is_empty() {
-        html +=
-            &format!("<h2>How far from f64</h2><p>{DEVIATIONS}</p><div class=\"small\">{}</div>", plots(deviations));
-    }
-    html += "<h2>The same photo, drawn</h2>";
+    let chosen = recommended(points);
+    html += "<h2>Settings to begin with</h2><div class=\"cards\">";
     if let Some(capture) = captures.iter().max_by_key(|capture| capture.inputs.len()) {
         let target = &capture.targets[0];
-        html += &picture("the photo", &target.image)?;
-        html += &picture("the nearest photo given", &capture.nearest(target).image)?;
+        html += &card("the photo", &data(&target.image)?, "<p>held out: no setting has seen it</p>");
+        html += &card("the nearest photo given", &data(&capture.nearest(target).image)?, "");
     }
-    for (label, image) in &sweep.pictures {
-        html += &picture(label, image)?;
+    for (name, i) in &chosen {
+        html += &card(name, &pictures[*i], &about(&points[*i]));
     }
-    html += "<h2>Every point</h2><p>Those on the front are green: no other is both faster and better.</p>";
-    html += &table(&sweep.points);
-    Ok(html + "</html>\n")
+    html += "</div><p class=\"note\"><b>best</b> is the most accurate point. <b>fast</b> is the fastest that has half of what the front has \
+             to win in dB. <b>balanced</b> lies between them, farthest above the line that joins them.</p>";
+    html += &figure("Every point, and the front that no other beats in both", &figures::pareto(points));
+    html += "<p class=\"note\">Point at a place in a plot or a row of a table, or touch it: its picture and its command are shown.</p>";
+    html += "<h2>The front</h2>";
+    html += &table(points, front(points).into_iter(), &[]);
+    html += "<h2>One setting at a time</h2><div class=\"figures\">";
+    html += &figures::figures(sweep).iter().map(|(heading, plot)| figure(heading, plot)).collect::<String>();
+    html += "</div>";
+    let deviations = figures::deviations(points);
+    if !deviations.is_empty() {
+        let plots: String = deviations.iter().map(|(heading, plot)| figure(heading, plot)).collect();
+        html += &format!("<h2>How far from f64</h2><p>{DEVIATIONS}</p><div class=\"figures\">{plots}</div>");
+    }
+    html += "<h2>Every point</h2><p>Those on the front are green.</p>";
+    html += &table(points, 0..points.len(), &front(points));
+    html += &points.iter().zip(&pictures).enumerate().map(|(i, (p, picture))| panel(i, p, picture)).collect::<String>();
+    Ok(format!("{html}<script>{SCRIPT}</script></html>\n"))
 }
 
-fn table(points: &[Point]) -> String {
+fn figure(heading: &str, plot: &str) -> String {
+    format!("<figure><figcaption>{heading}</figcaption>{plot}</figure>")
+}
+
+/// A picture with its name and what there is to say about it.
+fn card(name: &str, picture: &str, about: &str) -> String {
+    format!("<div class=\"card\"><img alt=\"{name}\" src=\"{picture}\"><b>{name}</b>{about}</div>")
+}
+
+/// The picture and the command of a point, which the page shows where its number is pointed at.
+fn panel(i: usize, p: &Point, picture: &str) -> String {
+    format!("<div class=\"panel\" id=\"p{i}\" hidden><img alt=\"\" src=\"{picture}\"><div>{}</div></div>", about(p))
+}
+
+fn about(p: &Point) -> String {
+    format!(
+        "<p>{:.2} dB in {}</p><p>{}</p><code>{}</code>",
+        p.psnr,
+        took(p.total_ms),
+        escape(&p.settings()),
+        escape(&p.command)
+    )
+}
+
+fn took(ms: f64) -> String {
+    time(Duration::from_secs_f64(ms / 1e3))
+}
+
+/// Rows of points, `marked` ones green.
+fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) -> String {
     let mut html = String::from(
-        "<table><tr><th>photos</th><th>precision</th><th>r</th><th>tokens chosen by</th><th>kept of a token</th>\
-         <th>Gaussians</th><th>ms</th><th>ms a picture</th><th>peak</th><th>file</th><th>PSNR</th><th>SSIM</th>\
-         <th>PSNR to exact</th><th>to f64</th><th>shown by</th></tr>",
+        "<table><tr><th>photos<th>precision<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\
+         <th class=\"wide\">Gaussians<th>time<th class=\"wide\">ms a picture<th class=\"wide\">peak<th class=\"wide\">file\
+         <th>dB<th class=\"wide\">SSIM<th class=\"wide\">dB to exact<th class=\"wide\">to f64</tr>",
     );
-    let front = front(points);
-    for (i, p) in points.iter().enumerate() {
+    for i in rows {
+        let p = &points[i];
         html += &format!(
-            "<tr{}><td>{}</td><td>{}</td><td>{:.3}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.1}</td><td>{:.2}</td>\
-             <td>{}</td><td>{}</td><td>{:.2}</td><td>{:.3}</td><td>{}</td><td>{}</td><td><code>{}</code></td></tr>",
-            if front.contains(&i) { " class=\"front\"" } else { "" },
+            "<tr data-point=\"{i}\"{}><td>{}<td>{}<td>{:.2}<td class=\"wide\">{}<td class=\"wide\">{}<td>{}<td class=\"wide\">{}\
+             <td>{}<td class=\"wide\">{:.2}<td class=\"wide\">{}<td class=\"wide\">{}<td>{:.2}<td class=\"wide\">{:.3}\
+             <td class=\"wide\">{}<td class=\"wide\">{}</tr>",
+            if marked.contains(&i) { " class=\"front\"" } else { "" },
             p.views,
             p.precision,
             p.ratio,
             p.select,
             p.keep,
+            p.refine,
             p.gaussians,
-            p.forward_ms,
+            took(p.total_ms),
             p.render_ms,
             bytes(p.peak_bytes),
             bytes(p.file_bytes),
@@ -85,7 +132,6 @@ fn table(points: &[Point]) -> String {
             p.ssim,
             decibels(p.psnr_to_exact),
             decibels(p.psnr_to_f64),
-            escape(&p.command)
         );
     }
     html + "</table>"
@@ -95,16 +141,16 @@ fn decibels(psnr: Option<f64>) -> String {
     psnr.map_or_else(String::new, |psnr| format!("{psnr:.1}"))
 }
 
-fn picture(label: &str, image: &Image) -> Result<String> {
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(&image.rgb, image.width, image.height, ExtendedColorType::Rgb8)
+/// A picture as an address that holds it.
+fn data(image: &Image) -> Result<String> {
+    let scale = (f64::from(PICTURE) / f64::from(image.width.max(image.height))).min(1.0);
+    let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+    let small = resize_lanczos(image, width, height)?;
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+        .write_image(&small.rgb, width, height, ExtendedColorType::Rgb8)
         .map_err(|error| Error::io("a picture of the report", std::io::Error::other(error)))?;
-    let data = STANDARD.encode(png);
-    Ok(format!(
-        "<figure class=\"picture\"><img alt=\"{0}\" src=\"data:image/png;base64,{data}\"><figcaption>{0}</figcaption></figure>",
-        escape(label)
-    ))
+    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
 }
 
 fn escape(text: &str) -> String {
@@ -117,8 +163,13 @@ mod tests {
 
     #[test]
     fn the_front_is_marked_and_text_escaped() {
-        let html = table(&[point(2.0, 10.0), point(1.0, 20.0)]);
-        assert_eq!(html.matches("<tr class=\"front\">").count(), 1, "{html}");
-        assert!(html.contains("&quot;a b&quot; &lt;&amp;&gt;"), "{html}");
+        let points = [point(2.0, 10.0), point(1.0, 20.0)];
+        let html = table(&points, 0..2, &front(&points));
+        assert!(
+            html.contains("<tr data-point=\"1\" class=\"front\">") && html.contains("<tr data-point=\"0\">"),
+            "{html}"
+        );
+        let html = panel(3, &points[0], "data:");
+        assert!(html.contains("id=\"p3\" hidden") && html.contains("&quot;a b&quot; &lt;&amp;&gt;"), "{html}");
     }
 }

@@ -1,23 +1,33 @@
 //! One combination of settings and what it gave.
 
+use crate::table::counted;
 use serde::Serialize;
 use zipsplat::reconstruct::Selection;
 
 /// Settings and results.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Point {
     pub views: usize,
     pub precision: String,
     /// Tokens over all tokens.
     pub ratio: f64,
+    /// The share as the command line has it: `auto`, too.
+    #[serde(skip)]
+    pub asked_ratio: String,
     /// `all` where every token is kept.
     pub select: String,
     /// Gaussians of each token that are kept.
     pub keep: usize,
+    /// Steps of refinement as the command line has them, `0` where there is none.
+    pub refine: String,
     pub tokens: usize,
     pub gaussians: usize,
     /// Photos to Gaussians, median.
     pub forward_ms: f64,
+    /// The refinement, run once.
+    pub refine_ms: f64,
+    /// Both together.
+    pub total_ms: f64,
     /// One picture, median.
     pub render_ms: f64,
     pub peak_bytes: u64,
@@ -29,9 +39,9 @@ pub struct Point {
     /// The PSNR of the pictures against those of `exact` with the same other settings; absent for `exact`.
     pub psnr_to_exact: Option<f64>,
     /// The PSNR of the pictures against those of the Gaussians that f64 gives for the same tokens; this and all errors are absent where
-    /// f64 would take too long.
+    /// f64 would take too long, the PSNR also where the Gaussians are refined.
     pub psnr_to_f64: Option<f64>,
-    /// Deviations from f64 of what each stage gives, of the Gaussians before any are left out: the rms of the difference over
+    /// Deviations from f64 of what each stage gives, of the Gaussians before any are left out or refined: the rms of the difference over
     /// that of the truth.
     pub error_backbone: Option<f64>,
     pub error_fuse: Option<f64>,
@@ -44,6 +54,28 @@ pub struct Point {
     pub views_per_cluster: Option<f64>,
     /// The command that shows the same.
     pub command: String,
+}
+
+impl Point {
+    /// Whether its Gaussians are refined.
+    pub fn is_refined(&self) -> bool {
+        self.refine != "0"
+    }
+
+    /// Its settings, in words.
+    pub fn settings(&self) -> String {
+        let photos = counted(self.views, "photo");
+        let chosen = match self.select.as_str() {
+            "all" => "every token".into(),
+            select => format!("{:.0} % of the tokens by {select}", 100.0 * self.ratio),
+        };
+        let refined = match self.refine.split_once(':') {
+            _ if !self.is_refined() => String::new(),
+            Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
+            None => format!(", {} steps of refinement", self.refine),
+        };
+        format!("{photos}, {}, {chosen}, {} of a token's Gaussians{refined}", self.precision, self.keep)
+    }
 }
 
 /// The name of a selection, as the command line takes it.
@@ -61,7 +93,7 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| {
         let (a, b) = (&points[*a], &points[*b]);
-        a.forward_ms.total_cmp(&b.forward_ms).then(b.psnr.total_cmp(&a.psnr))
+        a.total_ms.total_cmp(&b.total_ms).then(b.psnr.total_cmp(&a.psnr))
     });
     let mut best = f64::NEG_INFINITY;
     order.retain(|i| {
@@ -70,6 +102,28 @@ pub fn front(points: &[Point]) -> Vec<usize> {
         better
     });
     order
+}
+
+/// Three points to begin with, by name: `best` is the most accurate of the front; `fast` the fastest with half of what the front
+/// has to win in dB; `balanced` the one between them that lies farthest above the line that joins them, in dB over the logarithm of
+/// time. Where there are fewer, those.
+pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
+    let front = front(points);
+    let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };
+    let half = 0.5 * (points[*first].psnr + points[*best].psnr);
+    let Some(fast) = front.iter().find(|i| points[**i].psnr >= half) else { return Vec::new() };
+    let place = |i: usize| (points[i].total_ms.ln(), points[i].psnr);
+    let ((x0, y0), (x1, y1)) = (place(*fast), place(*best));
+    let above = |i: usize| {
+        let (x, y) = place(i);
+        (y - y0) * (x1 - x0) - (x - x0) * (y1 - y0)
+    };
+    let between = front.iter().filter(|i| **i != *fast && **i != *best && points[**i].psnr > points[*fast].psnr);
+    let balanced = between.copied().max_by(|a, b| above(*a).total_cmp(&above(*b)));
+    let mut found = vec![("fast", *fast)];
+    found.extend(balanced.map(|i| ("balanced", i)));
+    found.extend((best != fast).then_some(("best", *best)));
+    found
 }
 
 #[cfg(test)]
@@ -82,11 +136,15 @@ pub(super) mod tests {
             views: 4,
             precision: "exact".into(),
             ratio: 0.5,
+            asked_ratio: "0.5".into(),
             select: "kmeans:5".into(),
             keep: 8,
+            refine: "0".into(),
             tokens: 10,
             gaussians: 80,
             forward_ms,
+            refine_ms: 0.0,
+            total_ms: forward_ms,
             render_ms: 1.0,
             peak_bytes: 1 << 20,
             file_bytes: 1 << 10,
@@ -113,6 +171,17 @@ pub(super) mod tests {
             .into();
         assert_eq!(front(&points), [1, 3, 0]);
         assert!(front(&[]).is_empty());
+    }
+
+    #[test]
+    fn three_points_of_the_front_are_recommended() {
+        // The front: 10, 14, 17, 19.5, 20 dB; half of it is won at 17.
+        let all = [(1.0, 10.0), (2.0, 14.0), (3.0, 13.0), (4.0, 17.0), (8.0, 19.5), (64.0, 20.0)];
+        let points: Vec<Point> = all.map(|(ms, psnr)| point(ms, psnr)).into();
+        assert_eq!(recommended(&points), [("fast", 3), ("balanced", 4), ("best", 5)]);
+        assert_eq!(recommended(&points[..1]), [("fast", 0)]);
+        assert_eq!(recommended(&points[..2]), [("fast", 1)]);
+        assert!(recommended(&[]).is_empty());
     }
 
     #[test]

@@ -2,31 +2,30 @@
 
 use super::{
     Tradeoff,
+    drawn::{compare, psnr_to_f64},
     point::{Point, name},
+    refined::refine,
     truth::{Compared, Errors, MOST_FLOPS, Truth},
 };
 use crate::{
-    capture::{Capture, Score, draw},
+    capture::Capture,
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
+    refinement::Steps,
     session::{Session, Stage},
 };
-use std::{
-    collections::HashMap,
-    ops::ControlFlow,
-    time::{Duration, Instant},
-};
+use std::{collections::HashMap, ops::ControlFlow};
 use zipsplat::{
     Error, Result,
-    gpu::{Device, StageTimes},
+    gpu::{Device, Progress, StageTimes},
     ops::{Arithmetic, Precision},
-    reconstruct::{Kept, Model, Ratio, Request, Selection, Shape},
+    reconstruct::{Kept, Model, Ratio, Reconstruction, Request, Selection, Shape},
     stages::{
         cluster::{even_indices, random_indices},
         render::Renderer,
     },
-    types::{Image, Scene, write_ply},
+    types::{Image, Scene},
     weights::{Architecture, Checkpoint},
 };
 
@@ -36,8 +35,8 @@ pub struct Sweep {
     pub points: Vec<Point>,
     /// Time of each stage with every token, for each number of views.
     pub stages: Vec<(usize, StageTimes)>,
-    /// For the most views and all Gaussians: what each precision and ratio drew in place of the first photo.
-    pub pictures: Vec<(String, Image)>,
+    /// The picture in place of the first photo, of each point.
+    pub pictures: Vec<Image>,
     /// Pictures of `exact`, which those of others are compared with, by number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
 }
@@ -49,13 +48,18 @@ struct Case<'a> {
     request: Request,
     precision: &'a str,
     select: String,
-    /// As the command line takes them.
+    /// The share of tokens as the command line takes it, and all settings.
+    ratio: String,
     settings: String,
+    /// Steps of the refinements that follow.
+    refine: Vec<Steps>,
 }
 
 /// The means of a sweep, and its results so far.
 struct Bench<'a> {
     args: &'a Tradeoff,
+    device: &'a Device,
+    checkpoint: &'a Checkpoint,
     /// Numbers of Gaussians of a token.
     keep: Vec<usize>,
     renderer: Renderer,
@@ -67,10 +71,10 @@ struct Bench<'a> {
 
 /// The results of a reconstruction.
 struct Forward {
+    made: Reconstruction,
     scene: Scene,
     /// Median.
     ms: f64,
-    peak_bytes: u64,
     views_per_cluster: Option<f64>,
     /// Absent where f64 would take too long.
     compared: Option<Compared>,
@@ -109,6 +113,8 @@ pub fn run(
     let all = checkpoint.architecture().gaussians_per_token;
     let mut bench = Bench {
         args,
+        device,
+        checkpoint,
         keep: args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]),
         renderer: Renderer::new(device),
         truth: Truth::new(checkpoint),
@@ -122,8 +128,14 @@ pub fn run(
                 Ok(()) => ControlFlow::Continue(()),
                 Err(_) => ControlFlow::Break(()),
             })?;
-            let cases = cases(args, &model, precision.name(), captures)?;
-            bench.points = cases.len() * bench.keep.len() * arithmetics.len();
+            let mut cases = cases(args, &model, precision.name(), captures)?;
+            let is_first = *precision == arithmetics[0].0;
+            let refinements: usize = cases.iter().map(|case| case.refine.len()).sum();
+            if is_first {
+                bench.points = cases.len() * bench.keep.len() * arithmetics.len() + refinements;
+            } else {
+                cases.iter_mut().for_each(|case| case.refine.clear());
+            }
             for case in &cases {
                 stage.name(&format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings));
                 bench.measure(&model, case, stage)?;
@@ -159,7 +171,9 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
                 };
                 let settings =
                     if whole { format!("--ratio {ratio}") } else { format!("--ratio {ratio} --select {select}") };
-                cases.push(Case { capture, shape, request, precision, select, settings });
+                let mut refine = args.refine.clone();
+                refine.retain(|steps| steps.count > 0 && (whole || *selection == args.select[0]));
+                cases.push(Case { capture, shape, request, precision, select, ratio, settings, refine });
             }
         }
     }
@@ -171,31 +185,37 @@ impl Bench<'_> {
         let forward = self.forward(model, case, stage)?;
         for keep in self.keep.clone() {
             stage.check()?;
-            let point = self.point(model, case, &forward, keep)?;
-            self.sweep.points.push(point);
-            // Stopping is heard before the next: this one counts.
-            let _ = stage.at(self.sweep.points.len() as f64 / self.points as f64);
+            let found = self.point(model, case, &forward, keep)?;
+            self.add(found, stage);
+        }
+        for steps in &case.refine {
+            stage.name(&format!("{} views, {}, {steps} steps", case.capture.inputs.len(), case.settings));
+            let found = self.refined(model, case, &forward, *steps, stage)?;
+            self.add(found, stage);
         }
         Ok(())
+    }
+
+    fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) {
+        self.sweep.points.push(point);
+        self.sweep.pictures.push(picture);
+        // Stopping is heard before the next: this one counts.
+        let _ = stage.at(self.sweep.points.len() as f64 / self.points as f64);
     }
 
     /// Photos to Gaussians.
     fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
         let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
-        let (plan, tensors) = model.record(shape, false)?;
-        let (peak_bytes, flops) = (model.plan(shape)?.bytes() + model.weight_bytes(), plan.flops());
-        let mut run = model.run(plan)?;
-        let (mut times, mut stages) = (Vec::new(), StageTimes::default());
+        let flops = model.plan(shape)?.plan.flops();
+        let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
+        let (mut times, mut last) = (Vec::new(), None);
         for i in 0..self.args.warmup + self.args.repeats {
-            model.write_inputs(&mut run, &tensors, shape, &images, &case.request)?;
-            let start = Instant::now();
-            stages = run.execute_with(|_| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue))?;
-            if i >= self.args.warmup {
-                times.push(start.elapsed());
-            }
+            let made = last.insert(model.reconstruct(&images, &case.request, go_on)?);
+            times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
+        let made = last.expect("there is a repeat");
         if shape.kept == Kept::All && case.precision == Precision::Exact.name() {
-            self.sweep.stages.push((capture.inputs.len(), stages));
+            self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
         stage.check()?;
@@ -203,49 +223,80 @@ impl Bench<'_> {
             true => Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?),
             false => None,
         };
-        let scene = tensors.read(&run)?;
-        Ok(Forward { scene, ms: Spread::of(times).median, peak_bytes, views_per_cluster, compared })
+        let scene = made.scene()?;
+        Ok(Forward { made, scene, ms: Spread::of(times).median, views_per_cluster, compared })
     }
 
-    /// The same with so many Gaussians kept of each token.
-    fn point(&mut self, model: &Model, case: &Case<'_>, forward: &Forward, keep: usize) -> Result<Point> {
-        let (capture, shape, all) = (case.capture, case.shape, model.architecture().gaussians_per_token);
+    /// The same with so many Gaussians kept of each token, and its picture.
+    fn point(&mut self, model: &Model, case: &Case<'_>, forward: &Forward, keep: usize) -> Result<(Point, Image)> {
+        let (capture, all) = (case.capture, model.architecture().gaussians_per_token);
         let mut scene = forward.scene.clone();
-        scene.keep_most_visible(all, keep);
-        let drawn = compare(&mut self.renderer, &scene, capture)?;
+        if keep == all {
+            self.renderer.show(&forward.made.gaussians)?;
+        } else {
+            scene.keep_most_visible(all, keep);
+            self.renderer.load(&scene)?;
+        }
+        let drawn = compare(&mut self.renderer, capture)?;
         let against = |compared| psnr_to_f64(&mut self.renderer, compared, (all, keep), capture);
         let psnr_to_f64 = forward.compared.as_ref().map(against).transpose()?;
-        let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
         let key = (capture.inputs.len(), case.settings.clone(), keep);
         let pixels = drawn.pictures.concat();
         let psnr_to_exact = self.sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
         if case.precision == Precision::Exact.name() {
             self.sweep.drawn_exactly.insert(key, pixels);
         }
-        if keep == all
-            && capture.inputs.len() == self.args.views.iter().copied().max().unwrap_or(0)
-            && matches!(case.request.selection, Selection::KMEANS)
-        {
-            let Image { width, height, .. } = capture.targets[0].image;
-            let label = format!("{}, r = {:.2}", case.precision, ratio(shape));
-            self.sweep.pictures.push((label, Image::from_rgb_f32(width, height, &drawn.pictures[0])?));
-        }
-        Ok(Point {
-            views: capture.inputs.len(),
-            precision: case.precision.to_owned(),
-            ratio: ratio(shape),
-            select: case.select.clone(),
+        let point = Point {
             keep,
-            tokens: shape.tokens,
-            gaussians: scene.len(),
-            forward_ms: forward.ms,
-            render_ms: Spread::of(drawn.times).median,
-            peak_bytes: forward.peak_bytes,
-            file_bytes: file_bytes(&scene)?,
-            psnr: drawn.score.psnr,
-            ssim: drawn.score.ssim,
             psnr_to_exact,
             psnr_to_f64,
+            command: command(self.args, case, &format!("--keep {keep}")),
+            ..drawn.point(self.settings(model, case, forward), &scene)?
+        };
+        Ok((point, drawn.picture(capture)?))
+    }
+
+    /// The same with all Gaussians, refined, and its picture.
+    fn refined(
+        &mut self,
+        model: &Model,
+        case: &Case<'_>,
+        forward: &Forward,
+        steps: Steps,
+        stage: &Stage<'_>,
+    ) -> Result<(Point, Image)> {
+        let from = (case.capture, &case.request, &forward.scene);
+        let refined = refine(self.device, (model, self.checkpoint), from, steps, stage)?;
+        self.renderer.load(&refined.scene)?;
+        let drawn = compare(&mut self.renderer, case.capture)?;
+        let refine_ms = 1e3 * refined.took.as_secs_f64();
+        let point = Point {
+            refine: steps.to_string(),
+            refine_ms,
+            total_ms: forward.ms + refine_ms,
+            peak_bytes: refined.peak_bytes.max(forward.made.peak_bytes),
+            command: command(self.args, case, &format!("--refine {steps} --start scene")),
+            ..drawn.point(self.settings(model, case, forward), &refined.scene)?
+        };
+        Ok((point, drawn.picture(case.capture)?))
+    }
+
+    /// A case's settings, with all Gaussians and without refinement, and what its forward pass gave.
+    fn settings(&self, model: &Model, case: &Case<'_>, forward: &Forward) -> Point {
+        let shape = case.shape;
+        let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
+        Point {
+            views: case.capture.inputs.len(),
+            precision: case.precision.to_owned(),
+            ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
+            asked_ratio: case.ratio.clone(),
+            select: case.select.clone(),
+            keep: model.architecture().gaussians_per_token,
+            refine: "0".into(),
+            tokens: shape.tokens,
+            forward_ms: forward.ms,
+            total_ms: forward.ms,
+            peak_bytes: forward.made.peak_bytes,
             error_backbone: error(|errors| errors.backbone),
             error_fuse: error(|errors| errors.fuse),
             error_means: error(|errors| errors.means),
@@ -254,59 +305,9 @@ impl Bench<'_> {
             error_opacities: error(|errors| errors.opacities),
             error_sh_coeffs: error(|errors| errors.sh_coeffs),
             views_per_cluster: forward.views_per_cluster,
-            command: command(self.args, case, keep),
-        })
+            ..Point::default()
+        }
     }
-}
-
-fn ratio(shape: Shape) -> f64 {
-    shape.tokens as f64 / shape.grid.tokens() as f64
-}
-
-/// The pictures in place of the photos, and how long each took.
-struct Drawn {
-    pictures: Vec<Vec<f32>>,
-    times: Vec<Duration>,
-    score: Score,
-}
-
-fn compare(renderer: &mut Renderer, scene: &Scene, capture: &Capture) -> Result<Drawn> {
-    renderer.load(scene)?;
-    // The first picture of a scene also builds the plan.
-    draw(renderer, &capture.targets[0].camera)?;
-    let (mut pictures, mut times) = (Vec::new(), Vec::new());
-    for view in &capture.targets {
-        let start = Instant::now();
-        pictures.push(draw(renderer, &view.camera)?);
-        times.push(start.elapsed());
-    }
-    let score = Score::mean(&capture.scores(&pictures));
-    Ok(Drawn { pictures, times, score })
-}
-
-/// Bytes of a scene as a PLY file.
-fn file_bytes(scene: &Scene) -> Result<u64> {
-    let folder = tempfile::tempdir().map_err(|error| zipsplat::Error::io("temporary folder", error))?;
-    let path = folder.path().join("scene.ply");
-    write_ply(scene, &path)?;
-    Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
-}
-
-/// PSNR of pictures of a reconstruction's Gaussians against those of f64, of which the same are kept.
-fn psnr_to_f64(
-    renderer: &mut Renderer,
-    compared: &Compared,
-    (group, keep): (usize, usize),
-    capture: &Capture,
-) -> Result<f64> {
-    let kept = compared.scene.most_visible(group, keep);
-    let mut draw = |scene: &Scene| -> Result<Vec<f32>> {
-        let mut scene = scene.clone();
-        scene.keep(&kept);
-        renderer.load(&scene)?;
-        Ok(capture.targets.iter().map(|view| draw(renderer, &view.camera)).collect::<Result<Vec<_>>>()?.concat())
-    };
-    Ok(psnr(&draw(&compared.scene)?, &draw(&compared.truth)?))
 }
 
 /// The tokens that a model chooses, and with k-means the mean over clusters of the number of views that their tokens come from.
@@ -345,10 +346,11 @@ fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32
     Ok((observed("nearest")?, pairs as f64 / seen.len().max(1) as f64))
 }
 
-fn command(args: &Tradeoff, case: &Case<'_>, keep: usize) -> String {
+/// The command that shows a case with `more` options.
+fn command(args: &Tradeoff, case: &Case<'_>, more: &str) -> String {
     let folder = args.folder.to_string_lossy();
     let mut options = format!("--views {} {}", case.capture.inputs.len(), case.settings);
-    options += &format!(" --keep {keep} --precision {} --targets {}", case.precision, args.targets);
+    options += &format!(" {more} --precision {} --targets {}", case.precision, args.targets);
     if let Some(size) = args.size {
         options += &format!(" --size {size}");
     }

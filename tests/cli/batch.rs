@@ -1,0 +1,137 @@
+//! `zipsplat batch`: the scenes of `reconstruct`, one capture after the other, going on where it was.
+
+use crate::{Folder, Outcome, command, photo};
+use serde_json::Value;
+use std::{path::Path, sync::atomic::AtomicBool, time::SystemTime};
+
+const WEIGHTS: &str = "--weights @/micro.safetensors --size 28x28";
+
+/// A folder with captures `all/1`, `all/2` (its photos in `images`) and `all/10`.
+fn captures() -> Folder {
+    let folder = Folder::new();
+    for (i, place) in ["all/1", "all/2/images", "all/10"].into_iter().enumerate() {
+        std::fs::create_dir_all(folder.path(place)).expect("a folder");
+        for view in 0..2 {
+            let name = folder.path(place).join(format!("{view}.png"));
+            photo(40, 30, (10 * i + view) as u32).save_png(name).expect("a photo can be written");
+        }
+    }
+    std::fs::write(folder.path("all/notes.txt"), "no capture").expect("a file");
+    std::fs::create_dir(folder.path("all/empty")).expect("a folder");
+    folder
+}
+
+fn batch(folder: &Folder, line: &str) -> Outcome {
+    folder.run(&format!("--json batch {WEIGHTS} {line}"))
+}
+
+/// The numbers of captures that were made, were there, failed and are left.
+fn numbers(outcome: Outcome) -> [u64; 4] {
+    let said: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
+    ["made", "unchanged", "failed", "left"].map(|name| said[name].as_u64().expect("a number"))
+}
+
+fn times(folder: &Folder, names: &[&str]) -> Vec<SystemTime> {
+    names.iter().map(|name| folder.path(name).metadata().expect("a file").modified().expect("a time")).collect()
+}
+
+#[test]
+fn makes_the_scenes_of_reconstruct() {
+    let folder = captures();
+    let said = batch(&folder, "@/all -o @/out --ratio 0.5").json();
+    assert!(said["captures_per_second"].as_f64().is_some_and(|rate| rate > 0.0));
+    assert_eq!((&said["captures"], &said["made"]), (&3.into(), &3.into()));
+    assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "2.json", "2.ply"]);
+    for (name, photos) in [("1", "all/1"), ("2", "all/2/images"), ("10", "all/10")] {
+        folder.run(&format!("reconstruct {WEIGHTS} @/{photos} --ratio 0.5 -o @/{name}.ply")).success();
+        let file = |place: &str| std::fs::read(folder.path(place)).expect("a scene");
+        assert!(file(&format!("{name}.ply")) == file(&format!("out/{name}.ply")), "capture {name}");
+        let record: Value = serde_json::from_slice(&file(&format!("out/{name}.json"))).expect("JSON");
+        assert_eq!(
+            (&record["photos"], record["bytes"].as_u64()),
+            (&2.into(), Some(file(&format!("out/{name}.ply")).len() as u64))
+        );
+    }
+}
+
+#[test]
+fn goes_on_where_it_was() {
+    let folder = captures();
+    let line = "@/all -o @/out";
+    assert_eq!(numbers(batch(&folder, &format!("{line} --limit 1"))), [1, 0, 0, 2]);
+    assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply"]);
+    let first = times(&folder, &["out/1.ply"]);
+    // A scene that is not whole, or has no record, is none.
+    std::fs::write(folder.path("out/2.ply"), "ply\ncomment zipsplat\n").expect("a file");
+    assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
+    assert_eq!(numbers(batch(&folder, line)), [0, 3, 0, 0]);
+    assert_eq!(times(&folder, &["out/1.ply"]), first);
+    // A photo that changed, a photo more, and a scene that was cut are made again; the others stay.
+    photo(40, 30, 77).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
+    photo(40, 30, 78).save_png(folder.path("all/2/images/9.png")).expect("a photo can be written");
+    assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
+    let scene = std::fs::read(folder.path("out/10.ply")).expect("a scene");
+    std::fs::write(folder.path("out/10.ply"), &scene[..scene.len() - 4]).expect("a file");
+    assert_eq!(numbers(batch(&folder, line)), [1, 2, 0, 0]);
+    assert!(std::fs::read(folder.path("out/10.ply")).expect("a scene") == scene);
+    // Other options, another scene.
+    assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5"))), [3, 0, 0, 0]);
+    assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5 --format spz"))), [3, 0, 0, 0]);
+}
+
+#[test]
+fn one_that_fails_is_a_row_and_not_the_end() {
+    let folder = captures();
+    std::fs::write(folder.path("all/1/1.png"), "no picture").expect("a file");
+    let outcome = batch(&folder, "@/all -o @/out");
+    assert!(outcome.code == 1 && outcome.err.contains("failures.csv: 1 capture"), "{}", outcome.err);
+    assert_eq!(numbers(outcome), [2, 0, 1, 0]);
+    let table = std::fs::read_to_string(folder.path("out/failures.csv")).expect("a table");
+    let rows: Vec<&str> = table.lines().collect();
+    assert!(rows.len() == 2 && rows[0] == "capture,error", "{table}");
+    assert!(rows[1].contains("all/1") && rows[1].contains("1.png"), "{table}");
+    // Mended, it is made, and the table is gone.
+    photo(40, 30, 7).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
+    assert_eq!(numbers(batch(&folder, "@/all -o @/out")), [1, 2, 0, 0]);
+    assert!(!folder.path("out/failures.csv").exists());
+}
+
+#[test]
+fn takes_lists_captures_and_cameras() {
+    let folder = captures();
+    std::fs::write(folder.path("list.txt"), "# two of them\nall/10\n\n  all/2  \n").expect("a list");
+    assert_eq!(numbers(batch(&folder, "@/list.txt @/all/1 -o @/out")), [3, 0, 0, 0]);
+    folder.run("scene --seed 3 --size 32x32 --views 3 -o @/posed").success();
+    let line = format!("reconstruct {WEIGHTS} @/posed/images --poses @/posed -o @/known.ply");
+    folder.run(&line).success();
+    assert_eq!(numbers(batch(&folder, "@/posed --posed -o @/out")), [1, 0, 0, 0]);
+    let file = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
+    assert!(file("known.ply") == file("out/posed.ply"));
+    assert_eq!(numbers(batch(&folder, "@/posed -o @/out")), [1, 0, 0, 0], "without its cameras it is another");
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_before_it_begins() {
+    let folder = captures();
+    let run = |line: &str| folder.run(&format!("batch {WEIGHTS} {line}"));
+    run("@/none -o @/out").fails(3, &["none"]);
+    run("@/all/empty -o @/out").fails(3, &["captures", "empty", "images/"]);
+    run("@/all -o @/out --format obj").fails(3, &["--format", "obj", ".ply"]);
+    std::fs::create_dir_all(folder.path("more/1")).expect("a folder");
+    photo(40, 30, 1).save_png(folder.path("more/1/a.png")).expect("a photo can be written");
+    run("@/all @/more -o @/out").fails(3, &["name of", "more/1", "one of its own"]);
+    std::fs::create_dir(folder.path("out")).expect("a folder");
+    std::fs::write(folder.path("out/2.ply"), "mine").expect("a file");
+    run("@/all -o @/out").fails(3, &["file to replace", "2.ply"]);
+    assert_eq!(std::fs::read(folder.path("out/2.ply")).expect("a file"), b"mine");
+}
+
+#[test]
+fn a_stop_leaves_whole_scenes_only() {
+    let folder = captures();
+    let stopped = AtomicBool::new(true);
+    let outcome = command(&folder.line(&format!("batch {WEIGHTS} @/all -o @/out")), &stopped);
+    assert_eq!(outcome.code, 130, "{}", outcome.err);
+    let written = |folder: &Path| folder.is_dir().then(|| super::names(folder)).unwrap_or_default();
+    assert_eq!(written(&folder.path("out")), Vec::<String>::new());
+}

@@ -1,0 +1,400 @@
+//! `zipsplat batch`: many captures to scenes, with one model kept on the device.
+
+use crate::{
+    options::{Quality, Size, Weights},
+    outputs::{self, Overwrite},
+    photos,
+    session::{Session, Stage},
+    table::{counted, time},
+    views::{FitOption, Views},
+};
+use clap::Args;
+use serde::Serialize;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+    sync::{Mutex, mpsc::sync_channel},
+    time::{Duration, Instant, SystemTime},
+};
+use zipsplat::{
+    Error, Result,
+    reconstruct::{MAX_VIEWS, Model, Request},
+    types::{
+        Scene, SceneFormat, World, WriteOptions,
+        poses::{Frame, Poses, read_poses},
+        write_atomic,
+    },
+    weights::Checkpoint,
+};
+
+/// Captures that failed.
+const FAILURES: &str = "failures.csv";
+
+/// Many captures to scenes, with one model kept on the device
+///
+/// A capture is a folder with photos, directly or in images/. Each becomes OUT/NAME.ply and OUT/NAME.json, which says what it
+/// was made of. While the device works on one, the next one's photos are decoded and the last scene is written. Run the same
+/// command again to go on: a capture is finished where its scene is there and was made of the same photos, by name, size and
+/// time, with the same options. One that fails is a row of OUT/failures.csv, and the others go on; the exit code is then 1.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat batch captures/ -o scenes/
+  zipsplat batch captures/ more/kitchen list.txt --ratio auto --format spz -o scenes/
+  zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/")]
+pub struct Batch {
+    /// Captures, folders of captures, or text files that name a capture a line
+    #[arg(required = true, value_name = "DIR|LIST")]
+    inputs: Vec<PathBuf>,
+    /// Folder for the scenes, named as the captures' folders
+    #[arg(long, short, value_name = "OUT")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Format of the scenes: ply, spz, splat, glb or gltf
+    #[arg(long, value_name = "NAME", default_value = "ply")]
+    format: String,
+    /// Take the cameras of each capture's folder: transforms.json, or a COLMAP model
+    #[arg(long)]
+    posed: bool,
+    /// Take at most so many photos of a capture, evenly spread, the first and the last among them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    views: Option<u32>,
+    /// Make at most so many scenes in this run
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    #[command(flatten)]
+    weights: Weights,
+    #[command(flatten)]
+    quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
+}
+
+/// A capture that is to become a scene.
+struct Work {
+    folder: PathBuf,
+    scene: PathBuf,
+    record: PathBuf,
+}
+
+/// A capture's photos as the network sees them.
+struct Prepared {
+    views: Views,
+    hash: String,
+    photos: usize,
+    unit: f64,
+    world: Option<World>,
+}
+
+/// A scene that is to be written.
+struct Made {
+    scene: Scene,
+    world: Option<World>,
+    record: Value,
+}
+
+/// A row of failures.csv.
+#[derive(Clone, Serialize)]
+struct Failure {
+    capture: String,
+    error: String,
+}
+
+/// What became of the captures so far.
+#[derive(Default)]
+struct Tally {
+    made: usize,
+    unchanged: usize,
+    failures: Vec<Failure>,
+}
+
+impl Batch {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        if SceneFormat::named(&self.format).is_none() {
+            return Err(Error::argument("--format", &self.format, SceneFormat::EXTENSIONS));
+        }
+        outputs::check_folder(&self.output)?;
+        let works = self.works()?;
+        let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
+        self.overwrite.check_replaced(files)?;
+        self.overwrite.check_replaced([self.output.join(FAILURES)])?;
+        let checkpoint = self.weights.open()?;
+        checkpoint.notes().iter().for_each(|note| session.note(note));
+        self.quality.check(checkpoint.architecture())?;
+        let size = self.quality.size_for(&checkpoint);
+        self.fit.fit.check(size, self.posed)?;
+        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
+        outputs::make_folder(&self.output)?;
+        let device = session.device()?;
+        let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
+        let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
+        let made_with = self.made_with(&checkpoint, size, precision.name())?;
+
+        let runner = Runner { batch: self, works: &works, model: &model, checkpoint: &checkpoint, size, made_with };
+        let (tally, took) = session.stage("batch", |stage| runner.run(stage))?;
+        let Tally { made, unchanged, failures } = tally;
+        let rate = made as f64 / took.as_secs_f64();
+        let left = works.len() - made - unchanged - failures.len();
+        let json = json!({
+            "output": self.output, "captures": works.len(), "made": made, "unchanged": unchanged, "failed": failures.len(),
+            "left": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
+        });
+        let mut text = format!("{}: {} made in {}", self.output.display(), counted(made, "scene"), time(took));
+        if made > 0 {
+            text += &format!(", {} each", time(took / made as u32));
+        }
+        let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
+        others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+        if !failures.is_empty() {
+            session.note(format!("{}: {}", self.output.join(FAILURES).display(), counted(failures.len(), "capture")));
+            session.end_with(1);
+        }
+        session.report(&json, text)
+    }
+
+    /// The captures, each with a name of its own.
+    fn works(&self) -> Result<Vec<Work>> {
+        let mut folders = Vec::new();
+        for input in &self.inputs {
+            folders.extend(self.captures(input)?);
+        }
+        let mut names: HashMap<String, &Path> = HashMap::new();
+        let mut works = Vec::new();
+        for folder in &folders {
+            let whole = folder.canonicalize().map_err(|error| Error::io(folder, error))?;
+            let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if let Some(other) = names.insert(name.clone(), folder) {
+                let found = format!("{name}, as {}", other.display());
+                return Err(Error::argument(format!("name of {}", folder.display()), found, "one of its own"));
+            }
+            let file = |extension: &str| self.output.join(format!("{name}.{extension}"));
+            works.push(Work { scene: file(&self.format), record: file("json"), folder: folder.clone() });
+        }
+        Ok(works)
+    }
+
+    /// The captures that an input stands for.
+    fn captures(&self, input: &Path) -> Result<Vec<PathBuf>> {
+        let found = input.metadata().map_err(|error| Error::io(input, error))?;
+        if !found.is_dir() {
+            let text = std::fs::read_to_string(input).map_err(|error| Error::io(input, error))?;
+            let beside = input.parent().unwrap_or(Path::new(""));
+            let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+            return Ok(lines.map(|line| beside.join(line)).collect());
+        }
+        if self.is_capture(input)? {
+            return Ok(vec![input.to_owned()]);
+        }
+        let mut captures = Vec::new();
+        for folder in photos::folders_in(input)? {
+            if self.is_capture(&folder)? {
+                captures.push(folder);
+            }
+        }
+        if captures.is_empty() {
+            let expected = "a folder with photos, directly or in images/, or a folder of such folders";
+            return Err(Error::argument("captures", input.display(), expected));
+        }
+        Ok(captures)
+    }
+
+    fn is_capture(&self, folder: &Path) -> Result<bool> {
+        Ok(!photos_of(folder)?.is_empty() || self.posed && read_poses(folder).is_ok())
+    }
+
+    /// Whatever a scene depends on but its capture.
+    fn made_with(&self, checkpoint: &Checkpoint, Size(width, height): Size, precision: &str) -> Result<String> {
+        let weights = checkpoint.provenance();
+        let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
+        let Quality { ratio, select, .. } = &self.quality;
+        let options = [
+            format!("{ratio:?} {select:?} {:?} {:?}", self.quality.kept(), self.fit.fit),
+            format!("{width}x{height} {precision} {} {:?} {}", self.posed, self.views, self.format),
+        ];
+        Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
+    }
+}
+
+/// What all captures of a run share.
+struct Runner<'a> {
+    batch: &'a Batch,
+    works: &'a [Work],
+    model: &'a Model,
+    checkpoint: &'a Checkpoint,
+    size: Size,
+    made_with: String,
+}
+
+impl Runner<'_> {
+    /// Decodes ahead, reconstructs, and writes behind.
+    fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
+        let (tally, began) = (Mutex::new(Tally::default()), Instant::now());
+        let limit = self.batch.limit.unwrap_or(usize::MAX);
+        // A list of an earlier run says nothing of this one.
+        std::fs::remove_file(self.batch.output.join(FAILURES)).ok();
+        let ended = std::thread::scope(|scope| {
+            // One capture waits at each door.
+            let (to_device, prepared) = sync_channel(1);
+            let (to_disk, made) = sync_channel::<(&Work, Made)>(1);
+            scope.spawn(|| {
+                let mut begun = 0;
+                for work in self.works {
+                    if begun == limit || stage.check().is_err() {
+                        break;
+                    }
+                    let Some(found) = self.prepare(work, &stage.silent()).transpose() else {
+                        lock(&tally).unchanged += 1;
+                        continue;
+                    };
+                    begun += 1;
+                    if to_device.send((work, found)).is_err() {
+                        break;
+                    }
+                }
+                drop(to_device);
+            });
+            scope.spawn(|| {
+                for (work, made) in made {
+                    match write(work, made) {
+                        Ok(()) => lock(&tally).made += 1,
+                        Err(error) => self.failed(&tally, work, &error),
+                    }
+                }
+            });
+            let ended = prepared.into_iter().try_for_each(|(work, prepared)| {
+                self.tell(stage, &lock(&tally), began.elapsed());
+                match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
+                    Ok(made) => to_disk.send((work, made)).map_err(|_| Error::Cancelled)?,
+                    // Nothing that follows would do better.
+                    Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
+                    Err(error) => self.failed(&tally, work, &error),
+                }
+                Ok(())
+            });
+            drop(to_disk);
+            ended
+        });
+        ended.map(|()| tally.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()))
+    }
+
+    /// A capture's photos, or none where its scene is there already.
+    fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
+        let poses = if self.batch.posed { Some(read_poses(&work.folder)?) } else { None };
+        let mut photos = match &poses {
+            Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
+            None => photos_of(&work.folder)?,
+        };
+        if let Some(views) = self.batch.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if !(1..=MAX_VIEWS).contains(&photos.len()) {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
+        }
+        let hash = self.hash(&photos, poses.as_ref())?;
+        if is_finished(work, &hash) {
+            return Ok(None);
+        }
+        let frames: Vec<&Frame> = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let fit = self.batch.fit.fit;
+        fit.count(&photos)?;
+        let views = fit.load(&photos, &frames, self.size, stage)?;
+        let unit = match (&poses, frames.first()) {
+            (Some(poses), Some(first)) => poses.unit(None, &views.cameras, &first.camera.pose)?.length,
+            _ => 1.0,
+        };
+        let world = frames.first().map(|first| World::Photo(first.name.clone()));
+        Ok(Some(Prepared { views, hash, photos: photos.len(), unit, world }))
+    }
+
+    fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<Made> {
+        let began = Instant::now();
+        let Prepared { views: Views { images, cameras, note }, hash, photos, unit, world } = prepared;
+        let (cameras, turned) = self.batch.fit.fit.told(cameras);
+        let Quality { ratio, select, .. } = &self.batch.quality;
+        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
+        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit };
+        let silent = stage.silent();
+        let made = self.model.reconstruct(&images, &request, |progress| silent.at(progress.fraction))?;
+        let mut scene = made.scene()?;
+        self.batch.quality.prune(&mut scene, self.checkpoint.architecture());
+        turned.iter().for_each(|first| scene.place(1.0, first));
+        let record = json!({
+            "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos, "unit": unit,
+            "tokens": made.tokens, "gaussians": scene.len(), "note": note, "seconds": began.elapsed().as_secs_f64(),
+        });
+        Ok(Made { scene, world, record })
+    }
+
+    /// What a scene is made of and with.
+    fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
+        let mut hash = Sha256::new();
+        hash.update(&self.made_with);
+        for photo in photos {
+            hash.update(stamp(photo)?);
+        }
+        if let Some(poses) = poses {
+            hash.update(format!("{:?}", poses.frames));
+            hash.update(poses.points.as_deref().map(stamp).transpose()?.unwrap_or_default());
+        }
+        Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    }
+
+    /// Keeps a capture that failed, in the file at once.
+    fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
+        let failures = &mut lock(tally).failures;
+        failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
+        // Where even that cannot be written the count still tells.
+        outputs::save_csv(&self.batch.output.join(FAILURES), failures).ok();
+    }
+
+    fn tell(&self, stage: &Stage<'_>, tally: &Tally, took: Duration) {
+        let done = tally.made + tally.failures.len();
+        let all = (self.works.len() - tally.unchanged).min(self.batch.limit.unwrap_or(usize::MAX)).max(1);
+        let _ = stage.at(done as f64 / all as f64);
+        let left = took.as_secs_f64() / done.max(1) as f64 * all.saturating_sub(done) as f64;
+        let left = if done == 0 { String::new() } else { format!(", {left:.0} s left") };
+        stage.name(&format!("{done} of {all}{left}"));
+    }
+}
+
+/// Writes a scene, then the record that says that it is whole.
+fn write(work: &Work, made: Made) -> Result<()> {
+    std::fs::remove_file(&work.record).ok();
+    outputs::save_scene(&work.scene, &made.scene, &WriteOptions::default(), made.world.as_ref())?;
+    let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
+    let mut record = made.record;
+    record["bytes"] = json!(bytes);
+    write_atomic(&work.record, |out| {
+        serde_json::to_writer_pretty(&mut *out, &record)?;
+        writeln!(out)
+    })
+}
+
+/// Whether a capture's scene is there, whole, and made of and with the same.
+fn is_finished(work: &Work, hash: &str) -> bool {
+    let read = || serde_json::from_slice::<Value>(&std::fs::read(&work.record).ok()?).ok();
+    let bytes = work.scene.metadata().map(|found| found.len()).ok();
+    read().is_some_and(|record| record["hash"] == hash && bytes.is_some() && record["bytes"].as_u64() == bytes)
+}
+
+/// The photos of a capture's folder, or those of images/ in it.
+fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
+    let photos = photos::directly_in(folder)?;
+    let below = folder.join("images");
+    if photos.is_empty() && below.is_dir() { photos::directly_in(&below) } else { Ok(photos) }
+}
+
+/// A file's name, size and time.
+fn stamp(path: &Path) -> Result<String> {
+    let failed = |error| Error::io(path, error);
+    let found = path.metadata().map_err(failed)?;
+    let time = found.modified().map_err(failed)?.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
+}
+
+fn lock(tally: &Mutex<Tally>) -> std::sync::MutexGuard<'_, Tally> {
+    tally.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}

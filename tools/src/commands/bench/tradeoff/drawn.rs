@@ -1,0 +1,80 @@
+//! Pictures of a point, and what they give.
+
+use super::{point::Point, truth::Compared};
+use crate::{
+    capture::{Capture, Score, draw},
+    commands::bench::Spread,
+    metrics::psnr,
+};
+use std::time::{Duration, Instant};
+use zipsplat::{
+    Result,
+    stages::render::Renderer,
+    types::{Image, Scene, write_ply},
+};
+
+/// The pictures in place of the photos, and how long each took.
+pub struct Drawn {
+    pub pictures: Vec<Vec<f32>>,
+    times: Vec<Duration>,
+    score: Score,
+}
+
+impl Drawn {
+    /// A point with what the pictures of its scene gave.
+    pub fn point(&self, point: Point, scene: &Scene) -> Result<Point> {
+        Ok(Point {
+            gaussians: scene.len(),
+            render_ms: Spread::of(self.times.iter().copied()).median,
+            file_bytes: file_bytes(scene)?,
+            psnr: self.score.psnr,
+            ssim: self.score.ssim,
+            ..point
+        })
+    }
+
+    /// The picture in place of the first photo.
+    pub fn picture(&self, capture: &Capture) -> Result<Image> {
+        let Image { width, height, .. } = capture.targets[0].image;
+        Image::from_rgb_f32(width, height, &self.pictures[0])
+    }
+}
+
+/// Draws what a renderer shows in place of the photos.
+pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
+    // The first picture of a scene also builds the plan.
+    draw(renderer, &capture.targets[0].camera)?;
+    let (mut pictures, mut times) = (Vec::new(), Vec::new());
+    for view in &capture.targets {
+        let start = Instant::now();
+        pictures.push(draw(renderer, &view.camera)?);
+        times.push(start.elapsed());
+    }
+    let score = Score::mean(&capture.scores(&pictures));
+    Ok(Drawn { pictures, times, score })
+}
+
+/// Bytes of a scene as a PLY file.
+fn file_bytes(scene: &Scene) -> Result<u64> {
+    let folder = tempfile::tempdir().map_err(|error| zipsplat::Error::io("temporary folder", error))?;
+    let path = folder.path().join("scene.ply");
+    write_ply(scene, &path)?;
+    Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
+}
+
+/// PSNR of pictures of a reconstruction's Gaussians against those of f64, of which the same are kept.
+pub fn psnr_to_f64(
+    renderer: &mut Renderer,
+    compared: &Compared,
+    (group, keep): (usize, usize),
+    capture: &Capture,
+) -> Result<f64> {
+    let kept = compared.scene.most_visible(group, keep);
+    let mut draw = |scene: &Scene| -> Result<Vec<f32>> {
+        let mut scene = scene.clone();
+        scene.keep(&kept);
+        renderer.load(&scene)?;
+        Ok(capture.targets.iter().map(|view| draw(renderer, &view.camera)).collect::<Result<Vec<_>>>()?.concat())
+    };
+    Ok(psnr(&draw(&compared.scene)?, &draw(&compared.truth)?))
+}

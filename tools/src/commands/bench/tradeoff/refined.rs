@@ -1,0 +1,41 @@
+//! Refinements of a reconstruction, in so many steps each.
+
+use crate::{capture::Capture, refinement::Steps, session::Stage};
+use std::ops::ControlFlow;
+use zipsplat::{
+    Error, Result,
+    gpu::Device,
+    reconstruct::{Model, Request},
+    refine::{FrozenHead, Refine, Refined, Stopped, refine_scene, refine_tokens},
+    types::Scene,
+    weights::Checkpoint,
+};
+
+/// Refines a reconstruction against the photos that it was made of, as `zipsplat eval --refine STEPS --start scene` does.
+///
+/// # Errors
+/// As [`refine_scene`], and [`Error::Cancelled`] where the command should stop.
+pub fn refine(
+    device: &Device,
+    (model, checkpoint): (&Model, &Checkpoint),
+    (capture, request, scene): (&Capture, &Request, &Scene),
+    steps: Steps,
+    stage: &Stage<'_>,
+) -> Result<Refined> {
+    let go_on = || stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
+    let (photos, cameras) = capture.learnt();
+    let refine = Refine { steps: steps.count, ..Refine::default() };
+    let refined = if steps.tokens {
+        let features = model.features(&capture.images(), request, |_| go_on())?;
+        let tokens = model.tokens(&features, request, |_| go_on())?;
+        drop(features);
+        let head = FrozenHead::load(device, checkpoint)?;
+        refine_tokens(model.arena(), &head, &tokens, &photos, &cameras, &refine, |_| go_on())?
+    } else {
+        refine_scene(model.arena(), scene, &photos, &cameras, &refine, |_| go_on())?
+    };
+    match refined.stopped {
+        Some(Stopped::Cancelled) => Err(Error::Cancelled),
+        _ => Ok(refined),
+    }
+}
