@@ -168,6 +168,8 @@ typedef struct zs_device_info {
     char driver[256];
     // Reasons why the device is not usable; "" where it is.
     char missing[512];
+    // Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    char uuid[40];
 } zs_device_info;
 
 // Options of opening a device.
@@ -180,7 +182,8 @@ typedef struct zs_context_options {
     // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     uint64_t max_memory_bytes;
-    // A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
+    // A device's number ("0"), a part of its name ("nvidia"), or its UUID, with or without GPU- and hyphens; NULL for the best.
+    // Default NULL.
     const char *device;
 } zs_context_options;
 
@@ -424,6 +427,17 @@ zs_status zs_scene_to_memory(const struct zs_scene *scene,
 
 // Says where bytes are and how many: the object's own memory, there until it is destroyed.
 zs_status zs_bytes_get(const struct zs_bytes *bytes, const void **data, size_t *size);
+
+// Finds the cameras of the photos of a scene that zs_reconstruct made of `count` photos without cameras, in the scene's world: from
+// where the Gaussians of each of a photo's patches are. The photos are taken to share a field of view, which is found, too.
+// `cameras` is an array of `count`, each with its struct_size set; each gets the camera of the whole photo. `inliers` gets the number
+// of patches that agree with it and `patches` how many there were; both are arrays of `count` or NULL. A photo whose
+// camera is not found has a camera of width 0 and no inliers; where none is found, that is an error.
+zs_status zs_scene_cameras(const struct zs_scene *scene,
+                           struct zs_camera *cameras,
+                           uint32_t *inliers,
+                           uint32_t *patches,
+                           size_t count);
 
 // Destroys bytes. NULL is allowed.
 void zs_bytes_destroy(struct zs_bytes *bytes);

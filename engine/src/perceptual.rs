@@ -18,9 +18,10 @@ pub struct Perceptual {
     device: Device,
     network: LpipsNetwork,
     lpips: Lpips,
+    has_gradients: bool,
     parameters: Parameters,
-    /// The plan of the latest size.
-    prepared: Option<Prepared>,
+    /// The plans of the latest size: of the distance, and of its gradient.
+    prepared: [Option<Prepared>; 2],
 }
 
 struct Prepared {
@@ -28,6 +29,7 @@ struct Prepared {
     run: Run,
     pictures: [Tensor; 2],
     value: Tensor,
+    gradient: Option<Tensor>,
 }
 
 impl Perceptual {
@@ -47,24 +49,26 @@ impl Perceptual {
     }
 
     /// Loads a network's weights from a file: `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
-    /// `taps.I.weight`.
+    /// `taps.I.weight`. Those of the convolutions are held twice where `gradients` are wanted.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Format`] and [`Error::Weights`] for the file; [`Error::Memory`] where the device has too little.
-    pub fn open(device: &Device, network: LpipsNetwork, path: &Path) -> Result<Self> {
-        let layout = || {
+    pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
+        let layout = |gradients: bool| {
             let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
-            let lpips = Lpips::new(&mut parameters, network, false);
+            let lpips = Lpips::new(&mut parameters, network, gradients);
             (parameters, lpips)
         };
-        let tensors = Tensors::open(path, &format!("LPIPS ({})", network.name()), &layout().0.names_and_shapes())?;
-        let (parameters, lpips) = layout();
+        let name = format!("LPIPS ({})", network.name());
+        let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
+        let (parameters, lpips) = layout(gradients);
         let read = |name: &str, out: &mut [f32]| {
             tensors.read(name, out);
             Ok(())
         };
         let parameters = parameters.load(device, read, |_| ControlFlow::Continue(()))?;
-        Ok(Self { device: device.clone(), network, lpips, parameters, prepared: None })
+        let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
+        Ok(Self { device, network, lpips, has_gradients, parameters, prepared })
     }
 
     /// The network that sees the pictures.
@@ -72,11 +76,29 @@ impl Perceptual {
         self.network
     }
 
-    /// The distance of two pictures of one size `[width, height]`, `[height][width][rgb]` in 0..1; 0 where they are equal.
+    /// The distance of two pictures of one size `[width, height]`, `[height][width][rgb]` in 0..1; 0 where they are equal. Values
+    /// outside are taken as they are, as the reference's metric takes them.
     ///
     /// # Errors
     /// [`Error::Argument`] for pictures of too few pixels or of other lengths; [`Error::Memory`] where the device has too little.
-    pub fn distance(&mut self, [a, b]: [&[f32]; 2], size: [u32; 2]) -> Result<f64> {
+    pub fn distance(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<f64> {
+        Ok(self.run(pictures, size, false)?.0)
+    }
+
+    /// As [`Perceptual::distance`] of pictures that are brought to 0..1 first, as in the reference's loss, and its gradient by the
+    /// first of them.
+    ///
+    /// # Errors
+    /// As [`Perceptual::distance`].
+    ///
+    /// # Panics
+    /// Where the weights were loaded without gradients.
+    pub fn gradient(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<(f64, Vec<f32>)> {
+        assert!(self.has_gradients, "weights that were loaded with gradients");
+        self.run(pictures, size, true)
+    }
+
+    fn run(&mut self, [a, b]: [&[f32]; 2], size: [u32; 2], gradient: bool) -> Result<(f64, Vec<f32>)> {
         let least = self.network.least_side();
         let [width, height] = size;
         if width.min(height) < least {
@@ -90,30 +112,37 @@ impl Perceptual {
                 return Err(Error::argument("values of a picture", picture.len(), expected));
             }
         }
-        let prepared = match self.prepared.take() {
-            Some(prepared) if prepared.size == size => self.prepared.insert(prepared),
-            _ => {
-                let prepared = self.prepare(size)?;
-                self.prepared.insert(prepared)
-            }
+        let prepared = match self.prepared[usize::from(gradient)].take() {
+            Some(prepared) if prepared.size == size => prepared,
+            _ => self.prepare(size, gradient)?,
         };
-        let run = &mut prepared.run;
-        run.write(prepared.pictures[0], a)?;
-        run.write(prepared.pictures[1], b)?;
+        let Prepared { run, pictures, value, gradient, .. } = self.prepared[usize::from(gradient)].insert(prepared);
+        run.write(pictures[0], a)?;
+        run.write(pictures[1], b)?;
         run.execute()?;
-        Ok(f64::from(run.read::<f32>(prepared.value)?[0]))
+        let gradient = gradient.map_or(Ok(Vec::new()), |gradient| run.read(gradient))?;
+        Ok((f64::from(run.read::<f32>(*value)?[0]), gradient))
     }
 
-    fn prepare(&self, size: [u32; 2]) -> Result<Prepared> {
+    fn prepare(&self, size: [u32; 2], gradient: bool) -> Result<Prepared> {
         let [width, height] = size.map(|side| side as usize);
         let mut rec = Recorder::new(self.device.limits());
-        let pictures = ["a", "b"].map(|name| rec.input::<f32>(name, 3 * width * height));
-        let request =
-            LpipsPictures { pictures: pictures.map(|picture| (picture, 3)), size: [height, width], clipped: false };
-        let value = self.lpips.record(&mut rec, request, None).value;
-        rec.output(value);
+        let values = 3 * width * height;
+        let pictures = ["a", "b"].map(|name| rec.input::<f32>(name, values));
+        let gradient = gradient.then(|| {
+            let gradient = rec.tensor::<f32>("d_a", values);
+            rec.fill(gradient, 0);
+            gradient
+        });
+        let of = LpipsPictures {
+            pictures: pictures.map(|picture| (picture, 3)),
+            size: [height, width],
+            clipped: gradient.is_some(),
+        };
+        let value = self.lpips.record(&mut rec, of, gradient.map(|gradient| (1.0, gradient))).value;
+        [Some(value), gradient].into_iter().flatten().for_each(|tensor| rec.output(tensor));
         let residents = [self.parameters.resident.clone()];
         let run = Run::with_resident(&self.device, rec.finish()?, residents)?;
-        Ok(Prepared { size, run, pictures, value })
+        Ok(Prepared { size, run, pictures, value, gradient })
     }
 }

@@ -25,7 +25,7 @@ macro_rules! numbers {
 
 fn structures() -> Vec<(String, usize)> {
     layout! {
-        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing }
+        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing, uuid }
         zs_context_options { struct_size, validation, max_memory_bytes, device }
         zs_image { struct_size, format, width, height, stride, pixels }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }

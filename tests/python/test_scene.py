@@ -23,12 +23,11 @@ def test_arrays_lie_in_place_are_read_only_and_keep_the_scene_alive(scene: zipsp
     means, expected = made.means, scene.means.copy()
     with pytest.raises(ValueError):
         means[0, 0] = 1
-    handle = made._handle
     del made
     gc.collect()
     # More scenes would take its memory if it were free.
     others = [zipsplat.Scene.from_arrays(scene.means + 1, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs) for _ in range(3)]
-    assert np.array_equal(means, expected) and others and handle
+    assert np.array_equal(means, expected) and len(others) == 3
 
 
 @pytest.mark.parametrize("format", ["ply", "spz", "splat", "gltf", "glb"])

@@ -1,6 +1,8 @@
 //! The search for the camera of a photo as ZipSplat's authors do it, beside their own steps.
 
 use glam::{DMat3, DVec3};
+use zipsplat::perceptual::Perceptual;
+use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::stages::render::Renderer;
 use zipsplat::types::{Camera, Pose};
 use zipsplat_cli::align::adam::Descent;
@@ -18,32 +20,51 @@ fn row(pose: &Pose) -> Vec<f64> {
     [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat()
 }
 
-/// Two photos, 30 steps; the golden's loss is the mean of both, which Adam does not notice.
-#[test]
-fn the_steps_are_those_of_the_authors() {
-    for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
-        let mut renderer = Renderer::new(device());
-        renderer.load(&golden_scene(&golden)).unwrap();
-        let (starts, targets) = (golden.f64("init_c2w"), golden.f32("target"));
-        let pixels = targets.len() / 2;
-        let descent = |(i, lens)| {
-            let camera = Camera { intrinsics: lens, pose: pose(&starts[12 * i..][..12]) };
-            Descent::new(&renderer, &targets[i * pixels..][..pixels], &camera).unwrap()
-        };
-        let mut descents: Vec<Descent> = intrinsics(&golden).into_iter().enumerate().map(descent).collect();
-        let gradients = descents.iter_mut().flat_map(|descent| descent.gradient(&mut renderer).unwrap().1);
+/// Holds two photos' 30 steps to a golden's; its loss is the mean of both, which Adam does not notice.
+fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>) {
+    let mut renderer = Renderer::new(device());
+    renderer.load(&golden_scene(golden)).unwrap();
+    let (starts, targets) = (golden.f64("init_c2w"), golden.f32("target"));
+    let pixels = targets.len() / 2;
+    let descent = |(i, lens)| {
+        let camera = Camera { intrinsics: lens, pose: pose(&starts[12 * i..][..12]) };
+        Descent::new(&renderer, &targets[i * pixels..][..pixels], &camera).unwrap()
+    };
+    let mut descents: Vec<Descent> = intrinsics(golden).into_iter().enumerate().map(descent).collect();
+    if lpips.is_none() {
+        let gradients = descents.iter_mut().flat_map(|descent| descent.gradient(&mut renderer, None).unwrap().1);
         let d_delta: Vec<f64> = gradients.map(|g| g / 2.0).collect();
         let within = |max: f64, rms: f64| Tolerance { max, rms };
         assert_close("d_delta", &d_delta, &golden.f64("step0/d_delta"), within(f64::INFINITY, 3e-5));
-        let (losses, poses) = (golden.f64("loss"), golden.f64("poses"));
-        for (step, truth) in losses.iter().enumerate() {
-            let loss = descents.iter_mut().map(|descent| descent.step(&mut renderer).unwrap()).sum::<f64>() / 2.0;
-            assert!((loss - truth).abs() <= 1e-2 * truth, "loss {step} is {loss}, truth {truth}");
-            let found: Vec<f64> = descents.iter().flat_map(|descent| row(&descent.camera.pose)).collect();
-            let error = if step == 0 { 1e-6 } else { 1e-3 };
-            let truth = &poses[24 * (step + 1)..][..24];
-            let worst = found.iter().zip(truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            assert!(worst <= error, "poses after step {step} are {worst:.1e} off");
-        }
+    }
+    let (losses, poses) = (golden.f64(&format!("{below}loss")), golden.f64(&format!("{below}poses")));
+    for (step, truth) in losses.iter().enumerate() {
+        let mut of_step = |descent: &mut Descent| descent.step(&mut renderer, lpips.as_mut()).unwrap();
+        let loss = descents.iter_mut().map(&mut of_step).sum::<f64>() / 2.0;
+        assert!((loss - truth).abs() <= 1e-2 * truth, "loss {step} is {loss}, truth {truth}");
+        let found: Vec<f64> = descents.iter().flat_map(|descent| row(&descent.camera.pose)).collect();
+        let error = if step == 0 { 1e-6 } else { 1e-3 };
+        let truth = &poses[24 * (step + 1)..][..24];
+        let worst = found.iter().zip(truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst <= error, "poses after step {step} are {worst:.1e} off");
+    }
+}
+
+#[test]
+fn the_steps_are_those_of_the_authors() {
+    for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
+        check_steps(&golden, "", None);
+    }
+}
+
+#[test]
+fn the_steps_with_lpips_are_those_of_the_authors() {
+    let Ok(path) = Perceptual::file(LpipsNetwork::Vgg) else {
+        eprintln!("weights of LPIPS are absent (python3 tools/lpips.py): not compared");
+        return;
+    };
+    for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
+        let lpips = Perceptual::open(device(), LpipsNetwork::Vgg, &path, true).unwrap();
+        check_steps(&golden, "lpips/", Some(lpips));
     }
 }

@@ -200,7 +200,7 @@ fn equals_the_goldens() {
         let mut layout = ParameterLayout::new(device().limits(), Arithmetic::EXACT);
         Lpips::new(&mut layout, network, false);
         let tensors = Tensors::open(&path, "LPIPS", &layout.names_and_shapes()).unwrap();
-        let mut metric = Perceptual::open(device(), network, &path).unwrap();
+        let mut metric = Perceptual::open(device(), network, &path, false).unwrap();
         for case in golden.stems(&format!("/{}/loss", network.name())) {
             let pair = Pair::golden(&golden, &case);
             let key = |what: &str| golden.f64(&format!("{case}/{}/{what}", network.name()));

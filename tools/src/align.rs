@@ -14,6 +14,7 @@ use serde::Serialize;
 use std::{cell::RefCell, iter::successors};
 use zipsplat::{
     Result,
+    perceptual::Perceptual,
     stages::render::Renderer,
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
@@ -43,12 +44,12 @@ const PATIENCE: usize = 12;
 pub enum Method {
     /// Least squares, from small pictures to large ones; the camera stays near where it was
     LevenbergMarquardt,
-    /// As ZipSplat's authors do, but for LPIPS: at most 200 steps of Adam; the camera may go anywhere
+    /// As ZipSplat's authors do: at most 200 steps of Adam, with a term of LPIPS where its weights are; the camera may go anywhere
     Adam,
 }
 
 impl Method {
-    /// Aligns a camera in this way.
+    /// Aligns a camera in this way; only Adam uses LPIPS.
     ///
     /// # Errors
     /// As [`align`].
@@ -57,11 +58,12 @@ impl Method {
         renderer: &mut Renderer,
         photo: &Image,
         camera: &Camera,
+        lpips: Option<&mut Perceptual>,
         check: &dyn Fn() -> Result<()>,
     ) -> Result<Aligned> {
         match self {
             Self::LevenbergMarquardt => align(renderer, photo, camera, check),
-            Self::Adam => adam::align(renderer, photo, camera, check),
+            Self::Adam => adam::align(renderer, photo, camera, lpips, check),
         }
     }
 }

@@ -24,18 +24,18 @@ enum Network {
 }
 
 impl LpipsOption {
-    /// Loads the weights onto a device; `None` where they are not there and were not asked for.
+    /// Loads the weights onto a device, with `gradients` or for the distance alone; `None` where they are not there and were not asked for.
     ///
     /// # Errors
     /// Those of [`Perceptual::open`]; of [`Perceptual::file`] where a network was asked for.
-    pub fn open(&self, device: &Device) -> Result<Option<Perceptual>> {
+    pub fn open(&self, device: &Device, gradients: bool) -> Result<Option<Perceptual>> {
         let network = match self.lpips {
             Some(Network::None) => return Ok(None),
             Some(Network::Alex) => LpipsNetwork::Alex,
             Some(Network::Vgg) | None => LpipsNetwork::Vgg,
         };
         match (Perceptual::file(network), self.lpips) {
-            (Ok(path), _) => Perceptual::open(device, network, &path).map(Some),
+            (Ok(path), _) => Perceptual::open(device, network, &path, gradients).map(Some),
             (Err(error), Some(_)) => Err(error),
             (Err(_), None) => Ok(None),
         }

@@ -37,3 +37,7 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
             str(generated): "zipsplat/_header.py",
             str(ROOT / "LICENSE"): "zipsplat/LICENSE",
         })
+        # Those of the crates in the library, which tools/release.sh lists.
+        licences = os.environ.get("ZIPSPLAT_LICENCES")
+        if licences:
+            build_data["force_include"][licences] = "zipsplat/THIRD-PARTY-LICENCES.txt"

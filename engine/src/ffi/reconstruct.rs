@@ -5,13 +5,13 @@ use super::{
     model::{report, zs_model, zs_progress},
     picture::{zs_camera, zs_image},
     pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
-    scene::{ModelTokens, zs_scene},
+    scene::{ModelTokens, Seen, zs_scene},
     status::{Failure, zs_status},
 };
 use crate::{
     Error,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
     types::{
         Camera, Pose,
         poses::Unit,
@@ -174,7 +174,8 @@ pub unsafe extern "C" fn zs_reconstruct(
             (Some(views), Some(origin), None) => Unit::of(unit, &all, None, views, &origin)?.length,
             _ => unit.unwrap_or(1.0),
         };
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
+        let unposed = cameras.is_none();
         let request = Request { ratio, selection, cameras, unit };
         let told = &told;
         let progress = |of_all: Range<f64>| {
@@ -185,18 +186,20 @@ pub unsafe extern "C" fn zs_reconstruct(
         };
         // Gives its memory back before the next one needs some.
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
-        let (gaussians, tokens) = match head {
-            None => (model.reconstruct(&images, &request, progress(0.0..1.0))?.gaussians, None),
+        let (made, tokens) = match head {
+            None => (model.reconstruct(&images, &request, progress(0.0..1.0))?, None),
             Some(head) => {
                 let features = model.features(&images, &request, progress(0.0..0.8))?;
-                let gaussians = model.reconstruct_features(&features, &request, progress(0.8..0.9))?.gaussians;
+                let made = model.reconstruct_features(&features, &request, progress(0.8..0.9))?;
                 let (tokens, head) = (model.tokens(&features, &request, progress(0.9..1.0))?, head.clone());
-                (gaussians, Some(ModelTokens { tokens, head, arena: model.arena().clone(), pose: placed }))
+                (made, Some(ModelTokens { tokens, head, arena: model.arena().clone(), pose: placed }))
             }
         };
+        let Reconstruction { gaussians, patches, .. } = made;
         let mut scene = gaussians.read()?;
+        let seen = unposed.then_some(Seen { patches, maps });
         let made = match placed {
-            None => zs_scene::on_device(scene, latest, gaussians),
+            None => zs_scene::on_device(scene, latest, gaussians).seen(seen),
             Some(pose) => {
                 scene.place(1.0, &pose);
                 scene.into()

@@ -1,6 +1,6 @@
 //! The alignment of ZipSplat's authors: Adam on the pose, against the difference where the scene is seen.
 //!
-//! Source: `pose_estimator.py` of ZipSplat, without its term of LPIPS, for each photo on its own.
+//! Source: `pose_estimator.py` of ZipSplat, for each photo on its own.
 
 use super::{Aligned, between};
 use crate::{capture::draw, metrics::values};
@@ -8,6 +8,7 @@ use glam::DVec3;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Recorder, Run, Tensor},
+    perceptual::Perceptual,
     refine::{Adam, PoseAdam},
     stages::render::{
         CAMERA_NUMBERS, CameraRows, DeviceScene, FrameShape, Gradients, RenderOutputs, RenderRequest, Renderer,
@@ -23,6 +24,8 @@ const RATE: f64 = 5e-3;
 /// The search ends where the loss changes by less than this in [`PATIENCE`] steps in a row.
 const FLAT: f64 = 1e-5;
 const PATIENCE: usize = 5;
+/// Share of LPIPS in the loss.
+const LPIPS: f64 = 0.05;
 /// The least sum of the weights.
 const EPS: f64 = 1e-8;
 
@@ -35,6 +38,7 @@ pub fn align(
     renderer: &mut Renderer,
     photo: &Image,
     camera: &Camera,
+    mut lpips: Option<&mut Perceptual>,
     check: &dyn Fn() -> Result<()>,
 ) -> Result<Aligned> {
     let before = draw(renderer, camera)?;
@@ -42,7 +46,7 @@ pub fn align(
     let (mut last, mut flat) = (f64::INFINITY, 0);
     for _ in 0..STEPS {
         check()?;
-        let loss = descent.step(renderer)?;
+        let loss = descent.step(renderer, lpips.as_deref_mut())?;
         flat = if (loss - last).abs() < FLAT { flat + 1 } else { 0 };
         last = loss;
         if flat == PATIENCE {
@@ -83,8 +87,8 @@ impl Descent {
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`].
-    pub fn step(&mut self, renderer: &mut Renderer) -> Result<f64> {
-        let (loss, gradient) = self.gradient(renderer)?;
+    pub fn step(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<f64> {
+        let (loss, gradient) = self.gradient(renderer, lpips)?;
         self.camera.pose = self.adam.step(Adam::default(), &self.camera.pose, gradient, [RATE; 2]);
         Ok(loss)
     }
@@ -93,10 +97,14 @@ impl Descent {
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`].
-    pub fn gradient(&mut self, renderer: &mut Renderer) -> Result<(f64, [f64; 6])> {
+    pub fn gradient(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<(f64, [f64; 6])> {
         let frame = renderer.render_loaded(&[self.camera], &SEEN)?.remove(0);
         let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());
-        let (loss, d_frames) = weighted_difference(&rgb, &alpha, &self.truth);
+        let (mut loss, mut d_frames) = weighted_difference(&rgb, &alpha, &self.truth);
+        if let Some(lpips) = lpips {
+            let size = [self.camera.intrinsics.width, self.camera.intrinsics.height];
+            loss += look_of_what_is_seen(lpips, [&rgb, &self.truth], &alpha, size, &mut d_frames)?;
+        }
         loop {
             let backward = match &mut self.backward {
                 Some(backward) => backward,
@@ -137,6 +145,26 @@ fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f
         [r, g, b, (of_pixel(pixel) - 3.0 * loss) / weights].map(|d| d as f32)
     };
     (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
+}
+
+/// The share of the loss that LPIPS has, of picture and photo `[pixels, 3]` times alpha; its gradient is added to `d_frames`
+/// `[pixels, 4]`, and alpha has one through both.
+fn look_of_what_is_seen(
+    lpips: &mut Perceptual,
+    [rgb, truth]: [&[f32]; 2],
+    alpha: &[f32],
+    size: [u32; 2],
+    d_frames: &mut [f32],
+) -> Result<f64> {
+    let seen = |picture: &[f32]| picture.iter().enumerate().map(|(i, value)| value * alpha[i / 3]).collect::<Vec<_>>();
+    let (a, b) = (seen(rgb), seen(truth));
+    let (value, d_a) = lpips.gradient([&a, &b], size)?;
+    let (_, d_b) = lpips.gradient([&b, &a], size)?;
+    for (i, (d_a, d_b)) in d_a.iter().zip(&d_b).enumerate() {
+        d_frames[i / 3 * 4 + i % 3] += LPIPS as f32 * alpha[i / 3] * d_a;
+        d_frames[i / 3 * 4 + 3] += LPIPS as f32 * (rgb[i] * d_a + truth[i] * d_b);
+    }
+    Ok(LPIPS * value)
 }
 
 /// The plan of a picture's gradient.

@@ -63,7 +63,7 @@ impl Compare {
         let written = self.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
         self.overwrite.check_replaced(written)?;
         let device = session.device()?;
-        let mut lpips = self.lpips.open(&device)?;
+        let mut lpips = self.lpips.open(&device, false)?;
         if lpips.is_none() && self.lpips.is_default() {
             session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
         }

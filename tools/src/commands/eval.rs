@@ -147,7 +147,7 @@ impl Eval {
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, posed)?;
         self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let device = session.device()?;
-        let mut lpips = self.lpips.open(&device)?;
+        let mut lpips = self.lpips.open(&device, self.pose_free && self.align == Method::Adam)?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let compared = self.score_size.unwrap_or(size);
         let seeing = Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares };
@@ -195,8 +195,9 @@ impl Eval {
         let targets = &capture.targets;
         let (drawn, mut alignment) = if self.pose_free {
             let (found, _) = session.stage("align", |stage| {
-                let found =
-                    |view: &Posed| self.align.align(&mut renderer, &view.image, &view.camera, &|| stage.check());
+                let found = |view: &Posed| {
+                    self.align.align(&mut renderer, &view.image, &view.camera, lpips.as_mut(), &|| stage.check())
+                };
                 stage.each(targets, found)
             })?;
             let alignment = Alignment::new(&capture, &found);
