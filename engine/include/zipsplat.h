@@ -428,6 +428,17 @@ zs_status zs_scene_to_memory(const struct zs_scene *scene,
 // Says where bytes are and how many: the object's own memory, there until it is destroyed.
 zs_status zs_bytes_get(const struct zs_bytes *bytes, const void **data, size_t *size);
 
+// Finds the cameras of the photos of a scene that zs_reconstruct made of `count` photos without cameras, in the scene's world: from
+// where the Gaussians of each of a photo's patches are. The photos are taken to share a field of view, which is found, too.
+// `cameras` is an array of `count`, each with its struct_size set; each gets the camera of the whole photo. `inliers` gets the number
+// of patches that agree with it and `patches` how many there were; both are arrays of `count` or NULL. A photo whose
+// camera is not found has a camera of width 0 and no inliers; where none is found, that is an error.
+zs_status zs_scene_cameras(const struct zs_scene *scene,
+                           struct zs_camera *cameras,
+                           uint32_t *inliers,
+                           uint32_t *patches,
+                           size_t count);
+
 // Destroys bytes. NULL is allowed.
 void zs_bytes_destroy(struct zs_bytes *bytes);
 

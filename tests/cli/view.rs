@@ -145,6 +145,7 @@ fn photos_and_scenes_have_options_of_their_own() {
     let photos = "view @/photos --weights @/micro.safetensors --size 28x28 -o @/page.html";
     folder.run(&format!("{photos} --group 4")).fails(3, &["--group", "a scene's file"]);
     folder.run(&format!("{photos} --ratios 0.5,2")).fails(3, &["--ratios", "2", "(0, 1]"]);
+    folder.run(&format!("{photos} --ratios 1,.9,.8,.7,.6,.5,.4,.3,.2")).fails(3, &["--ratios", "9", "at most 8"]);
     folder.run(&format!("{photos} --refine=5")).fails_usage();
     assert!(!folder.path("page.html").exists());
 }

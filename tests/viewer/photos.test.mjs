@@ -1,7 +1,7 @@
 // Scenes that are made of photos while the page looks: the slider of ratios, tokens, a refinement.
 
 import assert from "node:assert/strict";
-import { readFileSync, rmSync } from "node:fs";
+import { rmSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { Tab, at, close, folder, opened, psnr, serve, sleep, spread, zipsplat } from "./browser.mjs";
 
@@ -24,6 +24,9 @@ test("the slider makes scenes of other ratios, and drops what is overtaken", asy
     await tab.settled();
     const [all, group] = await tab.run(() => [zipsplat.scene.count, zipsplat.scene.group]), whole = await tab.picture();
     assert.ok(spread(whole) > 5);
+    // With all tokens kept they are the patches in their order: 9 by 9 of each photo.
+    const patches = await tab.run(() => [0, 80, 81, 92].map(token => Object.values(zipsplat.tokens.patch(token))));
+    assert.deepEqual(patches, [[0, 0, 0], [0, 8, 8], [1, 0, 0], [1, 1, 2]]);
     assert.match(await label(tab), /Ratio 1: ([\d,]+) of \1 tokens.*backbone|fuse/);
     await tab.screenshot("ratio-1");
     await tab.slide("ratio", place(0.1));

@@ -23,7 +23,6 @@ class Live {
         const { live } = config;
         if (!live) return;
         this.index = page.scenes.push({ name: "photos", loading: true, extension: ".ply" }) - 1;
-        element("ratios").hidden = false;
         element("ratio").value = 100 * (1 - Math.log(live.ratio) / Math.log(LEAST_RATIO));
         element("ratio").oninput = () => this.ask();
         element("precision").hidden = live.precisions.length < 2;

@@ -254,6 +254,8 @@ class Page {
         if (this.rate) facts.push(`${this.rate.toFixed(0)} frames a second`);
         element("facts").textContent = facts.join(" · ");
         element("scenes").hidden = scenes.length < 2;
+        element("ratios").hidden = this.current !== this.live.index;
+        element("refining").hidden = this.current !== this.refining.index;
         element("scene").max = scenes.length - 1;
         element("scene").value = this.current;
         this.views.tellLeftOut();

@@ -8,7 +8,6 @@ class Refining {
         if (!config.refines) return;
         this.index = page.scenes.push({ name: "refinement", loading: true, source: "refined", extension: ".ply" }) - 1;
         this.version = 0;
-        element("refining").hidden = false;
         element("stop").onclick = () => {
             element("stop").disabled = true;
             asked("refining/stop", { method: "POST" }).catch(error => page.say(error.message, true));

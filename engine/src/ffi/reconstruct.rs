@@ -5,13 +5,13 @@ use super::{
     model::{report, zs_model, zs_progress},
     picture::{zs_camera, zs_image},
     pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
-    scene::zs_scene,
+    scene::{Seen, zs_scene},
     status::{Failure, zs_status},
 };
 use crate::{
     Error,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
     types::{
         Camera, Pose,
         poses::Unit,
@@ -171,14 +171,16 @@ pub unsafe extern "C" fn zs_reconstruct(
             (Some(views), Some(origin), None) => Unit::of(unit, &all, None, views, &origin)?.length,
             _ => unit.unwrap_or(1.0),
         };
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
+        let unposed = cameras.is_none();
         let request = Request { ratio, selection, cameras, unit };
         let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
         // Gives its memory back before the next one needs some.
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
-        let gaussians = model.reconstruct(&images, &request, progress)?.gaussians;
+        let Reconstruction { gaussians, patches, .. } = model.reconstruct(&images, &request, progress)?;
         let mut scene = gaussians.read()?;
-        let Some(pose) = placed else { return Ok(zs_scene::on_device(scene, latest, gaussians)) };
+        let seen = unposed.then_some(Seen { patches, maps });
+        let Some(pose) = placed else { return Ok(zs_scene::on_device(scene, latest, gaussians).seen(seen)) };
         scene.place(1.0, &pose);
         Ok(scene.into())
     };

@@ -1,6 +1,7 @@
 //! `zipsplat view`: scenes in a browser.
 
 use crate::{
+    heic::is_heic,
     options::{SceneInput, refuse},
     outputs::Overwrite,
     session::Session,
@@ -41,7 +42,7 @@ use zipsplat::{
   zipsplat view photos/ --ratios 1,0.3,0.1 -o ratios.html
   zipsplat view tenth.ply half.ply all.ply -o compared.html")]
 pub struct View {
-    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP), folders of them and videos
+    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC where ffmpeg reads it), folders of them and videos
     #[arg(required = true, value_name = "SCENES|PHOTOS")]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -95,7 +96,8 @@ impl View {
 
     /// Whether the files are photos; otherwise they are scenes.
     fn is_of_photos(&self) -> Result<bool> {
-        let is_photo = |path: &PathBuf| path.is_dir() || is_video(path) || Image::size_as_stored(path).is_ok();
+        let is_photo =
+            |path: &PathBuf| path.is_dir() || is_video(path) || is_heic(path) || Image::size_as_stored(path).is_ok();
         let photos = self.files.iter().filter(|path| is_photo(path)).count();
         if photos != 0 && photos != self.files.len() {
             let other = self.files.iter().find(|path| !is_photo(path)).map(|path| path.display().to_string());
@@ -270,7 +272,9 @@ impl View {
                 scope.spawn(|| watched.run(&ready.live, |_| ready.live.go_on()));
             }
             let stopped = || cancelled.load(Ordering::Relaxed);
-            server.serve(|path, body| served.answer(path, body), stopped)
+            let ended = server.serve(|path, body| served.answer(path, body), stopped);
+            watched.iter().for_each(|watched| watched.stop.store(true, Ordering::Relaxed));
+            ended
         })
         .map_err(|error| Error::io(address, error))
     }

@@ -56,7 +56,7 @@ pub struct FromPhotos {
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
     /// Ratios of the scenes in a written page, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
-    #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',', num_args = 1..=8)]
+    #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',')]
     ratios: Vec<f64>,
     /// Make the scene sharp in so many steps, as reconstruct does, while the page shows it; a written page holds the result, too
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
@@ -74,8 +74,9 @@ pub struct FromPhotos {
     moved: Moved,
 }
 
-/// Ratios of a written page where nobody says.
+/// Ratios of a written page where nobody says, and the most.
 const RATIOS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
+const MOST_RATIOS: usize = 8;
 
 /// Photos whose features are on the device, and what is known of where they were taken.
 pub struct Ready<'a> {
@@ -122,7 +123,7 @@ impl FromPhotos {
         let cancelled = session.cancelled();
         self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let checkpoint = self.weights.open()?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
+        session.notes(checkpoint.notes());
         self.quality.check(checkpoint.architecture())?;
         let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
         if let (Some(views), true) = (self.views, poses.is_some_and(Known::to_find)) {
@@ -131,7 +132,7 @@ impl FromPhotos {
         let known = poses.map(|poses| Known::of(session, poses, &photos, &self.finding)).transpose()?;
         let poses = known.as_ref().map(|known| &known.poses);
         if let Some(poses) = poses {
-            poses.notes.iter().for_each(|note| session.note(note));
+            session.notes(&poses.notes);
             photos = photos::posed(session, photos, poses)?;
         }
         if let Some(views) = self.views {
@@ -139,7 +140,7 @@ impl FromPhotos {
         }
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
         fit.check(size, poses.is_some())?;
-        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
+        session.notes(self.quality.doubt_size(&checkpoint));
         let count = fit.count(&photos)?;
         let chosen = (self.quality.ratio, &self.quality.select);
         Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?;
@@ -148,7 +149,7 @@ impl FromPhotos {
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
         let (views, _) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
         let Views { images, cameras, note } = views;
-        note.iter().for_each(|note| session.note(note));
+        session.notes(note);
         let unit = self.length(session, poses, &cameras, &frames)?;
         let (told, turned) = fit.told(cameras);
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
@@ -161,9 +162,12 @@ impl FromPhotos {
         let cloud = poses.and_then(|poses| poses.points.as_ref()).filter(|_| self.refines());
         let cloud = cloud.map(read_cloud).transpose()?;
         let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        // Squares of one photo follow each other.
-        let each = images.len() / photos.len().max(1);
-        let names = (0..images.len()).map(|i| photos.get(i / each.max(1)).map(name).unwrap_or_default()).collect();
+        let mut names = Vec::new();
+        for photo in &photos {
+            // Squares of one photo follow each other.
+            let views = fit.count(std::slice::from_ref(photo))?;
+            names.extend(std::iter::repeat_n(name(photo), views));
+        }
         let live = Live {
             device,
             checkpoint,
@@ -191,18 +195,21 @@ impl FromPhotos {
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
         let unit = poses.unit(self.unit, cameras, &first.camera.pose)?;
-        unit.doubt().iter().for_each(|note| session.note(note));
+        session.notes(unit.doubt());
         Ok(unit.length)
     }
 
     /// The ratios of a written page, the largest first, each once by the tokens that it keeps.
     ///
     /// # Errors
-    /// [`Error::Argument`] for one outside (0, 1].
+    /// [`Error::Argument`] for one outside (0, 1], and for too many.
     pub fn ratios(&self, tokens: usize) -> Result<Vec<f64>> {
         let mut ratios = if self.ratios.is_empty() { RATIOS.to_vec() } else { self.ratios.clone() };
         if let Some(wrong) = ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0)) {
             return Err(Error::argument("--ratios", wrong, "numbers in (0, 1]"));
+        }
+        if ratios.len() > MOST_RATIOS {
+            return Err(Error::argument("--ratios", ratios.len(), format!("at most {MOST_RATIOS}")));
         }
         ratios.sort_by(|a, b| b.total_cmp(a));
         ratios.dedup_by_key(|ratio| ((*ratio * tokens as f64) as usize).max(1));
