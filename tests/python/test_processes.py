@@ -102,7 +102,9 @@ print("end", flush=True)
     )
     done = python(code)
     assert (done.returncode, done.stdout) == (0, "end\n"), done.stderr
-    assert "Traceback" not in done.stderr or "CancelledError" in done.stderr, done.stderr
+    # The thread may be between two calls: of these it gets no other.
+    last = done.stderr.strip().splitlines()[-1:]
+    assert all("CancelledError" in line or "the interpreter ends" in line for line in last), done.stderr
 
 
 def test_ctrl_c_ends_a_call() -> None:
