@@ -15,8 +15,21 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 # Those that ask for no more than their text.
 ALLOWED = {
-    "0BSD", "Apache-2.0", "Apache-2.0 WITH LLVM-exception", "BSD-2-Clause", "BSD-3-Clause", "BSL-1.0", "CC0-1.0",
-    "CDLA-Permissive-2.0", "ISC", "MIT", "MIT-0", "MPL-2.0", "Unicode-3.0", "Unlicense", "Zlib",
+    "0BSD",
+    "Apache-2.0",
+    "Apache-2.0 WITH LLVM-exception",
+    "BSD-2-Clause",
+    "BSD-3-Clause",
+    "BSL-1.0",
+    "CC0-1.0",
+    "CDLA-Permissive-2.0",
+    "ISC",
+    "MIT",
+    "MIT-0",
+    "MPL-2.0",
+    "Unicode-3.0",
+    "Unlicense",
+    "Zlib",
 }
 TEXTS = re.compile(r"(LICEN[CS]E|COPYING|NOTICE|COPYRIGHT)", re.IGNORECASE)
 
@@ -109,7 +122,12 @@ def main(package: str, target: str, licences: str, sbom: str) -> None:
             component["hashes"] = [{"alg": "SHA-256", "content": checksum}]
         components.append(component)
     Path(licences).write_text("\n".join(parts), encoding="utf-8")
-    main_component = {"type": "application", "name": package, "version": version, "licenses": [{"expression": "Apache-2.0"}]}
+    main_component = {
+        "type": "application",
+        "name": package,
+        "version": version,
+        "licenses": [{"expression": "Apache-2.0"}],
+    }
     document = {
         "bomFormat": "CycloneDX",
         "specVersion": "1.5",
@@ -118,7 +136,10 @@ def main(package: str, target: str, licences: str, sbom: str) -> None:
         "components": components,
     }
     Path(sbom).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    print(f"{len(found)} crates, {sum(bool(texts(entry)) for entry in found)} with texts of their licences", file=sys.stderr)
+    print(
+        f"{len(found)} crates, {sum(bool(texts(entry)) for entry in found)} with texts of their licences",
+        file=sys.stderr,
+    )
 
 
 if __name__ == "__main__":

@@ -52,7 +52,18 @@ def test_every_capture_is_made_once_whatever_is_killed(places: Path, tmp_path: P
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
         node = cluster.add_node(num_cpus=1)
-        program = [sys.executable, "-m", "zipsplat.ray", places, "-o", out, "--address", cluster.address, "--size", "126x126"]
+        program = [
+            sys.executable,
+            "-m",
+            "zipsplat.ray",
+            places,
+            "-o",
+            out,
+            "--address",
+            cluster.address,
+            "--size",
+            "126x126",
+        ]
         log = (tmp_path / "log").open("w")
 
         def start() -> subprocess.Popen[Any]:
@@ -76,7 +87,9 @@ def test_every_capture_is_made_once_whatever_is_killed(places: Path, tmp_path: P
         cluster.shutdown()
     assert names(out) == [str(name) for name in range(8)]
     # A worker that outlived its driver may have made some more.
-    assert all((out / f"{name}.ply").stat().st_mtime_ns == when for name, when in before.items()), "nothing is made twice"
+    assert all((out / f"{name}.ply").stat().st_mtime_ns == when for name, when in before.items()), (
+        "nothing is made twice"
+    )
     report = json.loads((out / "report.json").read_text())
     assert report["captures"] == 8 and report["failed"] == 0 and report["unchanged"] >= len(before)
     assert not list(out.glob("*.unfinished")) and not (out / "failures.csv").exists()
@@ -149,4 +162,3 @@ def test_what_is_no_capture_is_named(places: Path, tmp_path: Path) -> None:
         captures([str(empty)], Options())
     with pytest.raises(ValueError, match="second capture called 1"):
         run([str(places), str(places / "1")], str(tmp_path / "out"))
-

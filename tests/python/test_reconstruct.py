@@ -12,7 +12,6 @@ import pytest
 import zipsplat
 from conftest import PHOTOS, SIZE, same
 
-
 POINTS = """ply
 format ascii 1.0
 element vertex 1
@@ -35,7 +34,9 @@ def rows(ply: bytes) -> bytes:
     return ply.split(b"end_header\n", 1)[1]
 
 
-def test_photos_may_be_paths_bytes_pictures_or_arrays(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
+def test_photos_may_be_paths_bytes_pictures_or_arrays(
+    model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene
+) -> None:
     image = pytest.importorskip("PIL.Image")
     arrays = [zipsplat.read_photo(photo) for photo in photos]
     floats = [array.astype(np.float32) / 255 for array in arrays]

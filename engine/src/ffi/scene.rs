@@ -9,17 +9,19 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use crate::types::{
-    Camera, Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, preprocess::PixelMap,
-    read_scene, read_scene_unchecked, write_scene,
+    Camera, Pose, Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
+    preprocess::PixelMap, read_scene, read_scene_unchecked, write_scene,
 };
 use crate::{
     Error,
-    reconstruct::Patches,
+    gpu::Arena,
+    reconstruct::{Patches, SceneTokens},
+    refine::FrozenHead,
     stages::render::{DeviceScene, Renderer, WeakScene},
 };
 use std::{
     ffi::{c_char, c_void},
-    sync::Mutex,
+    sync::{Arc, Mutex},
 };
 
 /// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
@@ -27,9 +29,21 @@ use std::{
 pub struct zs_scene {
     pub(super) scene: Scene,
     /// The same Gaussians on a device, for as long as the model that made them keeps them there.
-    on_device: Option<WeakScene>,
+    pub(super) on_device: Option<WeakScene>,
+    /// The tokens that a model made it of, where that model keeps them.
+    pub(super) tokens: Option<ModelTokens>,
     /// Where its Gaussians were seen, where it was made of photos without cameras.
-    seen: Option<Seen>,
+    pub(super) seen: Option<Seen>,
+}
+
+/// The tokens of a scene, and what makes Gaussians of them.
+pub(super) struct ModelTokens {
+    pub tokens: SceneTokens,
+    pub head: Arc<FrozenHead>,
+    /// The model's.
+    pub arena: Arena,
+    /// The pose in the scene's world of its first camera, where that is another than the world.
+    pub pose: Option<Pose>,
 }
 
 /// Photos without cameras that a scene was made of.
@@ -47,7 +61,7 @@ impl zs_scene {
     pub(super) fn on_device(scene: Scene, latest: &LatestScene, gaussians: DeviceScene) -> Self {
         let on_device = Some(gaussians.downgrade());
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gaussians);
-        Self { scene, on_device, seen: None }
+        Self { scene, on_device, tokens: None, seen: None }
     }
 
     /// With the photos that it was made of.
@@ -67,7 +81,7 @@ impl zs_scene {
 
 impl From<Scene> for zs_scene {
     fn from(scene: Scene) -> Self {
-        Self { scene, on_device: None, seen: None }
+        Self { scene, on_device: None, tokens: None, seen: None }
     }
 }
 

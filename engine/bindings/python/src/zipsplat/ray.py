@@ -59,7 +59,9 @@ def captures(inputs: list[str], options: Options) -> list[Row]:
             raise ValueError(f"{place}: found no photos, expected a folder of photos, or a folder of such folders")
         for row in rows:
             if row.name in found:
-                raise ValueError(f"{place}: found a second capture called {row.name}, expected a name of its own for each")
+                raise ValueError(
+                    f"{place}: found a second capture called {row.name}, expected a name of its own for each"
+                )
             found[row.name] = row
     return list(found.values())
 
@@ -182,7 +184,13 @@ class Worker:
         data = scene.to_bytes(self.options.format)
         self.store.write(f"{row.name}.{self.options.format}", data)
         times["write"] = time.time() - began
-        record = {"name": row.name, "hash": row.hash, "bytes": len(data), "gaussians": len(scene), "photos": len(row.photos)}
+        record = {
+            "name": row.name,
+            "hash": row.hash,
+            "bytes": len(data),
+            "gaussians": len(scene),
+            "photos": len(row.photos),
+        }
         record.update(seconds=times, read_bytes=sum(map(len, files)), node=os.uname().nodename, process=os.getpid())
         self.store.write(f"{row.name}.json", json.dumps(record).encode())
         return record
@@ -316,7 +324,9 @@ def main(arguments: Optional[list[str]] = None) -> int:
     width, _, height = (given.size or "").partition("x")
     size = (int(width), int(height)) if given.size else None
     options = Options(given.ratio, given.weights, size, given.format)
-    report = run(given.inputs, given.output, options=options, address=given.address, actors=given.actors, tries=given.tries)
+    report = run(
+        given.inputs, given.output, options=options, address=given.address, actors=given.actors, tries=given.tries
+    )
     print(json.dumps(report, indent=2))
     return 1 if report["failed"] else 0
 
