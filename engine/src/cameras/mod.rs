@@ -62,9 +62,15 @@ const ROUNDS: usize = 3;
 /// The camera with a picture of `[width, height]` pixels and its principal point in the middle that sees `pairs` as they are.
 ///
 /// # Errors
-/// [`Error::Argument`] where pairs are fewer than [`FEWEST`], or fewer agree on any camera.
+/// [`Error::Argument`] where pairs are fewer than [`FEWEST`], or fewer agree on any camera, and where the focal length or the tolerance is
+/// no length.
 pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -> Result<FoundCamera> {
     let expected = || format!("{FEWEST} or more");
+    for (name, length) in [("focal length", search.focal), ("tolerance", Some(search.tolerance))] {
+        if let Some(length) = length.filter(|length| !(length.is_normal() && *length > 0.0)) {
+            return Err(Error::argument(format!("{name} of a camera"), length, "pixels above 0"));
+        }
+    }
     if pairs.len() < FEWEST {
         return Err(Error::argument("points to find a camera of", pairs.len(), expected()));
     }

@@ -95,6 +95,10 @@ fn without_a_camera_the_error_says_how_many_agree() {
         .collect();
     let text = words(&wrong);
     assert!(text.contains("points that agree on a camera") && text.contains("of 20"), "{text}");
+    for (focal, tolerance) in [(Some(0.0), 7.0), (Some(f64::NAN), 7.0), (None, -1.0), (None, f64::INFINITY)] {
+        let error = find_camera(&pairs, [252; 2], &Search { tolerance, focal, seed: 0 }).unwrap_err().to_string();
+        assert!(error.contains("of a camera") && error.contains("above 0"), "{error}");
+    }
     let same = [Pair { point: DVec3::ONE, pixel: DVec2::ZERO }; 20];
     words(&same);
 }

@@ -30,6 +30,8 @@ const FIND: &str = "find";
 const ALL_PAIRS: usize = 100;
 /// Of so few photos none should be lost without another try.
 const FEW_PHOTOS: usize = 12;
+/// Share of more photos with which one try is enough.
+const ENOUGH: f64 = 0.8;
 /// Features of a photo below which there is little to recognise.
 const FEW: usize = 300;
 /// Share of a step before which nobody can tell how long it takes.
@@ -224,7 +226,7 @@ impl<'a> Search<'a> {
             if joined(&models) > joined(&best) {
                 best = models;
             }
-            let enough = if photos <= FEW_PHOTOS { photos } else { photos.div_ceil(2) };
+            let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
             if joined(&best) >= enough {
                 break;
             }

@@ -18,7 +18,7 @@ use zipsplat::Result;
 /// COLMAP, an open program for structure from motion, is installed apart: version 3 or 4, or pycolmap, in Python. It runs on the
 /// CPU and needs no display. What it finds is written as transforms.json, with the distortion of the lens, so that the photos
 /// stay as they are, and beside it points.ply, from which `refine --start points` begins, and colmap.log. Of photos in several groups
-/// that nothing joins the largest group is taken; where that has fewer than half of the photos, or of up to 12 not all, COLMAP
+/// that nothing joins the largest group is taken; where that has fewer than four fifths of the photos, or of up to 12 not all, COLMAP
 /// tries up to twice more, with other random numbers and looser thresholds. Photos of one size, camera and focal length share a lens.
 #[derive(Args)]
 #[command(after_help = "Examples:
