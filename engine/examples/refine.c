@@ -1,10 +1,13 @@
 /* A scene made sharp against photos whose cameras are known:
  *     cc refine.c $(pkg-config --cflags --libs zipsplat) -o refine
  *     ./refine scene.ply cameras.txt sharp.ply PHOTO...
+ *     ./refine model.safetensors cameras.txt sharp.ply PHOTO...
+ * With a model the scene is what it makes of the photos, and its tokens are refined in place of its Gaussians.
  * cameras.txt has 16 numbers for each photo, in their order: fx fy cx cy in pixels, then the camera-to-world pose in the scene's
  * world, its rotation row by row and the camera's centre. */
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <zipsplat.h>
 
 #define CHECK(call)                                                                \
@@ -38,12 +41,13 @@ static int read_camera(FILE *file, const zs_image *photo, zs_camera *camera) {
 
 int main(int argc, char **argv) {
     if (argc < 5 || argc - 4 > MAX_PHOTOS) {
-        fprintf(stderr, "usage: %s scene.ply cameras.txt sharp.ply PHOTO... (at most %d)\n", argv[0], MAX_PHOTOS);
+        fprintf(stderr, "usage: %s scene.ply|model.safetensors cameras.txt sharp.ply PHOTO... (at most %d)\n", argv[0], MAX_PHOTOS);
         return 2;
     }
     int result = EXIT_FAILURE;
     const size_t count = (size_t)argc - 4;
     zs_context *context = NULL;
+    zs_model *model = NULL;
     zs_scene *scene = NULL, *sharp = NULL;
     static zs_photo *photos[MAX_PHOTOS];
     static zs_image images[MAX_PHOTOS];
@@ -51,7 +55,6 @@ int main(int argc, char **argv) {
     FILE *file = fopen(argv[2], "r");
 
     CHECK(zs_context_create(NULL, &context));
-    CHECK(zs_scene_open(argv[1], &scene));
     for (size_t i = 0; i < count; i++) {
         images[i].struct_size = sizeof images[i];
         CHECK(zs_photo_open(argv[4 + i], &photos[i]));
@@ -64,6 +67,19 @@ int main(int argc, char **argv) {
     zs_refine_options options;
     CHECK(zs_refine_options_default(&options, sizeof options));
     options.progress = show;
+    if (strstr(argv[1], ".safetensors")) {
+        zs_model_options of_model;
+        CHECK(zs_model_options_default(&of_model, sizeof of_model));
+        of_model.tokens = 1;
+        CHECK(zs_model_open(context, argv[1], &of_model, &model));
+        zs_reconstruct_options of_scene;
+        CHECK(zs_reconstruct_options_default(&of_scene, sizeof of_scene));
+        of_scene.cameras = cameras, of_scene.camera_count = (uint32_t)count, of_scene.world = ZS_WORLD_CAMERAS;
+        CHECK(zs_reconstruct(model, images, count, &of_scene, &scene));
+        options.what = ZS_REFINE_TOKENS;
+    } else {
+        CHECK(zs_scene_open(argv[1], &scene));
+    }
     zs_refine_info info = {.struct_size = sizeof info};
     CHECK(zs_refine(context, scene, images, cameras, count, &options, &info, &sharp));
     CHECK(zs_scene_save(sharp, argv[3], NULL));
@@ -78,6 +94,7 @@ done:
     for (size_t i = 0; i < count; i++) zs_photo_destroy(photos[i]);
     zs_scene_destroy(sharp);
     zs_scene_destroy(scene);
+    zs_model_destroy(model);
     zs_context_destroy(context);
     if (file) fclose(file);
     return result;

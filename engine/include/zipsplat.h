@@ -88,14 +88,14 @@ uint32_t zs_abi_version(void);
 // The version of the library that is loaded, as "0.1.0". Static: never free it.
 const char *zs_version(void);
 
-/************************************************************************/
-/*  How calls end: a status, and a message for the thread that called.  */
-/************************************************************************/
+/****************************************************************************/
+/*  The ends of calls: a status, and a message for the thread that called.  */
+/****************************************************************************/
 
-// How a call ended. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
+// The end of a call. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
 // as a failure.
 ZS_ENUM(zs_status) {
-    // It did what it says.
+    // The call did what it says.
     ZS_OK = 0,
     // A value you gave cannot be used: give another. The message names it, what was found and what is expected.
     ZS_ERROR_ARGUMENT = 1,
@@ -116,7 +116,7 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_DEVICE_LOST = 8,
     // Your progress callback asked to stop.
     ZS_ERROR_CANCELLED = 9,
-    // This build of the library does not have it.
+    // This build of the library does not have what was asked for.
     ZS_ERROR_UNSUPPORTED = 10,
     // A bug in the library. It goes on working, but the objects of this call are better destroyed.
     ZS_ERROR_INTERNAL = 11,
@@ -125,7 +125,7 @@ ZS_ENUM(zs_status) {
 // A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
 const char *zs_status_name(int32_t status);
 
-// What went wrong in the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
+// The failure of the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
 // none has failed. A thread has one place for its message, the same until the thread ends: the pointer stays good, and the next
 // call of this thread that fails writes its message there. So a call and its message may stand in one expression, whichever
 // is evaluated first: printf("%s: %s", zs_status_name(zs_scene_open(path, &scene)), zs_last_error()). A message of more than
@@ -136,7 +136,7 @@ const char *zs_last_error(void);
 /*  Devices and contexts.  */
 /***************************/
 
-// What kind of device it is.
+// Kinds of devices.
 ZS_ENUM(zs_device_kind) {
     // Integrated in the processor, virtual, or unknown.
     ZS_DEVICE_OTHER = 0,
@@ -150,15 +150,15 @@ ZS_ENUM(zs_device_kind) {
 // the same time. Models and renderers keep what they need of it: it may be destroyed before them.
 typedef struct zs_context zs_context;
 
-// What a device is. Strings are UTF-8, end with NUL and are cut where they are too long.
+// A device. Strings are UTF-8, end with NUL and are cut where they are too long.
 typedef struct zs_device_info {
     // sizeof(zs_device_info); set it before the call.
     uint32_t struct_size;
-    // Its number, as zs_context_options.device takes it; 0 for an adopted device.
+    // Number of the device, as zs_context_options.device takes it; 0 for an adopted device.
     uint32_t index;
-    // Whether the engine can use it.
+    // 1 where the engine can use the device, else 0.
     uint32_t usable;
-    // What it is.
+    // Kind of the device.
     zs_device_kind kind;
     // Bytes of the memory that kernels work in.
     uint64_t memory_bytes;
@@ -166,11 +166,13 @@ typedef struct zs_device_info {
     char name[256];
     // The driver's name and version.
     char driver[256];
-    // Why it is not usable; "" where it is.
+    // Reasons why the device is not usable; "" where it is.
     char missing[512];
+    // Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    char uuid[40];
 } zs_device_info;
 
-// How to open a device.
+// Options of opening a device.
 typedef struct zs_context_options {
     // sizeof(zs_context_options); zs_context_options_default sets it.
     uint32_t struct_size;
@@ -180,7 +182,8 @@ typedef struct zs_context_options {
     // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     uint64_t max_memory_bytes;
-    // A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
+    // A device's number ("0"), a part of its name ("nvidia"), or its UUID, with or without GPU- and hyphens; NULL for the best.
+    // Default NULL.
     const char *device;
 } zs_context_options;
 
@@ -207,7 +210,7 @@ void zs_context_destroy(struct zs_context *context);
 /*  Pixels and cameras.  */
 /*************************/
 
-// How a pixel lies in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+// Layouts of a pixel in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
 ZS_ENUM(zs_pixel_format) {
     // 3 bytes: red, green, blue.
     ZS_PIXEL_RGB8 = 1,
@@ -226,7 +229,7 @@ ZS_ENUM(zs_pixel_format) {
 typedef struct zs_image {
     // sizeof(zs_image); set it before the call.
     uint32_t struct_size;
-    // How a pixel lies in memory.
+    // Layout of a pixel in memory.
     zs_pixel_format format;
     // Pixels a row, 1 to 32768.
     uint32_t width;
@@ -369,7 +372,7 @@ typedef struct zs_gaussians {
     const float *sh_coeffs;
 } zs_gaussians;
 
-// How a scene is written.
+// Options of writing a scene.
 typedef struct zs_save_options {
     // sizeof(zs_save_options); zs_save_options_default sets it.
     uint32_t struct_size;
@@ -425,6 +428,17 @@ zs_status zs_scene_to_memory(const struct zs_scene *scene,
 // Says where bytes are and how many: the object's own memory, there until it is destroyed.
 zs_status zs_bytes_get(const struct zs_bytes *bytes, const void **data, size_t *size);
 
+// Finds the cameras of the photos of a scene that zs_reconstruct made of `count` photos without cameras, in the scene's world: from
+// where the Gaussians of each of a photo's patches are. The photos are taken to share a field of view, which is found, too.
+// `cameras` is an array of `count`, each with its struct_size set; each gets the camera of the whole photo. `inliers` gets the number
+// of patches that agree with it and `patches` how many there were; both are arrays of `count` or NULL. A photo whose
+// camera is not found has a camera of width 0 and no inliers; where none is found, that is an error.
+zs_status zs_scene_cameras(const struct zs_scene *scene,
+                           struct zs_camera *cameras,
+                           uint32_t *inliers,
+                           uint32_t *patches,
+                           size_t count);
+
 // Destroys bytes. NULL is allowed.
 void zs_bytes_destroy(struct zs_bytes *bytes);
 
@@ -458,7 +472,7 @@ typedef struct zs_model zs_model;
 // of the call that it came from.
 typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
 
-// How to load a model.
+// Options of loading a model.
 typedef struct zs_model_options {
     // sizeof(zs_model_options); zs_model_options_default sets it.
     uint32_t struct_size;
@@ -472,9 +486,14 @@ typedef struct zs_model_options {
     zs_progress progress;
     // Given to `progress`.
     void *user_data;
+    // 1 to be able to refine the tokens of its scenes with ZS_REFINE_TOKENS: the network's head stays on the device in f32 besides, and
+    // each scene keeps its tokens there until it is destroyed. Default 0.
+    uint32_t tokens;
+    // 0.
+    uint32_t reserved;
 } zs_model_options;
 
-// What a model is.
+// Facts about a model.
 typedef struct zs_model_info {
     // sizeof(zs_model_info); set it before the call.
     uint32_t struct_size;
@@ -490,7 +509,7 @@ typedef struct zs_model_info {
     zs_precision precision;
     // Bytes of its weights on the device.
     uint64_t weight_bytes;
-    // Why it may be slow, a reason a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
+    // Reasons why the model may be slow, one a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
     // first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
     // Also what was rounded or assumed to read the weights. The model's own memory, there until it is destroyed.
     const char *notes;
@@ -530,7 +549,7 @@ void zs_model_destroy(struct zs_model *model);
 // The length that is found from the cameras and, where there is a capture, from its points.
 #define ZS_UNIT_AUTO 0.0
 
-// Which tokens are kept where the ratio is below 1.
+// Ways to choose the tokens that are kept where the ratio is below 1.
 ZS_ENUM(zs_selection) {
     // The nearest token of each centroid of k-means: the method's own.
     ZS_SELECT_KMEANS = 0,
@@ -548,7 +567,7 @@ ZS_ENUM(zs_world) {
     ZS_WORLD_CAMERAS = 1,
 };
 
-// What to reconstruct.
+// Options of a reconstruction.
 typedef struct zs_reconstruct_options {
     // sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
     uint32_t struct_size;
@@ -561,7 +580,7 @@ typedef struct zs_reconstruct_options {
     // a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20, or ZS_UNIT_AUTO.
     // Default 1.
     double unit;
-    // Which tokens are kept. Default ZS_SELECT_KMEANS.
+    // The way to choose the tokens that are kept. Default ZS_SELECT_KMEANS.
     zs_selection selection;
     // Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
     // to this shape and scaled to it. 0 for the model's own. Default 0.
@@ -602,9 +621,18 @@ zs_status zs_reconstruct(const struct zs_model *model,
 // One photo is held out where there are 9 or more, else none.
 #define ZS_HOLD_OUT_AUTO -1
 
-// Why a refinement ended.
+// The values that a refinement moves.
+ZS_ENUM(zs_refine_what) {
+    // The scene's Gaussians.
+    ZS_REFINE_GAUSSIANS = 0,
+    // The tokens of which the network's head makes its Gaussians: of a scene as zs_reconstruct made it, with a model that keeps them
+    // (zs_model_options.tokens).
+    ZS_REFINE_TOKENS = 1,
+};
+
+// Reasons why a refinement ended.
 ZS_ENUM(zs_refine_end) {
-    // It took all steps.
+    // All steps were taken.
     ZS_REFINE_FINISHED = 0,
     // Your progress callback asked to stop.
     ZS_REFINE_STOPPED = 1,
@@ -612,7 +640,7 @@ ZS_ENUM(zs_refine_end) {
     ZS_REFINE_DIVERGED = 2,
 };
 
-// How far a refinement is. The library fills it, and later versions may add fields at its end.
+// Progress of a refinement. The library fills it, and later versions may add fields at its end.
 typedef struct zs_refining {
     // Bytes of this structure in the library's version.
     uint32_t struct_size;
@@ -635,7 +663,7 @@ typedef struct zs_refining {
 // exception. It may call zs_ functions.
 typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining *now);
 
-// How to refine.
+// Options of a refinement.
 typedef struct zs_refine_options {
     // sizeof(zs_refine_options); zs_refine_options_default sets it.
     uint32_t struct_size;
@@ -657,13 +685,17 @@ typedef struct zs_refine_options {
     zs_refine_progress progress;
     // Given to `progress`.
     void *user_data;
+    // The values that are moved. Default ZS_REFINE_GAUSSIANS.
+    zs_refine_what what;
+    // 0.
+    uint32_t reserved;
 } zs_refine_options;
 
 // The outcome of a refinement.
 typedef struct zs_refine_info {
     // sizeof(zs_refine_info); set it before the call.
     uint32_t struct_size;
-    // Why it ended.
+    // The reason why the refinement ended.
     zs_refine_end ended;
     // Steps that were taken.
     uint32_t steps;
@@ -684,7 +716,7 @@ typedef struct zs_refine_info {
 // Fills `options` with the defaults. `size` is sizeof(zs_refine_options).
 zs_status zs_refine_options_default(struct zs_refine_options *options, size_t size);
 
-// Makes a scene sharp: moves its Gaussians until each of `count` photos is what the camera of its number sees, and hands out the
+// Makes a scene sharp: moves its Gaussians, or the tokens that it was made of, until each of `count` photos is what the camera of its number sees, and hands out the
 // result as a scene of its own. The scene may come from anywhere; `cameras` are those of the whole photos, in the scene's world.
 // It returns when the refinement has ended: after all steps, when `progress` asked to stop, or when the loss grew. That is
 // no failure: the scene is the best that there was. `options` may be NULL, and so may `info`, which is filled with what came
@@ -714,11 +746,11 @@ ZS_ENUM(zs_depth) {
 // drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
 typedef struct zs_renderer zs_renderer;
 
-// How to draw.
+// Options of drawing.
 typedef struct zs_render_options {
     // sizeof(zs_render_options); zs_render_options_default sets it.
     uint32_t struct_size;
-    // Of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
+    // Format of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
     // is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
     // background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
     zs_pixel_format format;
@@ -733,7 +765,7 @@ typedef struct zs_render_options {
     uint32_t reserved;
 } zs_render_options;
 
-// Where a picture goes: memory of yours for what you want of it, NULL for what you do not.
+// Memory of a picture: yours for what you want of it, NULL for what you do not.
 typedef struct zs_picture {
     // sizeof(zs_picture); set it before the call.
     uint32_t struct_size;
@@ -778,7 +810,7 @@ zs_status zs_render(const struct zs_renderer *renderer,
 /*  Gradients: pictures' weights back to Gaussians and cameras, for an optimiser of yours.  */
 /********************************************************************************************/
 
-// Where gradients go: memory of yours for those that you want, NULL for the others. Every array is written, not added to.
+// Memory of gradients: yours for those that you want, NULL for the others. Every array is written, not added to.
 typedef struct zs_gradients {
     // sizeof(zs_gradients); set it before the call.
     uint32_t struct_size;
@@ -828,7 +860,7 @@ ZS_ENUM(zs_requirement_kind) {
 
 // Something that has to be enabled on a device of yours.
 typedef struct zs_vulkan_requirement {
-    // What it is.
+    // Kind of the requirement.
     zs_requirement_kind kind;
     // 1 where only precisions other than exact need it: enable those that the device has, all of them, and say so in
     // zs_vulkan_device.fast.
@@ -917,7 +949,7 @@ typedef struct zs_vulkan_target {
     uint32_t wait_count;
     // Number of `signals`. Default 0.
     uint32_t signal_count;
-    // What has to be reached before the target is touched. Read during the call. Default NULL.
+    // Points that have to be reached before the target is touched. Read during the call. Default NULL.
     const struct zs_semaphore_point *waits;
     // Given when the picture is in the target and visible to every later use. Read during the call. Default NULL.
     const struct zs_semaphore_point *signals;

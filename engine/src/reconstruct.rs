@@ -2,14 +2,17 @@
 
 mod features;
 mod network;
+mod patches;
 mod request;
 
 pub use features::{Features, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
+pub use patches::Patches;
 pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
 
 use crate::{
     Error, Result,
+    cameras::FoundCamera,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
     ops::{Arithmetic, Parameters},
     stages::{
@@ -30,9 +33,8 @@ pub struct Reconstruction {
     pub gaussians: DeviceScene,
     /// Tokens that became Gaussians.
     pub tokens: usize,
-    /// The patch of the photos that each of them is of, counted along rows, then down, then over views. Gaussians are in the order of
-    /// their tokens, as many of each.
-    pub patches: Vec<u32>,
+    /// The patches of the views that the tokens are of. Gaussians are in the order of their tokens, as many of each.
+    pub patches: Patches,
     /// Time of each stage.
     pub times: StageTimes,
     /// Commands, bytes and arithmetic of each kernel of each stage; the times are zero.
@@ -73,6 +75,15 @@ impl Reconstruction {
     /// A transfer that fails.
     pub fn scene(&self) -> Result<Scene> {
         self.gaussians.read()
+    }
+
+    /// The cameras of the views, in the scene's world, found from where the Gaussians of each token are and where its patch is:
+    /// [`Patches::cameras`]. `scene` is [`Reconstruction::scene`], all of it.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where cameras were given to the reconstruction, or the scene is another.
+    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<FoundCamera>>> {
+        self.patches.cameras(scene, focal)
     }
 }
 
@@ -172,7 +183,7 @@ impl Model {
         let gaussians = scenes[free].scene(tensors.scene().sh_degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: read_patches(run, tensors.choice, shape, request)?,
+            patches: Patches::of(run, tensors.choice, shape, request)?,
             times,
             outline: Profile::outline(run.plan()),
             left_out: shape.left_out(),
@@ -282,26 +293,17 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) 
         run.write(unit, &[request.unit as f32])?;
     }
     if let Some(tensor) = choice.indices {
-        run.write(tensor, &indices(shape, request))?;
+        run.write(tensor, &indices_for(shape, request))?;
     }
     Ok(())
 }
 
-/// The tokens that a request keeps, or with k-means those that the first centroids are.
-fn indices(shape: Shape, request: &Request) -> Vec<u32> {
+/// The tokens that are kept, or k-means begins with.
+fn indices_for(shape: Shape, request: &Request) -> Vec<u32> {
     match &request.selection {
         Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
         Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
         Selection::Given(indices) => indices.clone(),
-    }
-}
-
-/// Reads after a run which tokens it kept.
-fn read_patches(run: &Run, choice: Choice, shape: Shape, request: &Request) -> Result<Vec<u32>> {
-    match (choice.kept, shape.kept) {
-        (Some(kept), _) => run.read(kept),
-        (None, Kept::All) => Ok((0..shape.tokens as u32).collect()),
-        (None, _) => Ok(indices(shape, request)),
     }
 }
 

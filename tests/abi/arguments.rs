@@ -142,7 +142,6 @@ fn devices_are_described() {
     let mut count = 0;
     // SAFETY: where to put it.
     ok(unsafe { zs_device_count(&mut count) });
-    assert!(count > 0);
     // SAFETY: zeroes are a value of this structure.
     let mut info: zs_device_info = unsafe { std::mem::zeroed() };
     info.struct_size = size_of::<zs_device_info>() as u32;
@@ -153,7 +152,7 @@ fn devices_are_described() {
     ok(unsafe { zs_context_get_info(context.handle, &mut info) });
     let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
     assert_eq!(name, zipsplat_tests::device::device().limits().name);
-    assert!(info.usable == 1 && info.memory_bytes > 0);
+    assert!(count > 0 && info.usable == 1 && info.memory_bytes > 0);
     for index in 0..count {
         // SAFETY: as above.
         ok(unsafe { zs_device_get(index, &mut info) });
@@ -161,12 +160,14 @@ fn devices_are_described() {
             continue;
         }
         let number = c_string(index.to_string());
-        let options = zs_context_options { device: number.as_ptr(), ..context_options() };
-        // SAFETY: options that live as long as the call, and where to put it.
-        let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
-        // SAFETY: as above.
-        ok(unsafe { zs_context_get_info(context.handle, &mut info) });
-        assert_eq!(info.index, index);
+        for device in [number.as_ptr(), info.uuid.as_ptr()] {
+            let options = zs_context_options { device, ..context_options() };
+            // SAFETY: options that live as long as the call, and where to put it.
+            let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
+            // SAFETY: as above.
+            ok(unsafe { zs_context_get_info(context.handle, &mut info) });
+            assert_eq!(info.index, index);
+        }
     }
 }
 

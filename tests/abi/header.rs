@@ -25,12 +25,13 @@ pub fn root() -> PathBuf {
 }
 
 /// Enumerations that structures hold as plain numbers, which the header names all the same.
-const ENUMERATIONS: [&str; 8] = [
+const ENUMERATIONS: [&str; 9] = [
     "zs_device_kind",
     "zs_pixel_format",
     "zs_precision",
     "zs_selection",
     "zs_world",
+    "zs_refine_what",
     "zs_refine_end",
     "zs_depth",
     "zs_requirement_kind",

@@ -25,13 +25,13 @@ macro_rules! numbers {
 
 fn structures() -> Vec<(String, usize)> {
     layout! {
-        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing }
+        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing, uuid }
         zs_context_options { struct_size, validation, max_memory_bytes, device }
         zs_image { struct_size, format, width, height, stride, pixels }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
         zs_save_options { struct_size, spz_version }
-        zs_model_options { struct_size, precision, variant, progress, user_data }
+        zs_model_options { struct_size, precision, variant, progress, user_data, tokens, reserved }
         zs_model_info {
             struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes, notes
         }
@@ -41,7 +41,7 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_refining { struct_size, step, steps, reserved, loss, psnr, seconds_left }
         zs_refine_options {
-            struct_size, steps, views_per_step, hold_out, width, height, seed, progress, user_data
+            struct_size, steps, views_per_step, hold_out, width, height, seed, progress, user_data, what, reserved
         }
         zs_refine_info {
             struct_size, ended, steps, best_step, first_loss, last_loss, psnr_before, psnr, seconds
@@ -76,6 +76,7 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
         zs_world { ZS_WORLD_FIRST_CAMERA, ZS_WORLD_CAMERAS }
+        zs_refine_what { ZS_REFINE_GAUSSIANS, ZS_REFINE_TOKENS }
         zs_refine_end { ZS_REFINE_FINISHED, ZS_REFINE_STOPPED, ZS_REFINE_DIVERGED }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
         zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
@@ -90,8 +91,17 @@ fn constants() -> Vec<(String, usize)> {
 
 #[test]
 fn is_what_c_sees() {
-    let enumerations =
-        ["status", "device_kind", "pixel_format", "precision", "selection", "refine_end", "depth", "requirement_kind"];
+    let enumerations = [
+        "status",
+        "device_kind",
+        "pixel_format",
+        "precision",
+        "selection",
+        "refine_what",
+        "refine_end",
+        "depth",
+        "requirement_kind",
+    ];
     let mut expected = [structures(), constants()].concat();
     expected.extend(enumerations.map(|name| (format!("sizeof(zs_{name})"), 4)));
     let mut program = "#include <stdio.h>\n#include <zipsplat.h>\nint main(void) {\n".to_owned();

@@ -3,6 +3,7 @@
 
 mod arguments;
 mod calls;
+mod cameras;
 mod captures;
 mod compile;
 mod cycles;

@@ -14,7 +14,8 @@ use std::{
 use zipsplat::{
     ffi::{zs_status::*, *},
     gpu::Arena,
-    refine::{Refine, Refined, refine_scene},
+    reconstruct::{Model, Request},
+    refine::{FrozenHead, Refine, Refined, refine_scene, refine_tokens},
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
 };
@@ -213,6 +214,79 @@ fn what_cannot_be_refined_is_refused() {
     assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 5]);
 }
 
+/// A model that keeps the tokens of its scenes.
+fn model_with_tokens(context: &Object<zs_context>) -> Object<zs_model> {
+    let precision = zs_precision::ZS_PRECISION_EXACT as i32;
+    made(try_model_with(context, &zs_model_options { precision, tokens: 1, ..model_options() }))
+}
+
+/// In the first camera's world, and in that of cameras of which the first is elsewhere.
+#[test]
+fn tokens_are_refined_as_in_rust() {
+    let (context, photos) = (context(), photos(2));
+    let model = model_with_tokens(&context);
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let go_on = |_: zipsplat::gpu::Progress<'_>| ControlFlow::Continue(());
+    for (world, away) in [(zs_world::ZS_WORLD_FIRST_CAMERA, 0.0), (zs_world::ZS_WORLD_CAMERAS, 2.0)] {
+        let cameras: Vec<Camera> = (0..2)
+            .map(|i| {
+                let mut camera = camera(SIDE, SIDE);
+                camera.pose.translation.x = away + 0.05 * f64::from(i);
+                camera
+            })
+            .collect();
+        let place = Place { cameras: cameras.clone(), photos: photos.clone(), moved: Scene::default() };
+        let c_cameras = place.c_cameras();
+        let making = zs_reconstruct_options {
+            world: world as i32,
+            camera_count: 2,
+            cameras: c_cameras.as_ptr(),
+            ..reconstruct_options()
+        };
+        let scene = reconstruct(&model, &images, &making);
+        let options = zs_refine_options { steps: 6, what: zs_refine_what::ZS_REFINE_TOKENS as i32, ..options() };
+        let mut info = empty_info();
+        // SAFETY: live objects and arrays of their lengths.
+        let refine = |out| unsafe {
+            zs_refine(context.handle, scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
+        };
+        let refined = read(&made(Object::try_new(zs_scene_destroy, refine)));
+        assert_ne!(bits(&refined), bits(&read(&scene)));
+
+        let network = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
+        let first = cameras[0].pose;
+        let relative: Vec<Camera> = cameras.iter().map(|c| Camera { pose: c.pose.relative_to(&first), ..*c }).collect();
+        let request = Request { cameras: Some(relative.clone()), ..Request::default() };
+        let features = network.features(&photos, &request, go_on).expect("features");
+        let tokens = network.tokens(&features, &request, go_on).expect("tokens");
+        let head = FrozenHead::load(device(), &checkpoint()).expect("a head");
+        let request = Refine { steps: 6, size: Some([1600; 2]), ..Refine::default() };
+        let never = |_: zipsplat::refine::Refining| ControlFlow::Continue(());
+        let mut expected =
+            refine_tokens(network.arena(), &head, &tokens, &photos, &relative, &request, never).expect("a scene");
+        assert!(info.steps == 6 && info.last_loss == f64::from(expected.losses[5]), "{} steps", info.steps);
+        if away > 0.0 {
+            expected.scene.place(1.0, &first);
+        }
+        assert_same("scene", &bits(&refined), &bits(&expected.scene));
+    }
+    let tokens = zs_refine_what::ZS_REFINE_TOKENS as i32;
+    let place = place(2);
+    let refused = |options: zs_refine_options, words: &[&str]| {
+        let status = place.in_c(&options).map(drop).expect_err("it is refused");
+        fails(status, ZS_ERROR_ARGUMENT, words);
+    };
+    refused(zs_refine_options { what: tokens, ..options() }, &["scene", "without tokens", "tokens = 1"]);
+    refused(zs_refine_options { what: 2, ..options() }, &["what", "zs_refine_what"]);
+    refused(zs_refine_options { reserved: 1, ..options() }, &["reserved"]);
+    for (options, word) in [
+        (zs_model_options { tokens: 2, ..model_options() }, "tokens"),
+        (zs_model_options { reserved: 1, ..model_options() }, "reserved"),
+    ] {
+        fails(try_model_with(&context, &options).map(drop).expect_err("it is refused"), ZS_ERROR_ARGUMENT, &[word]);
+    }
+}
+
 /// The example, as a reader would build and run it.
 #[test]
 fn refine_in_c() {
@@ -242,4 +316,9 @@ fn refine_in_c() {
     let expected = place.in_rust(&Refine { size: Some([1600; 2]), ..Refine::default() }, usize::MAX);
     assert_same("means", refined.means.as_flattened(), expected.scene.means.as_flattened());
     assert!(out.contains("loss 0.") && out.contains("100 steps"), "{out}");
+    std::fs::write(path("micro.safetensors"), micro()).expect("a file can be written");
+    let mut command = runner(&program);
+    command.args([path("micro.safetensors"), path("cameras.txt"), path("tokens.ply")]).args(&names);
+    assert!(success(command).contains("100 steps"));
+    assert!(read_ply(path("tokens.ply")).is_ok_and(|scene| !scene.is_empty()));
 }

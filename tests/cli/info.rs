@@ -99,6 +99,11 @@ fn a_plan_takes_what_a_run_then_takes() {
         let options = format!("--ratio {ratio} --refine=3 --start scene");
         let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
         assert_eq!(plan["peak_bytes"], run["refined"]["peak_bytes"], "{plan}");
+        let tokens =
+            folder.run(&format!("info --plan --views 9 --poses --ratio {ratio} --refine 42x28:tokens {shared}"));
+        let options = format!("--ratio {ratio} --refine=3:tokens");
+        let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
+        assert_eq!(tokens.json()["peak_bytes"], run["refined"]["peak_bytes"], "tokens at {ratio}");
         let number = |key: &str| plan[key].as_u64().expect("a number");
         assert!(number("refine_kept_bytes") > 3 * number("scene_bytes") && number("refine_arena_bytes") > 0, "{plan}");
     }

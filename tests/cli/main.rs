@@ -13,6 +13,7 @@ mod info;
 mod mapping;
 mod measure;
 mod outputs;
+mod placed;
 mod reconstruct;
 mod refine;
 mod render;

@@ -25,7 +25,9 @@ def tensors(path: Path) -> dict[str, np.ndarray]:
     for name, at in header.items():
         if name != "__metadata__" and at["dtype"] in kinds:
             first, last = at["data_offsets"]
-            found[name] = np.frombuffer(data[8 + size + first : 8 + size + last], kinds[at["dtype"]]).reshape(at["shape"])
+            found[name] = np.frombuffer(data[8 + size + first : 8 + size + last], kinds[at["dtype"]]).reshape(
+                at["shape"]
+            )
     return found
 
 
@@ -99,7 +101,9 @@ def test_channels_are_any_number_and_any_sign() -> None:
     assert whole.shape == (2, 32, 48, 5) and whole.min() < -0.2
     # Each channel is linear: of its own, and twice as strong.
     for channel in range(5):
-        alone, _, _ = zipsplat.rasterization(**{**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}, width=48, height=32)
+        alone, _, _ = zipsplat.rasterization(
+            **{**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}, width=48, height=32
+        )
         assert np.allclose(alone[..., 0], 2 * whole[..., channel], atol=2e-5)
     lit, _, _ = zipsplat.rasterization(**fields, width=48, height=32, backgrounds=np.ones((2, 5)))
     assert np.allclose(lit, whole + 1 - alphas, atol=1e-6)
@@ -156,7 +160,9 @@ def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any
     torch = pytest.importorskip("torch")
     impl = pytest.importorskip("gsplat.cuda._torch_impl")
     covars, _ = impl._quat_scale_to_covar_preci(fields["quats"], fields["scales"], compute_preci=False)
-    radii, means2d, depths, conics, _ = impl._fully_fused_projection(fields["means"], covars, fields["viewmats"], fields["Ks"], width, height)
+    radii, means2d, depths, conics, _ = impl._fully_fused_projection(
+        fields["means"], covars, fields["viewmats"], fields["Ks"], width, height
+    )
     y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     pictures, alphas = [], []
     for camera in range(len(depths)):
@@ -167,7 +173,9 @@ def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any
                 continue
             dx, dy = x - means2d[camera, n, 0], y - means2d[camera, n, 1]
             a, b, c = conics[camera, n]
-            alpha = (fields["opacities"][n] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)).clamp(max=0.999)
+            alpha = (fields["opacities"][n] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)).clamp(
+                max=0.999
+            )
             drawn = (alpha >= 1 / 255) & ~done
             done = done | drawn & (left * (1 - alpha) <= 1e-4)
             alpha = torch.where(drawn & ~done, alpha, torch.zeros_like(alpha))

@@ -47,7 +47,9 @@ def test_other_threads_run_during_a_call(model: zipsplat.Model, photos: list[Pat
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 def test_a_fork_after_use_is_refused_by_name_and_one_before_is_not() -> None:
-    code = START + """
+    code = (
+        START
+        + """
 def child(work):
     process = os.fork()
     if process == 0:
@@ -75,13 +77,18 @@ assert child(read) == 0
 assert child(draw) == 7
 draw()
 """
+    )
     done = python(code)
     assert done.returncode == 0 and "spawn" in done.stdout, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("work", ["reconstruct(photos, size=(252, 252))", "reconstruct(photos, size=(252, 252), progress=lambda *_: None)"])
+@pytest.mark.parametrize(
+    "work", ["reconstruct(photos, size=(252, 252))", "reconstruct(photos, size=(252, 252), progress=lambda *_: None)"]
+)
 def test_the_interpreter_may_end_in_the_middle_of_a_call(work: str) -> None:
-    code = START + f"""
+    code = (
+        START
+        + f"""
 model = zipsplat.Model.open()
 begun = threading.Event()
 def run():
@@ -92,13 +99,18 @@ begun.wait()
 time.sleep(0.2)
 print("end", flush=True)
 """
+    )
     done = python(code)
     assert (done.returncode, done.stdout) == (0, "end\n"), done.stderr
-    assert "Traceback" not in done.stderr or "CancelledError" in done.stderr, done.stderr
+    # The thread may be between two calls: of these it gets no other.
+    last = done.stderr.strip().splitlines()[-1:]
+    assert all("CancelledError" in line or "the interpreter ends" in line for line in last), done.stderr
 
 
 def test_ctrl_c_ends_a_call() -> None:
-    code = START + """
+    code = (
+        START
+        + """
 model = zipsplat.Model.open()
 threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 try:
@@ -107,12 +119,15 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
+    )
     done = python(code)
     assert (done.returncode, done.stdout) == (0, "interrupted\n"), done.stderr
 
 
 def test_objects_may_be_left_behind_in_any_order() -> None:
-    code = START + """
+    code = (
+        START
+        + """
 context = zipsplat.Context()
 model = zipsplat.Model.open(context=context)
 scene = model.reconstruct(photos[:1], size=(70, 70))
@@ -122,5 +137,6 @@ renderer.render(zipsplat.Camera.from_fov(32, 32))
 cycle = [renderer, scene]
 cycle.append(cycle)
 """
+    )
     done = python(code)
     assert (done.returncode, done.stderr) == (0, "")

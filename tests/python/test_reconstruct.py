@@ -12,6 +12,16 @@ import pytest
 import zipsplat
 from conftest import PHOTOS, SIZE, same
 
+POINTS = """ply
+format ascii 1.0
+element vertex 1
+property float x
+property float y
+property float z
+end_header
+0 0 7
+"""
+
 
 def command(*arguments: object) -> None:
     program = os.environ["ZIPSPLAT_COMMAND"]
@@ -24,7 +34,9 @@ def rows(ply: bytes) -> bytes:
     return ply.split(b"end_header\n", 1)[1]
 
 
-def test_photos_may_be_paths_bytes_pictures_or_arrays(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
+def test_photos_may_be_paths_bytes_pictures_or_arrays(
+    model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene
+) -> None:
     image = pytest.importorskip("PIL.Image")
     arrays = [zipsplat.read_photo(photo) for photo in photos]
     floats = [array.astype(np.float32) / 255 for array in arrays]
@@ -95,6 +107,12 @@ def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture:
     assert same(model.reconstruct(paths, opened, size=SIZE), expected)
     # Cameras alone: the same, as there are no points and no others in the file.
     assert same(model.reconstruct(paths, opened.cameras, size=SIZE), expected)
+    # Points say how far away it is.
+    (capture / "points.ply").write_text(POINTS)
+    command("reconstruct", *paths, "--poses", capture, *options, "-o", capture / "points-command.ply")
+    with_points = model.reconstruct(zipsplat.Capture.open(capture), size=SIZE)
+    assert rows(with_points.to_bytes("ply")) == rows((capture / "points-command.ply").read_bytes())
+    assert not same(with_points, expected)
     first = model.reconstruct(opened, size=SIZE, world="first_camera")
     assert not same(model.reconstruct(opened, size=SIZE, unit=2.0), expected)
     assert np.allclose(first.means, expected.means, atol=1e-5), "the first camera is the world's origin here"

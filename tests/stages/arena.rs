@@ -58,7 +58,7 @@ fn a_scene_of_kept_features_is_that_of_the_photos() {
         assert!(kept.scene().unwrap() == whole.scene().unwrap(), "{request:?}");
         assert_eq!((kept.tokens, &kept.patches), (whole.tokens, &whole.patches));
         // Those patches and no others are what the scene is of.
-        let given = Request { selection: Selection::Given(kept.patches.clone()), ..Request::default() };
+        let given = Request { selection: Selection::Given(kept.patches.indices()), ..Request::default() };
         let again = model.reconstruct_features(&features, &given, |_| ControlFlow::Continue(())).unwrap();
         assert!(again.scene().unwrap() == kept.scene().unwrap(), "{request:?}");
         assert!(kept.times.0.iter().all(|(stage, _)| stage != "backbone"), "{:?}", kept.times);

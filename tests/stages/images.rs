@@ -215,6 +215,31 @@ fn exif_orientations_are_applied() {
         assert_eq!(Image::size(file.path()).unwrap(), expected_size);
         assert_eq!(Image::open_as_stored(file.path()).unwrap(), stored, "as COLMAP sees it");
         assert_eq!(Image::size_as_stored(file.path()).unwrap(), (width, height));
+        // A camera sees a point where the turned photo has it, and that of the stored photo where that has it.
+        let lens = |(width, height)| Intrinsics { width, height, fx: 40.0, fy: 43.0, cx: 21.0, cy: 17.0 };
+        let pose = Pose { rotation: DMat3::from_rotation_y(0.4), translation: DVec3::new(1.0, 2.0, 3.0) };
+        let seen = Camera { intrinsics: lens(expected_size), pose };
+        let turned = Image::camera_as_stored(file.path(), &seen);
+        if [2, 4, 5, 7].contains(&orientation) {
+            let error = turned.expect_err("mirrored").to_string();
+            assert!(error.contains("EXIF orientation"), "{error}");
+            continue;
+        }
+        let turned = turned.expect("a turn");
+        turned.validate("the turned camera").expect("a camera");
+        assert_eq!((turned.intrinsics.width, turned.intrinsics.height), (width, height));
+        let pixel = |camera: &Camera| {
+            let (at, lens) = (camera.pose.inverse().transform(DVec3::new(0.8, 2.1, 5.0)), camera.intrinsics);
+            [lens.fx * at.x / at.z + lens.cx, lens.fy * at.y / at.z + lens.cy]
+        };
+        let ([x, y], [u, v], [w, h]) = (pixel(&seen), pixel(&turned), [width, height].map(f64::from));
+        let [expected_u, expected_v] = match orientation {
+            1 => [x, y],
+            3 => [w - x, h - y],
+            6 => [y, h - x],
+            _ => [w - y, x],
+        };
+        assert!((u - expected_u).abs() < 1e-9 && (v - expected_v).abs() < 1e-9, "orientation {orientation}: {u}, {v}");
     }
     assert_eq!(open(&with_orientation(&jpeg, 77)).unwrap(), stored, "an unknown orientation is none");
 }

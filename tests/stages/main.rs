@@ -5,6 +5,7 @@ mod arena;
 mod cameras;
 mod flops;
 mod forward;
+mod found_cameras;
 mod gradients;
 mod images;
 mod lpips;

@@ -5,7 +5,7 @@ use crate::source::{Source, files, paths, tokens};
 
 /// The engine's layers, each of which uses only those before it; the first three are crates. `error` stands for `Error` and
 /// `Result`.
-const LAYERS: [&str; 12] = [
+const LAYERS: [&str; 13] = [
     "error",
     "gpu",
     "types",
@@ -15,6 +15,7 @@ const LAYERS: [&str; 12] = [
     "stages",
     "weights",
     "perceptual",
+    "cameras",
     "reconstruct",
     "refine",
     "ffi",

@@ -73,8 +73,11 @@ def curve(args, said, start):
 
 
 def at(curve, step):
-    """Seconds and dB after a step: of the last look until then."""
-    return max((place for place in curve if place[0] <= step), key=lambda place: place[0])[1:]
+    """Seconds and dB after a step, between two looks in proportion."""
+    before = max(place for place in curve if place[0] <= step)
+    after = min(place for place in curve if place[0] >= step)
+    along = (step - before[0]) / max(1, after[0] - before[0])
+    return [(1 - along) * a + along * b for a, b in zip(before[1:], after[1:])]
 
 
 def means(places):
@@ -108,6 +111,7 @@ def main():
     axes.set_ylabel("PSNR of held-out photos, dB")
     axes.set_xscale("symlog", linthresh=1)
     axes.set_xlim(left=0)
+    axes.set_xticks([0, 0.5, 1, 2, 5, 10, 20, 50], labels=["0", "0.5", "1", "2", "5", "10", "20", "50"])
     axes.grid(alpha=0.3)
     axes.legend(title="start", loc="lower right")
     figure.tight_layout()

@@ -25,15 +25,23 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
         name = LIBRARIES[sys.platform]
         library = Path(os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name))
         if not library.is_file():
-            raise FileNotFoundError(f"{library}: expected the shared library; build.sh makes it, or set ZIPSPLAT_LIBRARY")
+            raise FileNotFoundError(
+                f"{library}: expected the shared library; build.sh makes it, or set ZIPSPLAT_LIBRARY"
+            )
         generated = Path(self.directory) / "_header.py"
         generated.parent.mkdir(parents=True, exist_ok=True)
         generated.write_text(module((ROOT / "engine/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8")
         platform = os.environ.get("ZIPSPLAT_PLATFORM") or sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform}"
         build_data["pure_python"] = False
-        build_data["force_include"].update({
-            str(library): f"zipsplat/{name}",
-            str(generated): "zipsplat/_header.py",
-            str(ROOT / "LICENSE"): "zipsplat/LICENSE",
-        })
+        build_data["force_include"].update(
+            {
+                str(library): f"zipsplat/{name}",
+                str(generated): "zipsplat/_header.py",
+                str(ROOT / "LICENSE"): "zipsplat/LICENSE",
+            }
+        )
+        # Those of the crates in the library, which tools/release.sh lists.
+        licences = os.environ.get("ZIPSPLAT_LICENCES")
+        if licences:
+            build_data["force_include"][licences] = "zipsplat/THIRD-PARTY-LICENCES.txt"

@@ -4,9 +4,11 @@ use std::fmt;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
+use glam::{DMat3, DVec3};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader, Limits, codecs::png::PngEncoder};
 
+use super::camera::{Camera, Intrinsics, Pose};
 use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
@@ -96,6 +98,31 @@ impl Image {
     /// As [`Image::size`].
     pub fn size_as_stored(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         Ok(stored_size(path.as_ref())?.0)
+    }
+
+    /// The camera of a photo's pixels as they are stored, from that of the photo as [`Image::open`] returns it: turned as the EXIF
+    /// orientation says. Files of cameras count pixels as they are stored.
+    ///
+    /// # Errors
+    /// As [`Image::size`], and [`Error::Argument`] for a photo that is mirrored, which no camera is.
+    pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
+        let orientation = stored_size(path.as_ref())?.1;
+        let (lens, [right, down, forward]) =
+            (camera.intrinsics, camera.pose.rotation.to_cols_array_2d().map(DVec3::from));
+        let (width, height) = (f64::from(lens.width), f64::from(lens.height));
+        let swapped = Intrinsics { width: lens.height, height: lens.width, fx: lens.fy, fy: lens.fx, ..lens };
+        let (intrinsics, right, down) = match orientation {
+            Orientation::NoTransforms => (lens, right, down),
+            Orientation::Rotate90 => (Intrinsics { cx: lens.cy, cy: width - lens.cx, ..swapped }, down, -right),
+            Orientation::Rotate180 => (Intrinsics { cx: width - lens.cx, cy: height - lens.cy, ..lens }, -right, -down),
+            Orientation::Rotate270 => (Intrinsics { cx: height - lens.cy, cy: lens.cx, ..swapped }, -down, right),
+            mirrored => {
+                let what = format!("EXIF orientation of {}", path.as_ref().display());
+                return Err(Error::argument(what, format!("{mirrored:?}"), "a turn, as cameras write it"));
+            }
+        };
+        let rotation = DMat3::from_cols(right, down, forward);
+        Ok(Camera { intrinsics, pose: Pose { rotation, ..camera.pose } })
     }
 
     /// Writes a PNG; the file appears whole or not at all.

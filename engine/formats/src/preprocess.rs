@@ -32,6 +32,14 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
+    /// The map of a photo of `from` `[width, height]`, of which the middle becomes a picture of `to`: [`cropped`]'s.
+    pub fn cropped(from: [u32; 2], to: [u32; 2]) -> Self {
+        let rect = crop_to_aspect(from[0], from[1], f64::from(to[0]) / f64::from(to[1]));
+        let scale = [f64::from(to[0]) / f64::from(rect.width), f64::from(to[1]) / f64::from(rect.height)];
+        let offset = [-f64::from(rect.left) * scale[0], -f64::from(rect.top) * scale[1]];
+        Self { from, to, scale, offset }
+    }
+
     /// The map of a photo which stays as it is.
     pub fn identity(photo: &Image) -> Self {
         Self::resized(photo, photo.width, photo.height)
@@ -69,6 +77,13 @@ impl PixelMap {
             cy: photo.cy * sy + y,
         })
     }
+
+    /// Intrinsics of the result as intrinsics of the photo.
+    pub fn undo(&self, result: &Intrinsics) -> Intrinsics {
+        let ([width, height], [sx, sy], [x, y]) = (self.from, self.scale, self.offset);
+        let (cx, cy) = ((result.cx - x) / sx, (result.cy - y) / sy);
+        Intrinsics { width, height, fx: result.fx / sx, fy: result.fy / sy, cx, cy }
+    }
 }
 
 /// Cameras of whole photos as cameras of their views; the world becomes the first view's camera.
@@ -103,9 +118,7 @@ pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     let rect = crop_to_aspect(photo.width, photo.height, f64::from(width) / f64::from(height));
     let crop = photo.crop(rect.left, rect.top, rect.width, rect.height)?;
     let image = resize_lanczos(&crop, width, height)?;
-    let scale = [f64::from(width) / f64::from(rect.width), f64::from(height) / f64::from(rect.height)];
-    let offset = [-f64::from(rect.left) * scale[0], -f64::from(rect.top) * scale[1]];
-    Ok(View { image, map: PixelMap { from: [photo.width, photo.height], to: [width, height], scale, offset } })
+    Ok(View { image, map: PixelMap::cropped([photo.width, photo.height], [width, height]) })
 }
 
 /// A whole photo at the scale that [`cropped`] brings it to before it crops.

@@ -24,7 +24,7 @@ use std::{
 /// Options of opening a device.
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// The device's number in [`super::list_devices`] or a part of its name; `None` takes the best.
+    /// The device's number in [`super::list_devices`], a part of its name, or its UUID; `None` takes the best.
     pub selector: Option<String>,
     /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run. Scratch tensors are
     /// NaN before they are written.

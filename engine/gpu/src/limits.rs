@@ -90,6 +90,13 @@ impl Limits {
     }
 }
 
+impl Limits {
+    /// The device's UUID as 32 hexadecimal digits, the same in CUDA; "none" where there is no device.
+    pub fn uuid(&self) -> &str {
+        self.identity.split('-').next().unwrap_or_default()
+    }
+}
+
 impl Default for Limits {
     /// A plain desktop device, for plans made without one.
     fn default() -> Self {

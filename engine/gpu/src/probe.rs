@@ -21,10 +21,13 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// True where a selector means this device, one of `count`: the number of one is nothing else, all others are a part of a name.
+    /// True where a selector means this device, one of `count`: the number of one is nothing else, all others are a UUID, as
+    /// `nvidia-smi -L` writes it, or a part of a name.
     pub(super) fn is_selected(&self, selector: &str, count: usize) -> bool {
+        let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
         match selector.parse::<usize>() {
             Ok(index) if index < count => self.index == index,
+            _ if uuid.eq_ignore_ascii_case(self.limits.uuid()) => true,
             _ => self.limits.name.to_lowercase().contains(&selector.to_lowercase()),
         }
     }
@@ -252,7 +255,8 @@ mod tests {
     fn a_number_is_a_device_and_nothing_else() {
         let names = ["NVIDIA H100 80GB HBM3", "NVIDIA GeForce RTX 4090", "llvmpipe"];
         let device = |(index, name): (usize, &&str)| {
-            let limits = Limits { name: name.to_string(), ..Limits::default() };
+            let identity = format!("{index}{}-driver", "0123456789abcdef".repeat(2).split_off(1));
+            let limits = Limits { name: name.to_string(), identity, ..Limits::default() };
             DeviceInfo { index, missing: Vec::new(), limits }
         };
         let devices: Vec<_> = names.iter().enumerate().map(device).collect();
@@ -265,5 +269,7 @@ mod tests {
             [selected("3"), selected("4090"), selected("nvidia"), selected("none")],
             [vec![0], vec![1], vec![0, 1], vec![]]
         );
+        assert_eq!(selected("GPU-11234567-89ab-cdef-0123-456789abcdef"), [1]);
+        assert_eq!(selected("2123456789ABCDEF0123456789abcdef"), [2]);
     }
 }

@@ -3,13 +3,10 @@
 use super::{
     photo::zs_photo,
     picture::zs_camera,
-    pointers::{Versioned, borrow, destroy, optional_text, produce, text, write_versioned},
+    pointers::{borrow, destroy, optional_text, produce, text, write_versioned},
     status::{Failure, guard, zs_status},
 };
-use crate::types::{
-    Camera,
-    poses::{Frame, Poses, read_poses},
-};
+use crate::types::poses::{Frame, Poses, read_poses};
 use std::{
     ffi::{CString, c_char},
     path::Path,
@@ -157,23 +154,6 @@ pub unsafe extern "C" fn zs_capture_open_photo(
 pub unsafe extern "C" fn zs_capture_destroy(capture: *mut zs_capture) {
     // SAFETY: an object that the caller gives up, or NULL.
     unsafe { destroy(capture) }
-}
-
-impl From<&Camera> for zs_camera {
-    fn from(camera: &Camera) -> Self {
-        let (i, pose) = (&camera.intrinsics, &camera.pose);
-        Self {
-            width: i.width,
-            height: i.height,
-            fx: i.fx,
-            fy: i.fy,
-            cx: i.cx,
-            cy: i.cy,
-            rotation: pose.rotation.transpose().to_cols_array(),
-            translation: pose.translation.to_array(),
-            ..Versioned::defaults()
-        }
-    }
 }
 
 /// # Safety

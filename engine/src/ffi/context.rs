@@ -49,6 +49,8 @@ pub struct zs_device_info {
     pub driver: [c_char; 256],
     /// Reasons why the device is not usable; "" where it is.
     pub missing: [c_char; 512],
+    /// Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    pub uuid: [c_char; 40],
 }
 
 /// In structures an enumeration is its number, so that a wrong one can be refused. cbindgen names it as the enumeration.
@@ -66,7 +68,8 @@ pub struct zs_context_options {
     /// Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     /// ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     pub max_memory_bytes: u64,
-    /// A device's number ("0") or a part of its name ("nvidia"); NULL for the best. Default NULL.
+    /// A device's number ("0"), a part of its name ("nvidia"), or its UUID, with or without GPU- and hyphens; NULL for the best.
+    /// Default NULL.
     pub device: *const c_char,
 }
 
@@ -84,6 +87,7 @@ unsafe impl Versioned for zs_device_info {
             name: [0; 256],
             driver: [0; 256],
             missing: [0; 512],
+            uuid: [0; 40],
         }
     }
 }
@@ -189,6 +193,7 @@ fn describe(device: &DeviceInfo) -> zs_device_info {
         name: fixed(name),
         driver: fixed(driver),
         missing: fixed(&device.missing.join(", ")),
+        uuid: fixed(device.limits.uuid()),
         ..zs_device_info::defaults()
     }
 }

@@ -9,11 +9,11 @@ use super::{
     scene::LatestScene,
     status::{Failure, guard, zs_status},
 };
-use crate::{Error, ops::Precision, reconstruct::Model, tune::Chosen, weights::Checkpoint};
+use crate::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::Chosen, weights::Checkpoint};
 use std::{
     ffi::{CString, c_char, c_void},
     ops::ControlFlow,
-    sync::Mutex,
+    sync::{Arc, Mutex},
 };
 
 /// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
@@ -23,6 +23,8 @@ pub struct zs_model {
     pub(super) picture_side: u32,
     /// The latest scene, which stays on the device for renderers.
     pub(super) latest: LatestScene,
+    /// Where the tokens of its scenes can be refined.
+    pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
     /// GPUs and kernels that are not used, one a line.
     notes: CString,
@@ -50,6 +52,11 @@ pub struct zs_model_options {
     pub progress: zs_progress,
     /// Given to `progress`.
     pub user_data: *mut c_void,
+    /// 1 to be able to refine the tokens of its scenes with ZS_REFINE_TOKENS: the network's head stays on the device in f32 besides, and
+    /// each scene keeps its tokens there until it is destroyed. Default 0.
+    pub tokens: u32,
+    /// 0.
+    pub reserved: u32,
 }
 
 /// Facts about a model.
@@ -116,14 +123,14 @@ impl From<Precision> for zs_precision {
 
 pub(super) type zs_precision_value = i32;
 
-// SAFETY: repr(C), two u32 and pointers: no padding.
+// SAFETY: repr(C), two pairs of 32 bits and pointers between them: no padding.
 unsafe impl Versioned for zs_model_options {
     const NAME: &str = "zs_model_options";
     const FIRST_SIZE: usize = 8 + 3 * POINTER;
     fn defaults() -> Self {
         let (struct_size, user_data) = (size_of::<Self>() as u32, std::ptr::null_mut());
         let precision = zs_precision::ZS_PRECISION_BEST as i32;
-        Self { struct_size, precision, variant: std::ptr::null(), progress: None, user_data }
+        Self { struct_size, precision, variant: std::ptr::null(), progress: None, user_data, tokens: 0, reserved: 0 }
     }
 }
 
@@ -245,10 +252,17 @@ unsafe fn load(
         // SAFETY: the caller's objects.
         let (context, options) = unsafe { (borrow(context, "context")?, read_versioned(options)?) };
         let chosen = Chosen::of(&context.device, zs_precision::wanted(options.precision)?)?;
+        if options.reserved != 0 {
+            return Err(Failure::argument("zs_model_options, reserved", options.reserved, "0"));
+        }
+        if options.tokens > 1 {
+            return Err(Failure::argument("tokens", options.tokens, "0 or 1"));
+        }
         // SAFETY: a string or NULL.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
+        let head = (options.tokens == 1).then(|| FrozenHead::load(&context.device, &checkpoint)).transpose()?;
         // No NUL is in what kernels and devices are called.
         let notes = [context.device.passed_over(), &chosen.notes, checkpoint.notes()].concat();
         let notes = CString::new(notes.join("\n")).unwrap_or_default();
@@ -256,6 +270,7 @@ unsafe fn load(
             model,
             picture_side: checkpoint.picture_side(),
             latest: Mutex::default(),
+            head: head.map(Arc::new),
             precision: chosen.precision,
             notes,
         })

@@ -131,6 +131,14 @@ unsafe impl Versioned for zs_camera {
     }
 }
 
+impl From<&Camera> for zs_camera {
+    fn from(camera: &Camera) -> Self {
+        let Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose } = *camera;
+        let (rotation, translation) = (pose.rotation.transpose().to_cols_array(), pose.translation.to_array());
+        Self { width, height, fx, fy, cx, cy, rotation, translation, ..Versioned::defaults() }
+    }
+}
+
 impl zs_camera {
     pub(super) fn camera(&self) -> Result<Camera, Failure> {
         let Self { reserved, width, height, fx, fy, cx, cy, .. } = *self;

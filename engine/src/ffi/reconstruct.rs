@@ -5,13 +5,13 @@ use super::{
     model::{report, zs_model, zs_progress},
     picture::{zs_camera, zs_image},
     pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
-    scene::zs_scene,
+    scene::{ModelTokens, Seen, zs_scene},
     status::{Failure, zs_status},
 };
 use crate::{
     Error,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Request, Selection, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
     types::{
         Camera, Pose,
         poses::Unit,
@@ -19,7 +19,10 @@ use crate::{
     },
 };
 use rayon::prelude::*;
-use std::{ffi::c_void, ops::ControlFlow};
+use std::{
+    ffi::c_void,
+    ops::{ControlFlow, Range},
+};
 
 /// Ways to choose the tokens that are kept where the ratio is below 1.
 #[repr(i32)]
@@ -136,7 +139,7 @@ pub unsafe extern "C" fn zs_reconstruct(
 ) -> zs_status {
     let reconstruct = || {
         // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_model { model, picture_side, latest, .. }, options) =
+        let (zs_model { model, picture_side, latest, head, .. }, options) =
             unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         if !(1..=MAX_VIEWS).contains(&image_count) {
             return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
@@ -171,16 +174,38 @@ pub unsafe extern "C" fn zs_reconstruct(
             (Some(views), Some(origin), None) => Unit::of(unit, &all, None, views, &origin)?.length,
             _ => unit.unwrap_or(1.0),
         };
-        let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
+        let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
+        let unposed = cameras.is_none();
         let request = Request { ratio, selection, cameras, unit };
-        let progress = |now: Progress<'_>| told(PREPARED + (1.0 - PREPARED) * now.fraction, now.scope);
+        let told = &told;
+        let progress = |of_all: Range<f64>| {
+            move |now: Progress<'_>| {
+                let done = of_all.start + (of_all.end - of_all.start) * now.fraction;
+                told(PREPARED + (1.0 - PREPARED) * done, now.scope)
+            }
+        };
         // Gives its memory back before the next one needs some.
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
-        let gaussians = model.reconstruct(&images, &request, progress)?.gaussians;
+        let (made, tokens) = match head {
+            None => (model.reconstruct(&images, &request, progress(0.0..1.0))?, None),
+            Some(head) => {
+                let features = model.features(&images, &request, progress(0.0..0.8))?;
+                let made = model.reconstruct_features(&features, &request, progress(0.8..0.9))?;
+                let (tokens, head) = (model.tokens(&features, &request, progress(0.9..1.0))?, head.clone());
+                (made, Some(ModelTokens { tokens, head, arena: model.arena().clone(), pose: placed }))
+            }
+        };
+        let Reconstruction { gaussians, patches, .. } = made;
         let mut scene = gaussians.read()?;
-        let Some(pose) = placed else { return Ok(zs_scene::on_device(scene, latest, gaussians)) };
-        scene.place(1.0, &pose);
-        Ok(scene.into())
+        let seen = unposed.then_some(Seen { patches, maps });
+        let made = match placed {
+            None => zs_scene::on_device(scene, latest, gaussians).seen(seen),
+            Some(pose) => {
+                scene.place(1.0, &pose);
+                scene.into()
+            }
+        };
+        Ok(zs_scene { tokens, ..made })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, reconstruct) }

@@ -6,18 +6,32 @@ use super::{
     pointers::{
         POINTER, Versioned, borrow, flow, produce, read_array, read_versioned, write_defaults, write_versioned,
     },
-    scene::zs_scene,
+    scene::{ModelTokens, zs_scene},
     status::{Failure, zs_status},
 };
 use crate::{
+    Error,
     gpu::Arena,
-    refine::{Refine, Refined, Refining, Stopped, refine_scene},
-    types::Camera,
+    refine::{Refine, Refined, Refining, Stopped, refine_scene, refine_tokens},
+    types::{Camera, Image, Pose},
 };
 use std::{ffi::c_void, ops::ControlFlow};
 
-/// One photo in eight is held out where there are 9 or more, else none.
+/// One photo is held out where there are 9 or more, else none.
 pub const ZS_HOLD_OUT_AUTO: i32 = -1;
+
+/// The values that a refinement moves.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_refine_what {
+    /// The scene's Gaussians.
+    ZS_REFINE_GAUSSIANS = 0,
+    /// The tokens of which the network's head makes its Gaussians: of a scene as zs_reconstruct made it, with a model that keeps them
+    /// (zs_model_options.tokens).
+    ZS_REFINE_TOKENS = 1,
+}
+
+pub(super) type zs_refine_what_value = i32;
 
 /// Reasons why a refinement ended.
 #[repr(i32)]
@@ -82,6 +96,10 @@ pub struct zs_refine_options {
     pub progress: zs_refine_progress,
     /// Given to `progress`.
     pub user_data: *mut c_void,
+    /// The values that are moved. Default ZS_REFINE_GAUSSIANS.
+    pub what: zs_refine_what_value,
+    /// 0.
+    pub reserved: u32,
 }
 
 /// The outcome of a refinement.
@@ -108,7 +126,7 @@ pub struct zs_refine_info {
     pub seconds: f64,
 }
 
-// SAFETY: repr(C), six values of four bytes, a u64 and pointers: no padding.
+// SAFETY: repr(C), six values of four bytes, a u64, pointers and two values of four bytes: no padding.
 unsafe impl Versioned for zs_refine_options {
     const NAME: &str = "zs_refine_options";
     const FIRST_SIZE: usize = 32 + 2 * POINTER;
@@ -124,6 +142,8 @@ unsafe impl Versioned for zs_refine_options {
             seed,
             progress: None,
             user_data: std::ptr::null_mut(),
+            what: zs_refine_what::ZS_REFINE_GAUSSIANS as i32,
+            reserved: 0,
         }
     }
 }
@@ -157,7 +177,7 @@ pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_optio
     unsafe { write_defaults(options, size) }
 }
 
-/// Makes a scene sharp: moves its Gaussians until each of `count` photos is what the camera of its number sees, and hands out the
+/// Makes a scene sharp: moves its Gaussians, or the tokens that it was made of, until each of `count` photos is what the camera of its number sees, and hands out the
 /// result as a scene of its own. The scene may come from anywhere; `cameras` are those of the whole photos, in the scene's world.
 /// It returns when the refinement has ended: after all steps, when `progress` asked to stop, or when the loss grew. That is
 /// no failure: the scene is the best that there was. `options` may be NULL, and so may `info`, which is filled with what came
@@ -194,8 +214,16 @@ pub unsafe extern "C" fn zs_refine(
             unsafe { image.image(&format!("image {i}")) }
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        let told = |now: Refining<'_>| options.tell(&now);
-        let found = refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, told)?;
+        let told = |now: Refining| options.tell(&now);
+        let found = if options.what == zs_refine_what::ZS_REFINE_TOKENS as i32 {
+            let Some(tokens) = &scene.tokens else {
+                let expected = "a scene of zs_reconstruct, with a model that was opened with tokens = 1";
+                return Err(Failure::argument("scene", "a scene without tokens", expected));
+            };
+            tokens.refine(&photos, &cameras, &request, told)?
+        } else {
+            refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, told)?
+        };
         if !info.is_null() {
             // SAFETY: as above.
             unsafe { write_versioned(info, zs_refine_info::of(&found)) }?;
@@ -218,6 +246,12 @@ impl zs_refine_options {
         };
         if self.views_per_step == 0 {
             return Err(Failure::argument("views_per_step", 0, "at least 1"));
+        }
+        if self.reserved != 0 {
+            return Err(Failure::argument("zs_refine_options, reserved", self.reserved, "0"));
+        }
+        if !(0..=zs_refine_what::ZS_REFINE_TOKENS as i32).contains(&self.what) {
+            return Err(Failure::argument("what", self.what, "a zs_refine_what"));
         }
         let hold_out = match self.hold_out {
             ZS_HOLD_OUT_AUTO => None,
@@ -244,6 +278,25 @@ impl zs_refine_options {
         };
         // SAFETY: the caller's function, with the caller's data.
         flow(unsafe { progress(self.user_data, &now) })
+    }
+}
+
+impl ModelTokens {
+    /// Refines the tokens of a scene; cameras and result are in its world.
+    fn refine(
+        &self,
+        photos: &[Image],
+        cameras: &[Camera],
+        request: &Refine,
+        progress: impl FnMut(Refining) -> ControlFlow<()>,
+    ) -> Result<Refined, Error> {
+        // Tokens know no other world than that of the first camera.
+        let world = self.pose.unwrap_or(Pose::IDENTITY);
+        let camera = |camera: &Camera| Camera { pose: camera.pose.relative_to(&world), ..*camera };
+        let cameras: Vec<Camera> = cameras.iter().map(camera).collect();
+        let mut refined = refine_tokens(&self.arena, &self.head, &self.tokens, photos, &cameras, request, progress)?;
+        self.pose.iter().for_each(|pose| refined.scene.place(1.0, pose));
+        Ok(refined)
     }
 }
 

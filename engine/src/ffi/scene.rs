@@ -1,23 +1,27 @@
 //! Scenes: Gaussians in and out of arrays, files and bytes.
 
 use super::{
+    picture::zs_camera,
     pointers::{
-        POINTER, Versioned, array, borrow, destroy, optional_text, produce, read_given, read_versioned, text,
-        write_defaults, write_versioned,
+        POINTER, Versioned, array, array_mut, borrow, destroy, optional_text, produce, read_array, read_given,
+        read_versioned, text, write_defaults, write_versioned,
     },
     status::{Failure, guard, zs_status},
 };
 use crate::types::{
-    Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene, read_scene,
-    read_scene_unchecked, write_scene,
+    Camera, Pose, Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
+    preprocess::PixelMap, read_scene, read_scene_unchecked, write_scene,
 };
 use crate::{
     Error,
+    gpu::Arena,
+    reconstruct::{Patches, SceneTokens},
+    refine::FrozenHead,
     stages::render::{DeviceScene, Renderer, WeakScene},
 };
 use std::{
     ffi::{c_char, c_void},
-    sync::Mutex,
+    sync::{Arc, Mutex},
 };
 
 /// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
@@ -25,7 +29,28 @@ use std::{
 pub struct zs_scene {
     pub(super) scene: Scene,
     /// The same Gaussians on a device, for as long as the model that made them keeps them there.
-    on_device: Option<WeakScene>,
+    pub(super) on_device: Option<WeakScene>,
+    /// The tokens that a model made it of, where that model keeps them.
+    pub(super) tokens: Option<ModelTokens>,
+    /// Where its Gaussians were seen, where it was made of photos without cameras.
+    pub(super) seen: Option<Seen>,
+}
+
+/// The tokens of a scene, and what makes Gaussians of them.
+pub(super) struct ModelTokens {
+    pub tokens: SceneTokens,
+    pub head: Arc<FrozenHead>,
+    /// The model's.
+    pub arena: Arena,
+    /// The pose in the scene's world of its first camera, where that is another than the world.
+    pub pose: Option<Pose>,
+}
+
+/// Photos without cameras that a scene was made of.
+pub(super) struct Seen {
+    pub patches: Patches,
+    /// From each photo to what the network saw of it.
+    pub maps: Vec<PixelMap>,
 }
 
 /// A model's latest scene, kept on its device.
@@ -36,7 +61,12 @@ impl zs_scene {
     pub(super) fn on_device(scene: Scene, latest: &LatestScene, gaussians: DeviceScene) -> Self {
         let on_device = Some(gaussians.downgrade());
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gaussians);
-        Self { scene, on_device }
+        Self { scene, on_device, tokens: None, seen: None }
+    }
+
+    /// With the photos that it was made of.
+    pub(super) fn seen(self, seen: Option<Seen>) -> Self {
+        Self { seen, ..self }
     }
 
     /// Lets a renderer draw it: from the device's own Gaussians where they still are there.
@@ -51,7 +81,7 @@ impl zs_scene {
 
 impl From<Scene> for zs_scene {
     fn from(scene: Scene) -> Self {
-        Self { scene, on_device: None }
+        Self { scene, on_device: None, tokens: None, seen: None }
     }
 }
 
@@ -302,6 +332,53 @@ pub unsafe extern "C" fn zs_bytes_get(bytes: *const zs_bytes, data: *mut *const 
         unsafe { data.write(found.as_ptr().cast()) };
         // SAFETY: as above.
         unsafe { size.write(found.len()) };
+        Ok(())
+    })
+}
+
+/// Finds the cameras of the photos of a scene that zs_reconstruct made of `count` photos without cameras, in the scene's world: from
+/// where the Gaussians of each of a photo's patches are. The photos are taken to share a field of view, which is found, too.
+/// `cameras` is an array of `count`, each with its struct_size set; each gets the camera of the whole photo. `inliers` gets the number
+/// of patches that agree with it and `patches` how many there were; both are arrays of `count` or NULL. A photo whose
+/// camera is not found has a camera of width 0 and no inliers; where none is found, that is an error.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_cameras(
+    scene: *const zs_scene,
+    cameras: *mut zs_camera,
+    inliers: *mut u32,
+    patches: *mut u32,
+    count: usize,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_scene { scene, seen, .. } = unsafe { borrow(scene, "scene") }?;
+        let Some(Seen { patches: seen, maps }) = seen else {
+            let expected = "one that zs_reconstruct made of photos without cameras";
+            return Err(Failure::argument("scene to find cameras of", "another", expected));
+        };
+        if count != maps.len() {
+            return Err(Failure::argument("number of cameras", count, format!("{}, one a photo", maps.len())));
+        }
+        // SAFETY: the caller's arrays; those that may be NULL are looked at only where they are not.
+        let (given, mut inliers, mut patches) = unsafe {
+            let counts = |at: *mut u32, name| (!at.is_null()).then(|| array_mut(at, count, name)).transpose();
+            (read_array(cameras, count, "cameras")?, counts(inliers, "inliers")?, counts(patches, "patches")?)
+        };
+        let mut found = seen.cameras(scene, None)?;
+        if found.iter().all(Result::is_err) {
+            return Err(found.swap_remove(0).err().unwrap_or(Error::Cancelled).into());
+        }
+        for (i, (found, map)) in found.into_iter().zip(maps).enumerate() {
+            let camera = found.as_ref().map_or(Versioned::defaults(), |found| {
+                zs_camera::from(&Camera { intrinsics: map.undo(&found.camera.intrinsics), ..found.camera })
+            });
+            // SAFETY: the caller's array of structures, all as long as the first, as was just checked.
+            unsafe { write_versioned(cameras.byte_add(i * given[0].struct_size as usize), camera) }?;
+            let counts = found.map_or([0; 2], |found| [found.inliers, found.pairs]);
+            for (array, number) in [&mut inliers, &mut patches].into_iter().zip(counts) {
+                array.iter_mut().for_each(|array| array[i] = number as u32);
+            }
+        }
         Ok(())
     })
 }

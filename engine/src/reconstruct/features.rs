@@ -1,7 +1,7 @@
 //! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
 //! be refined.
 
-use super::{Model, Reconstruction, Request, Shape, network::FeatureTensors, read_patches, write_choice};
+use super::{Model, Patches, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
 use crate::{
     Result,
     gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
@@ -123,7 +123,7 @@ impl Model {
         let gaussians = scene.scene(degree);
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: read_patches(&run, choice, shape, &request)?,
+            patches: Patches::of(&run, choice, shape, &request)?,
             times,
             outline: Profile::outline(run.plan()),
             left_out: shape.left_out(),

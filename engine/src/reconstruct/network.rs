@@ -40,8 +40,8 @@ pub(super) struct Choice {
     pub unit: Option<Tensor>,
     /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
     pub indices: Option<Tensor>,
-    /// `[tokens]` u32: the tokens that k-means keeps, for the host to read; absent where it does not choose.
-    pub kept: Option<Tensor>,
+    /// `[tokens]` u32: the tokens that k-means chose, where it did; read after a run.
+    pub chosen: Option<Tensor>,
 }
 
 /// The tensors that the first half of the network leaves for the second.
@@ -142,7 +142,6 @@ impl Network {
     ) -> Choice {
         let unit = rec.input::<f32>("unit", 1);
         let (choice, tokens) = self.head_tokens(rec, shape, features);
-        choice.kept.into_iter().for_each(|kept| rec.output(kept));
         rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, unit, scene));
         Choice { unit: Some(unit), ..choice }
     }
@@ -166,17 +165,17 @@ impl Network {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
         let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
-        let chosen = rec.scope("cluster", |rec| match (indices, shape.kept) {
+        let clustered = rec.scope("cluster", |rec| match (indices, shape.kept) {
             (Some(initial), Kept::Kmeans(rounds)) => {
                 Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, tokens, rounds))
             }
-            (given, _) => given,
+            _ => None,
         });
-        let kept = chosen.filter(|_| matches!(shape.kept, Kept::Kmeans(_)));
-        let chosen = chosen.map(|indices| (indices, tokens));
+        clustered.into_iter().for_each(|chosen| rec.output(chosen));
+        let chosen = clustered.or(indices).map(|indices| (indices, tokens));
         let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
-        (Choice { unit: None, indices, kept }, [scene, colors])
+        (Choice { unit: None, indices, chosen: clustered }, [scene, colors])
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {

@@ -31,7 +31,8 @@ pub enum Moved<'a> {
 
 /// Bytes of a refinement.
 pub struct RefinePlan {
-    /// Bytes of what stays: Gaussians, their gradients, moments; of tokens also these and the head's weights in f32.
+    /// Bytes of what stays: Gaussians, their gradients, moments; of tokens also these, the head's weights in
+    /// f32 and what its gradient needs of its forward pass.
     pub kept_bytes: u64,
     /// The plans of a step, which take turns in the arena.
     pub plans: Vec<Plan>,
@@ -85,12 +86,12 @@ pub fn plan_refinement(
             let width = count * (a.width + a.color_width);
             let [tokens, first, second] = [(); 3].map(|()| layout.add::<f32>(width));
             let unit = layout.add::<f32>(1);
+            let kept = head.keep(&mut layout, count, unit);
             let mut rec = Recorder::new(limits);
             let schedule = rec.input::<f32>("schedule", 4);
-            let kept = head.record(&mut rec, tokens, count, unit, &scene);
             let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
             adam(&mut rec, tokens, d_tokens, [first, second], schedule, width);
-            head.record(&mut rec, tokens, count, unit, &scene);
+            head.record_kept(&mut rec, tokens, &kept, &scene);
             plans.push(rec.finish()?);
             // The tokens that were given stay, too.
             let mut given = ResidentLayout::new(limits);

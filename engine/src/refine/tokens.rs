@@ -59,6 +59,7 @@ pub(super) fn gaussians(
     let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
     let [moved, first, second] = [(); 3].map(|()| layout.add::<f32>(count * width));
     let unit = layout.add::<f32>(1);
+    let kept = head.keep(&mut layout, count, unit);
     let memory = Arc::new(Resident::new(device, &layout)?);
     memory.write(unit, &[tokens.unit() as f32])?;
     filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
@@ -67,20 +68,19 @@ pub(super) fn gaussians(
     // Once: the tokens' own Gaussians. The tokens that they were given as stay.
     let mut rec = Recorder::new(device.limits());
     rec.copy(tokens.tensor(), moved);
-    head.record(&mut rec, moved, count, unit, &scene);
+    head.record_kept(&mut rec, moved, &kept, &scene);
     let given = [memory.clone(), weights.clone(), tokens.resident().clone()];
     Run::in_arena(arena, 0, rec.finish()?, given)?.execute()?;
 
-    // Every step. What the gradient needs of the head's forward pass is computed again: it would be many times the tokens.
+    // Every step: back through the head as it was run last, and forward again.
     let mut rec = Recorder::new(device.limits());
     let schedule = rec.input::<f32>("schedule", 4);
-    let kept = head.record(&mut rec, moved, count, unit, &scene);
     let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
     rec.scope("adam", |rec| {
         let (rate, len) = (request.rates.tokens, count * width);
         record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);
     });
-    head.record(&mut rec, moved, count, unit, &scene);
+    head.record_kept(&mut rec, moved, &kept, &scene);
     let memories = vec![memory, weights.clone()];
     let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
 

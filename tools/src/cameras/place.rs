@@ -36,10 +36,19 @@ impl Place<'_> {
     /// # Errors
     /// [`Error::Argument`] where it is no JSON file or another's would be replaced, [`Error::Io`] where none can be written.
     pub fn check(&self, overwrite: Overwrite) -> Result<()> {
+        self.check_alone(overwrite)?;
+        self.files().iter().try_for_each(|file| overwrite.check_file(file))
+    }
+
+    /// As [`Place::check`], for cameras alone.
+    ///
+    /// # Errors
+    /// As [`Place::check`].
+    pub fn check_alone(&self, overwrite: Overwrite) -> Result<()> {
         if self.0.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
             return Err(Error::argument("file of cameras", self.0.display(), "one that ends in .json"));
         }
-        self.files().iter().try_for_each(|file| overwrite.check_file(file))
+        overwrite.check_file(self.0)
     }
 
     /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points and the log.

@@ -1,6 +1,7 @@
 //! `zipsplat reconstruct`: photos to a scene.
 
 mod forward;
+mod placed;
 mod refined;
 
 use super::render::Render;
@@ -72,8 +73,9 @@ pub struct Reconstruct {
     poses: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,
-    /// Write the cameras that were found: transforms.json, points and COLMAP's log beside it
-    #[arg(long, value_name = "FILE", requires = "poses")]
+    /// Write the cameras that were found as transforms.json: with --poses find COLMAP's, points and log beside it; without --poses
+    /// those that follow from where the scene has what each photo shows, in the scene's world
+    #[arg(long, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
@@ -212,6 +214,12 @@ impl Reconstruct {
             save_cameras(path, refined, first, &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
+        if let (Some(path), Some(found)) =
+            (&self.cameras_out, forward.as_ref().and_then(|forward| forward.found.as_ref()))
+        {
+            session.notes(found.save(path, &photos)?);
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
@@ -281,8 +289,12 @@ impl Reconstruct {
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         if let Some(place) = &self.cameras_out {
-            refuse("--cameras-out", !self.finds(), "cameras that are known", "--poses find")?;
-            Place(place).check(self.overwrite)?;
+            let known = self.poses.is_some() && !self.finds();
+            refuse("--cameras-out", known, "cameras that are known", "--poses find, or no --poses")?;
+            match self.finds() {
+                true => Place(place).check(self.overwrite)?,
+                false => Place(place).check_alone(self.overwrite)?,
+            }
         }
         self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))

@@ -122,7 +122,7 @@ impl Live<'_> {
         let shown = ShownScene {
             name: self.name.clone(),
             group: Some(self.quality.group(self.checkpoint.architecture())),
-            patches: made.patches,
+            patches: made.patches.indices(),
             times: times.into_iter().map(|(stage, took)| (stage, milliseconds(took))).collect(),
             left_out: made.left_out,
             ..ShownScene::default()

@@ -157,6 +157,19 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
 /// # Errors
 /// [`Error::Argument`] when a camera is not valid, [`Error::Io`] when the file cannot be written.
 pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&str>) -> Result<()> {
+    write_frames_with(path, frames, points, &[])
+}
+
+/// As [`write_frames`], with more fields for each frame, where there are any: for programs that know them.
+///
+/// # Errors
+/// As [`write_frames`].
+pub fn write_frames_with(
+    path: impl AsRef<Path>,
+    frames: &[Frame],
+    points: Option<&str>,
+    fields: &[Map<String, Value>],
+) -> Result<()> {
     for (i, frame) in frames.iter().enumerate() {
         frame.camera.validate(&format!("camera {i}"))?;
     }
@@ -169,15 +182,16 @@ pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&st
         [] => top.extend([("camera_model".into(), json!(PINHOLE))]),
         _ => {}
     }
-    let object = |frame: &Frame| {
+    let object = |(i, frame): (usize, &Frame)| {
         let mut object = Map::from_iter([("file_path".into(), json!(frame.name))]);
         object.insert("transform_matrix".into(), opengl_rows(&frame.camera.pose));
         if !shared {
             object.extend(lens_fields(frame));
         }
+        object.extend(fields.get(i).cloned().unwrap_or_default());
         Value::Object(object)
     };
-    top.insert("frames".into(), Value::Array(frames.iter().map(object).collect()));
+    top.insert("frames".into(), Value::Array(frames.iter().enumerate().map(object).collect()));
     write_atomic(path.as_ref(), |out| {
         serde_json::to_writer_pretty(&mut *out, &top)?;
         writeln!(out)

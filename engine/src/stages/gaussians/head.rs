@@ -4,7 +4,7 @@
 
 use super::activate;
 use crate::{
-    gpu::{Element, Recorder, Tensor},
+    gpu::{Element, Recorder, ResidentLayout, Tensor},
     kernels::{gaussians as kernels, ops::Gelu},
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     stages::{Architecture, SceneGradients, SceneTensors},
@@ -50,6 +50,13 @@ impl Head {
         }
     }
 
+    /// Lays out what the gradient needs, to be kept from the run of one plan to that of another. `unit` is as of [`Head::record`].
+    pub fn keep(&self, layout: &mut ResidentLayout, count: usize, unit: Tensor) -> HeadKept {
+        let mut rows = |layer: &Linear| Rows::new(layout.add::<f32>(count * layer.columns), count, layer.columns);
+        let [first, _, third] = &self.layers;
+        HeadKept { hidden: rows(first), raw: rows(third), unit }
+    }
+
     /// Records the head for `tokens` `[count, width + color_width]` f32, scene tokens beside colour features, into a scene whose
     /// lengths are `unit` (`[1]` f32) times the network's.
     pub fn record(
@@ -60,18 +67,28 @@ impl Head {
         unit: Tensor,
         into: &SceneTensors,
     ) -> HeadKept {
+        let [first, _, third] = &self.layers;
+        let kept = rec.scope("head", |rec| {
+            let mut rows = |name, layer: &Linear| Rows::scratch(rec, name, count, layer.columns, Element::F32);
+            HeadKept { hidden: rows("hidden", first), raw: rows("raw", third), unit }
+        });
+        self.record_kept(rec, tokens, &kept, into);
+        kept
+    }
+
+    /// As [`Head::record`]; what the gradient needs goes where it is kept.
+    pub fn record_kept(&self, rec: &mut Recorder, tokens: Tensor, kept: &HeadKept, into: &SceneTensors) {
         rec.scope("head", |rec| {
-            let [first, second, third] = &self.layers;
-            let tokens = Rows::new(tokens, count, first.inner);
-            let hidden = first.apply(rec, "hidden", tokens, Element::F32, Epilogue::default());
-            let activated = Rows::scratch(rec, "activated", count, hidden.width, Element::F32);
+            let ([first, second, third], HeadKept { hidden, raw, unit }) = (&self.layers, *kept);
+            let tokens = Rows::new(tokens, hidden.count, first.inner);
+            first.record(rec, tokens, hidden, Epilogue::default());
+            let activated = Rows::scratch(rec, "activated", hidden.count, hidden.width, Element::F32);
             gelu(rec, hidden, None, activated);
             let narrow = second.apply(rec, "narrow", activated, Element::F32, Epilogue::default());
-            let raw = third.apply(rec, "raw", narrow, Element::F32, Epilogue::default());
+            third.record(rec, narrow, raw, Epilogue::default());
             rec.observe("raw", raw.tensor);
             activate(rec, raw.tensor, unit, into);
-            HeadKept { hidden, raw, unit }
-        })
+        });
     }
 
     /// Records the gradient by the tokens, `[count, width + color_width]` f32, from that by the Gaussians.

@@ -1,6 +1,7 @@
 //! The network's part of `zipsplat reconstruct`: views of the photos to Gaussians.
 
 use super::Reconstruct;
+use super::placed::Placed;
 use crate::{
     explain::Explanation,
     options::Size,
@@ -47,6 +48,8 @@ pub struct Forward {
     pub tokens: Option<SceneTokens>,
     /// The Gaussians on the host, thinned where that was asked for.
     pub scene: Scene,
+    /// The cameras that follow from the scene, where they are asked for.
+    pub found: Option<Placed>,
     /// The scene is not as the device has it: its world was turned.
     turned: bool,
     views: usize,
@@ -56,6 +59,7 @@ pub struct Forward {
     precision: Precision,
     provenance: serde_json::Value,
     times: [(&'static str, Duration); 2],
+    found_in: Option<Duration>,
     /// Bytes of the weights.
     weights: u64,
 }
@@ -76,6 +80,12 @@ impl Forward {
             session.note(
                 "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
                  one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
+            );
+        }
+        if command.weights.is_embedded() && poses.is_none() && command.cameras_out.is_some() {
+            session.note(
+                "without --poses the model that is built in sees all photos as if from one place: the cameras of --cameras-out fit \
+                 its scene, not the photos' place; --poses find finds those",
             );
         }
         let size = quality.size_for(checkpoint);
@@ -99,7 +109,7 @@ impl Forward {
     /// Time of each stage.
     pub fn times(&self) -> impl Iterator<Item = (&str, Duration)> {
         let stages = self.result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took));
-        self.times.into_iter().chain(stages)
+        self.times.into_iter().chain(stages).chain(self.found_in.map(|took| ("find cameras", took)))
     }
 
     /// The account of stages for `--explain`.
@@ -117,7 +127,8 @@ impl Forward {
         let (tokens, all) = (HumanCount(self.result.tokens as u64), counted(self.all_tokens, "token"));
         let each = counted(self.each(), "Gaussian");
         let unit = self.unit.as_ref().map(|unit| format!("{unit}\n")).unwrap_or_default();
-        format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}", self.precision.name())
+        let cameras = self.found.as_ref().map(Placed::told).unwrap_or_default();
+        format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}{cameras}", self.precision.name())
     }
 
     /// How fast the weights were loaded, in words.
@@ -139,6 +150,7 @@ impl Forward {
             ("gaussians_per_token", json!(self.each())),
             ("weights_bytes_per_second", json!(self.rate())),
             ("precision", json!(self.precision.name())),
+            ("cameras", self.found.as_ref().map_or(json!(null), Placed::as_json)),
         ] {
             json[name] = value;
         }
@@ -179,6 +191,10 @@ impl Planned<'_> {
         let moves_tokens = command.refine().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
         let mut scene = result.scene()?;
+        let asked = command.cameras_out.is_some() && poses.is_none();
+        let found =
+            asked.then(|| session.stage("find cameras", |_| Ok(Placed::new(result.cameras(&scene, None)?, size))));
+        let (found, found_in) = found.transpose()?.unzip();
         quality.prune(&mut scene, checkpoint.architecture());
         turned.iter().for_each(|first| scene.place(1.0, first));
         Ok(Forward {
@@ -186,6 +202,7 @@ impl Planned<'_> {
             result,
             tokens,
             scene,
+            found,
             turned: turned.is_some(),
             views: images.len(),
             size,
@@ -194,6 +211,7 @@ impl Planned<'_> {
             precision,
             provenance: json!(checkpoint.provenance()),
             times: [("load photos", load_photos), (LOAD_WEIGHTS, load_weights)],
+            found_in,
             weights: checkpoint.bytes(),
         })
     }

@@ -10,7 +10,8 @@ Cameras have OpenCV axes (x right, y down, z forward), matrices say which way th
 pictures are [height, width, channels]. Other threads run while a call does.
 """
 
-from ._native import lib as _lib, text as _text
+from ._native import lib as _lib
+from ._native import text as _text
 from .cameras import Camera, Capture, Photo, cameras
 from .command import Evaluation, Page, evaluate, find_cameras
 from .context import Context, Device, default_context, devices

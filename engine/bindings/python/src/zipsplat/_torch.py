@@ -42,7 +42,9 @@ class _Rasterise(torch.autograd.Function):  # type: ignore[misc]
     """Gaussians and cameras to colours, alphas and accumulated depths."""
 
     @staticmethod
-    def forward(context: Any, how: Any, depth: bool, Ks: Any, viewmats: Any, coeffs: Any, *geometry: Any) -> tuple[Any, ...]:
+    def forward(
+        context: Any, how: Any, depth: bool, Ks: Any, viewmats: Any, coeffs: Any, *geometry: Any
+    ) -> tuple[Any, ...]:
         context.how, context.depth, context.color = how, depth, coeffs is not None
         context.save_for_backward(Ks, viewmats, *([] if coeffs is None else [coeffs]), *geometry)
         context.set_materialize_grads(False)

@@ -68,7 +68,9 @@ class Camera:
             camera_to_world: [4, 4] or [3, 4] pose, in world units; this or the other.
             world_to_camera: Its inverse, the "viewmat".
         """
-        [camera] = cameras([K], width, height, camera_to_world=_one(camera_to_world), world_to_camera=_one(world_to_camera))
+        [camera] = cameras(
+            [K], width, height, camera_to_world=_one(camera_to_world), world_to_camera=_one(world_to_camera)
+        )
         return camera
 
     @classmethod

@@ -21,6 +21,7 @@ class Device:
         memory_bytes: Bytes of the memory that kernels work in.
         usable: Whether the engine can use it.
         missing: Why it is not usable; "" where it is.
+        uuid: Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
     """
 
     index: int
@@ -30,6 +31,7 @@ class Device:
     memory_bytes: int
     usable: bool
     missing: str
+    uuid: str
 
 
 def devices() -> list[Device]:
@@ -52,7 +54,7 @@ class Context:
     """A Vulkan device at work. Any number of threads may use it at the same time.
 
     Args:
-        device: A device's number or a part of its name; None for the best.
+        device: A device's number, a part of its name, or its UUID; None for the best.
         max_memory_bytes: Most bytes of the device's memory to use; None for all that there is.
         validation: Whether to run under the Khronos validation layer, for development; None where the environment says so.
 
@@ -106,4 +108,5 @@ def _device(info: Any) -> Device:
         memory_bytes=info.memory_bytes,
         usable=bool(info.usable),
         missing=text(info.missing),
+        uuid=text(info.uuid),
     )

@@ -35,7 +35,9 @@ class _Meta(dict[str, Any]):
     """What a picture was drawn with; of what gsplat keeps between its passes there is nothing."""
 
     def __missing__(self, key: str) -> Any:
-        raise KeyError(f"{key}: zipsplat's rasterization keeps nothing between projection and blending, only {', '.join(self)}")
+        raise KeyError(
+            f"{key}: zipsplat's rasterization keeps nothing between projection and blending, only {', '.join(self)}"
+        )
 
 
 def rasterization(
@@ -126,7 +128,9 @@ def rasterization(
     if given:
         raise NotImplementedError(f"zipsplat's rasterization has only gsplat's default of {', '.join(given)}")
     if render_mode not in _MODES or rasterize_mode not in ("classic", "antialiased"):
-        raise ValueError(f"found render_mode {render_mode!r} and rasterize_mode {rasterize_mode!r}, expected one of {_MODES}, and 'classic' or 'antialiased'")
+        raise ValueError(
+            f"found render_mode {render_mode!r} and rasterize_mode {rasterize_mode!r}, expected one of {_MODES}, and 'classic' or 'antialiased'"
+        )
     fields = (means, quats, scales, opacities, colors, viewmats, Ks)
     xp = _library((*fields, backgrounds))
     means, quats, scales, opacities, colors, viewmats, Ks = (xp.array(field) for field in fields)
@@ -144,16 +148,31 @@ def rasterization(
             raise ValueError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
     own = colors.ndim == (3 if sh_degree is None else 4)
     shape = tuple(colors.shape[1:] if own else colors.shape)
-    right = len(shape) == 2 if sh_degree is None else len(shape) == 3 and shape[2] == 3 and shape[1] >= (sh_degree + 1) ** 2
+    right = (
+        len(shape) == 2 if sh_degree is None else len(shape) == 3 and shape[2] == 3 and shape[1] >= (sh_degree + 1) ** 2
+    )
     if not right or shape[0] != count or own and len(colors) != views:
-        expected = "[N, D] or [C, N, D]" if sh_degree is None else "[N, K, 3] or [C, N, K, 3] with K at least (sh_degree + 1) ** 2"
+        expected = (
+            "[N, D] or [C, N, D]"
+            if sh_degree is None
+            else "[N, K, 3] or [C, N, K, 3] with K at least (sh_degree + 1) ** 2"
+        )
         raise ValueError(f"colors: found shape {list(colors.shape)}, expected {expected}")
     how = _How(int(width), int(height), rasterize_mode == "antialiased", context or default_context())
     if backgrounds is not None:
         backgrounds = xp.array(backgrounds)
 
     def draw(colors: Any, first: int, last: int) -> list[Any]:
-        return _draw(xp, how, (means, quats, scales, opacities), colors, viewmats[first:last], Ks[first:last], sh_degree, render_mode)
+        return _draw(
+            xp,
+            how,
+            (means, quats, scales, opacities),
+            colors,
+            viewmats[first:last],
+            Ks[first:last],
+            sh_degree,
+            render_mode,
+        )
 
     parts = [draw(colors[i], i, i + 1) for i in range(views)] if own else [draw(colors, 0, views)]
     rgb: Any
@@ -188,7 +207,14 @@ class _How:
 
 
 def _draw(
-    xp: Any, how: _How, geometry: Sequence[Any], colors: Any, viewmats: Any, Ks: Any, sh_degree: Optional[int], mode: str
+    xp: Any,
+    how: _How,
+    geometry: Sequence[Any],
+    colors: Any,
+    viewmats: Any,
+    Ks: Any,
+    sh_degree: Optional[int],
+    mode: str,
 ) -> list[Any]:
     """Colours, alphas and accumulated depths of cameras that see the same colours; None where not asked for."""
     depth = mode != "RGB"
@@ -235,7 +261,9 @@ _renderers = _Renderers()
 
 def _scene(geometry: Sequence[Array], coeffs: Optional[Array]) -> Scene:
     means, quats, scales, opacities = geometry
-    return Scene.from_arrays(means, scales, quats, opacities, np.zeros((len(means), 1, 3)) if coeffs is None else coeffs)
+    return Scene.from_arrays(
+        means, scales, quats, opacities, np.zeros((len(means), 1, 3)) if coeffs is None else coeffs
+    )
 
 
 def _forward(
@@ -262,7 +290,10 @@ def _backward(
 ) -> tuple[dict[str, Array], Optional[Array]]:
     """Gradients by means, scales, quats, opacities and sh_coeffs, and by viewmats where these are wanted."""
     scene, views = _scene(geometry, coeffs), how.cameras(viewmats, Ks)
-    found = {name: np.zeros(getattr(scene, name).shape, np.float32) for name in ("means", "scales", "quats", "opacities", "sh_coeffs")}
+    found = {
+        name: np.zeros(getattr(scene, name).shape, np.float32)
+        for name in ("means", "scales", "quats", "opacities", "sh_coeffs")
+    }
     moved = np.zeros((len(views), 10), np.float32)
     to = structure("gradients", **{name: ffi.cast("float *", array.ctypes.data) for name, array in found.items()})
     if of_cameras:

@@ -88,7 +88,9 @@ def matched(images: Images, cameras: Optional[Cameras]) -> tuple[list[Any], Opti
     posed = []
     for source in sources:
         if not isinstance(source, (str, os.PathLike)):
-            raise TypeError(f"found an image of type {type(source).__name__}, expected paths: a Capture knows photos by their names")
+            raise TypeError(
+                f"found an image of type {type(source).__name__}, expected paths: a Capture knows photos by their names"
+            )
         index = cameras.find(source)
         if index is not None:
             posed.append(_Posed(cameras, index, source))
@@ -150,7 +152,11 @@ def _pixels(name: str, source: Any) -> npt.NDArray[Any]:
         source = source if source.mode in ("RGB", "RGBA") else source.convert("RGB")
     array = np.asarray(source) if not _only_dlpack(source) else np.from_dlpack(source)
     if array.ndim != 3 or array.shape[2] not in (3, 4) or 0 in array.shape:
-        hint = "; torch's [channels, height, width] needs .permute(1, 2, 0)" if array.ndim == 3 and array.shape[0] in (3, 4) else ""
+        hint = (
+            "; torch's [channels, height, width] needs .permute(1, 2, 0)"
+            if array.ndim == 3 and array.shape[0] in (3, 4)
+            else ""
+        )
         raise ValueError(f"{name}: found shape {list(array.shape)}, expected [height, width, 3 or 4]{hint}")
     if array.dtype == np.float64 or array.dtype == np.float16:
         array = array.astype(np.float32)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from typing import Any, Callable, Optional, Union
 
-from ._native import NUMBERS, Handle, Told, call, ffi, lib, options, progress as native_progress, structure, text
+from ._native import NUMBERS, Handle, Told, call, ffi, lib, options, structure, text
+from ._native import progress as native_progress
 from .cameras import PathLike
 from .cameras import native as native_cameras
 from .context import Context, default_context

@@ -84,7 +84,9 @@ class Scene:
     The arrays lie in the library's memory: they are not copied, cannot be written, and keep what they need alive.
     """
 
-    def __init__(self, handle: Handle, context: Optional[Context] = None, refinement: Optional[Refinement] = None) -> None:
+    def __init__(
+        self, handle: Handle, context: Optional[Context] = None, refinement: Optional[Refinement] = None
+    ) -> None:
         self._handle, self._context, self.refinement = handle, context, refinement
         found = structure("gaussians")
         call("zs_scene_get_gaussians", handle.pointer, found)
@@ -260,9 +262,7 @@ def _refining(now: Any) -> Refining:
 def _refinement(info: Any) -> Refinement:
     ended = {lib.ZS_REFINE_FINISHED: "finished", lib.ZS_REFINE_STOPPED: "stopped", lib.ZS_REFINE_DIVERGED: "diverged"}
     losses = (info.first_loss, info.last_loss)
-    return Refinement(
-        ended[info.ended], info.steps, info.best_step, *losses, info.psnr_before, info.psnr, info.seconds
-    )
+    return Refinement(ended[info.ended], info.steps, info.best_step, *losses, info.psnr_before, info.psnr, info.seconds)
 
 
 def relative(cameras: Sequence[Camera]) -> list[Camera]:

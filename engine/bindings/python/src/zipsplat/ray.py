@@ -1,0 +1,338 @@
+"""Thousands of captures to scenes on a cluster, by Ray Data: an actor with a model on each device.
+
+usage: python -m zipsplat.ray INPUTS... -o OUT [--address ADDRESS] [--actors N] [--tries K] [--ratio R] [--format ply]
+
+INPUTS are folders of photos, or folders of such folders; they and OUT may lie wherever fsspec reads (s3://, gs://, local). Each capture
+becomes OUT/NAME.FORMAT and OUT/NAME.json, which says what it was made of. Run the same command again to go on: a capture is
+finished where its record has the hash of its photos' names, sizes and times and of the options. One that fails, or whose worker dies
+K times, is a row of OUT/failures.csv and is left alone. OUT/report.json has captures a second and the share of time of each step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import io
+import json
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass
+from typing import Any, Iterator, Optional
+
+import fsspec
+
+EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What scenes depend on besides their photos."""
+
+    ratio: str = "auto"
+    weights: str = "embedded"
+    size: Optional[tuple[int, int]] = None
+    format: str = "ply"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A capture: its name, where its photos lie, and the hash of what its scene is made of."""
+
+    name: str
+    photos: list[str]
+    hash: str
+
+
+def captures(inputs: list[str], options: Options) -> list[Row]:
+    """The captures of folders, each with a name of its own.
+
+    Raises:
+        ValueError: an input has none, or two have the same name.
+    """
+    found: dict[str, Row] = {}
+    for place in inputs:
+        system, root = fsspec.core.url_to_fs(place)
+        rows = list(_captures(system, root, options))
+        if not rows:
+            raise ValueError(f"{place}: found no photos, expected a folder of photos, or a folder of such folders")
+        for row in rows:
+            if row.name in found:
+                raise ValueError(
+                    f"{place}: found a second capture called {row.name}, expected a name of its own for each"
+                )
+            found[row.name] = row
+    return list(found.values())
+
+
+def _captures(system: Any, root: str, options: Options) -> Iterator[Row]:
+    entries = system.ls(root, detail=True)
+    if any(_is_photo(entry) for entry in entries):
+        yield _row(system, root, entries, options)
+        return
+    for entry in sorted(entries, key=lambda entry: str(entry["name"])):
+        if entry["type"] == "directory":
+            below = system.ls(entry["name"], detail=True)
+            if any(_is_photo(file) for file in below):
+                yield _row(system, entry["name"], below, options)
+
+
+def _is_photo(entry: dict[str, Any]) -> bool:
+    name = entry["name"].rsplit("/", 1)[-1]
+    return entry["type"] == "file" and not name.startswith(".") and name.lower().endswith(EXTENSIONS)
+
+
+def _row(system: Any, root: str, entries: list[dict[str, Any]], options: Options) -> Row:
+    from .images import _natural
+
+    photos = sorted((entry for entry in entries if _is_photo(entry)), key=lambda entry: _natural(entry["name"]))
+    hashed = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
+    for photo in photos:
+        when = photo.get("mtime") or photo.get("ETag") or photo.get("LastModified") or photo.get("created") or ""
+        hashed.update(f"{photo['name']} {photo['size']} {when}\n".encode())
+    name = root.rstrip("/").rsplit("/", 1)[-1]
+    return Row(name, [system.unstrip_protocol(photo["name"]) for photo in photos], hashed.hexdigest())
+
+
+class Store:
+    """Where scenes and their records lie. A file appears whole: it is moved, or put by one request, into its place."""
+
+    def __init__(self, out: str) -> None:
+        self.system, self.root = fsspec.core.url_to_fs(out)
+        self.local = "file" in self.system.protocol or self.system.protocol == "file"
+        if self.local:
+            self.system.makedirs(self.root, exist_ok=True)
+
+    def path(self, name: str) -> str:
+        return f"{self.root.rstrip('/')}/{name}"
+
+    def read(self, name: str) -> Optional[bytes]:
+        """A file's contents; None where there is none."""
+        try:
+            return bytes(self.system.cat_file(self.path(name)))
+        except FileNotFoundError:
+            return None
+
+    def write(self, name: str, data: bytes) -> None:
+        path = self.path(name)
+        if not self.local:
+            self.system.pipe_file(path, data)
+            return
+        beside = f"{path}.{os.getpid()}.unfinished"
+        with open(beside, "wb") as file:
+            file.write(data)
+        os.replace(beside, path)
+
+    def record(self, row: Row) -> Optional[dict[str, Any]]:
+        """The record of a finished capture: None where it is not finished, or was made of something else."""
+        data = self.read(f"{row.name}.json")
+        record: dict[str, Any] = json.loads(data) if data else {}
+        return record if record.get("hash") == row.hash else None
+
+    def tries(self, row: Row) -> int:
+        """How often a worker has begun a capture that it did not end."""
+        return len(self.read(f".tries/{row.name}.{row.hash[:16]}") or b"")
+
+    def try_again(self, row: Row, tries: int) -> None:
+        """Notes that a worker begins."""
+        if self.local:
+            self.system.makedirs(self.path(".tries"), exist_ok=True)
+        self.write(f".tries/{row.name}.{row.hash[:16]}", b"x" * tries)
+
+
+class Worker:
+    """An actor: a model on a device of its own, kept from capture to capture."""
+
+    def __init__(self, out: str, options: Options, tries: int) -> None:
+        import zipsplat
+
+        self.store, self.options, self.tries = Store(out), options, tries
+        began = time.time()
+        self.model = zipsplat.Model.open(options.weights, context=zipsplat.Context(device()))
+        self.loaded = time.time() - began
+
+    def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """A row of a table in, what became of it out."""
+        rows = [Row(**json.loads(row)) for row in batch["row"]]
+        return {"result": [json.dumps(self.one(row)) for row in rows]}
+
+    def one(self, row: Row) -> dict[str, Any]:
+        """Makes a capture's scene, but where it is there already, or was begun too often."""
+        record = self.store.record(row)
+        if record is not None:
+            return record
+        tries = self.store.tries(row)
+        if tries >= self.tries:
+            return {"name": row.name, "error": f"quarantined: begun {tries} times, ended never"}
+        self.store.try_again(row, tries + 1)
+        try:
+            return self._make(row)
+        except Exception as error:  # noqa: BLE001 A capture that fails is a row and not the end.
+            return {"name": row.name, "error": f"{type(error).__name__}: {error}"}
+
+    def _make(self, row: Row) -> dict[str, Any]:
+        times = {"model": self.loaded}
+        self.loaded, began = 0.0, time.time()
+        files = [bytes(file.read()) for file in _open_all(row.photos)]
+        times["read"] = time.time() - began
+        began = time.time()
+        ratio = self.options.ratio
+        scene = self.model.reconstruct(files, ratio=ratio if ratio == "auto" else float(ratio), size=self.options.size)
+        times["reconstruct"] = time.time() - began
+        began = time.time()
+        data = scene.to_bytes(self.options.format)
+        self.store.write(f"{row.name}.{self.options.format}", data)
+        times["write"] = time.time() - began
+        record = {
+            "name": row.name,
+            "hash": row.hash,
+            "bytes": len(data),
+            "gaussians": len(scene),
+            "photos": len(row.photos),
+        }
+        record.update(seconds=times, read_bytes=sum(map(len, files)), node=os.uname().nodename, process=os.getpid())
+        self.store.write(f"{row.name}.json", json.dumps(record).encode())
+        return record
+
+
+def _open_all(paths: list[str]) -> Iterator[Any]:
+    for path in paths:
+        with fsspec.open(path, "rb") as file:
+            yield file
+
+
+def device() -> Optional[str]:
+    """The device that Ray gave this actor, as Vulkan knows it: by its UUID, as Vulkan does not see the variable by which Ray hides
+    others. None, the best, where Ray gave none.
+
+    Raises:
+        RuntimeError: Ray gave one by its number, and nvidia-smi does not say its UUID.
+    """
+    given = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0].strip()
+    if not given or given.startswith("GPU-"):
+        return given or None
+    import subprocess
+
+    query = ["nvidia-smi", "--query-gpu=index,uuid", "--format=csv,noheader"]
+    try:
+        listed = subprocess.run(query, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise RuntimeError(f"the UUID of GPU {given}: nvidia-smi did not say it ({error})") from error
+    uuids = dict(line.split(", ", 1) for line in listed.strip().splitlines())
+    if given not in uuids:
+        raise RuntimeError(f"the UUID of GPU {given}: found {', '.join(uuids)} by nvidia-smi")
+    return uuids[given].strip()
+
+
+def run(
+    inputs: list[str],
+    out: str,
+    *,
+    options: Options = Options(),
+    address: Optional[str] = None,
+    actors: Optional[int] = None,
+    tries: int = 3,
+) -> dict[str, Any]:
+    """Makes all scenes, and returns the report.
+
+    Args:
+        inputs: Folders of photos, or folders of such folders, wherever fsspec reads.
+        out: The folder of the scenes, as well.
+        options: What scenes depend on.
+        address: A cluster's; None for a local one.
+        actors: Most of them; None for one a GPU, or one a core where there is none.
+        tries: How often a capture is begun before it is left alone.
+    """
+    import ray
+    import ray.data
+
+    rows = captures(inputs, options)
+    store, began = Store(out), time.time()
+    done = [record for row in rows if (record := store.record(row)) is not None]
+    names = {record["name"] for record in done}
+    todo = [row for row in rows if row.name not in names]
+    results: list[dict[str, Any]] = []
+    if todo:
+        if not ray.is_initialized():
+            ray.init(address=address, log_to_driver=False)
+        resources = ray.cluster_resources()
+        gpus = int(resources.get("GPU", 0))
+        most = max(1, min(actors or gpus or int(resources.get("CPU", 1)), len(todo)))
+        table = ray.data.from_items([{"row": json.dumps(asdict(row))} for row in todo], override_num_blocks=len(todo))
+        work = table.map_batches(
+            Worker,
+            fn_constructor_args=(out, options, tries),
+            batch_size=1,
+            compute=ray.data.ActorPoolStrategy(min_size=1, max_size=most),
+            num_gpus=1 if gpus else None,
+            num_cpus=None if gpus else 1,
+        )
+        results = [json.loads(row["result"]) for row in work.iter_rows()]
+    report = _report(rows, done, results, time.time() - began)
+    failures = [result for result in results if "error" in result]
+    _write_failures(store, failures)
+    store.write("report.json", json.dumps(report, indent=2).encode())
+    return report
+
+
+def _report(
+    rows: list[Row], done: list[dict[str, Any]], results: list[dict[str, Any]], seconds: float
+) -> dict[str, Any]:
+    made = [result for result in results if "error" not in result]
+    steps: dict[str, float] = {}
+    for result in made:
+        for step, took in result["seconds"].items():
+            steps[step] = steps.get(step, 0.0) + took
+    total = sum(steps.values()) or 1.0
+    return {
+        "captures": len(rows),
+        "made": len(made),
+        "unchanged": len(done),
+        "failed": len(results) - len(made),
+        "seconds": seconds,
+        "captures_per_second": len(made) / seconds if seconds else 0.0,
+        "share_of_time": {step: took / total for step, took in steps.items()},
+        "bytes_read": sum(result["read_bytes"] for result in made),
+        "bytes_written": sum(result["bytes"] for result in made),
+    }
+
+
+def _write_failures(store: Store, failures: list[dict[str, Any]]) -> None:
+    if not failures and store.read("failures.csv") is None:
+        return
+    text = io.StringIO()
+    table = csv.writer(text)
+    table.writerow(["capture", "error"])
+    table.writerows([failure["name"], failure["error"]] for failure in failures)
+    store.write("failures.csv", text.getvalue().encode())
+
+
+def main(arguments: Optional[list[str]] = None) -> int:
+    """The command line; its exit code is 1 where captures failed."""
+    parser = argparse.ArgumentParser(prog="python -m zipsplat.ray", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("inputs", nargs="+", help="folders of photos, or folders of such folders")
+    parser.add_argument("-o", "--output", required=True, help="folder of the scenes")
+    parser.add_argument("--address", help="the cluster's; default a local one")
+    parser.add_argument("--actors", type=int, help="most of them; default one a GPU, or one a core")
+    parser.add_argument("--tries", type=int, default=3, help="how often a capture is begun before it is left alone")
+    parser.add_argument("--ratio", default="auto", help="share of the tokens that become Gaussians")
+    parser.add_argument("--weights", default="embedded", help="a checkpoint, at the same place on every node")
+    parser.add_argument("--size", help="WxH of what the network sees of each photo")
+    parser.add_argument("--format", default="ply", choices=["ply", "spz", "splat", "glb"])
+    given = parser.parse_args(arguments)
+    width, _, height = (given.size or "").partition("x")
+    size = (int(width), int(height)) if given.size else None
+    options = Options(given.ratio, given.weights, size, given.format)
+    report = run(
+        given.inputs, given.output, options=options, address=given.address, actors=given.actors, tries=given.tries
+    )
+    print(json.dumps(report, indent=2))
+    return 1 if report["failed"] else 0
+
+
+if __name__ == "__main__":
+    # Workers know what is in a module by its name.
+    from zipsplat.ray import main as _main
+
+    sys.exit(_main())

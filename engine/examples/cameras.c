@@ -1,0 +1,67 @@
+/* Photos without cameras to a scene, and the cameras that follow from it, as refine.c reads them:
+ *     cc cameras.c $(pkg-config --cflags --libs zipsplat) -o cameras
+ *     ./cameras MODEL scene.ply cameras.txt PHOTO...      MODEL: embedded, a checkpoint, or seeded:vits */
+#include <stdio.h>
+#include <stdlib.h>
+#include <zipsplat.h>
+
+#define CHECK(call)                                                                \
+    do {                                                                           \
+        zs_status status_ = (call);                                                \
+        if (status_ != ZS_OK) {                                                    \
+            fprintf(stderr, "%s: %s\n", zs_status_name(status_), zs_last_error()); \
+            goto done;                                                             \
+        }                                                                          \
+    } while (0)
+
+enum { MAX_PHOTOS = 192 };
+
+int main(int argc, char **argv) {
+    if (argc < 5 || argc - 4 > MAX_PHOTOS) {
+        fprintf(stderr, "usage: %s MODEL scene.ply cameras.txt PHOTO... (at most %d)\n", argv[0], MAX_PHOTOS);
+        return 2;
+    }
+    int result = EXIT_FAILURE;
+    const size_t count = (size_t)argc - 4;
+    zs_context *context = NULL;
+    zs_model *model = NULL;
+    zs_scene *scene = NULL;
+    zs_photo *photos[MAX_PHOTOS] = {NULL};
+    zs_image images[MAX_PHOTOS];
+    zs_camera cameras[MAX_PHOTOS];
+    uint32_t inliers[MAX_PHOTOS], patches[MAX_PHOTOS];
+    FILE *file = NULL;
+
+    CHECK(zs_context_create(NULL, &context));
+    CHECK(zs_model_open(context, argv[1], NULL, &model));
+    for (size_t i = 0; i < count; i++) {
+        images[i].struct_size = sizeof images[i];
+        cameras[i].struct_size = sizeof cameras[i];
+        CHECK(zs_photo_open(argv[4 + i], &photos[i]));
+        CHECK(zs_photo_get_image(photos[i], &images[i]));
+    }
+    CHECK(zs_reconstruct(model, images, count, NULL, &scene));
+    CHECK(zs_scene_save(scene, argv[2], NULL));
+    CHECK(zs_scene_cameras(scene, cameras, inliers, patches, count));
+    if (!(file = fopen(argv[3], "w"))) {
+        perror(argv[3]);
+        goto done;
+    }
+    for (size_t i = 0; i < count; i++) {
+        const zs_camera *camera = &cameras[i];
+        printf("%s: %u of %u patches agree%s\n", argv[4 + i], inliers[i], patches[i], camera->width ? "" : ": no camera");
+        fprintf(file, "%.17g %.17g %.17g %.17g", camera->fx, camera->fy, camera->cx, camera->cy);
+        for (int k = 0; k < 9; k++) fprintf(file, " %.17g", camera->rotation[k]);
+        for (int k = 0; k < 3; k++) fprintf(file, " %.17g", camera->translation[k]);
+        fprintf(file, "\n");
+    }
+    result = EXIT_SUCCESS;
+
+done:
+    for (size_t i = 0; i < count; i++) zs_photo_destroy(photos[i]);
+    zs_scene_destroy(scene);
+    zs_model_destroy(model);
+    zs_context_destroy(context);
+    if (file && fclose(file)) result = EXIT_FAILURE;
+    return result;
+}

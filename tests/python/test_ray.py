@@ -1,0 +1,164 @@
+"""Captures on a real local cluster: two nodes of a core each, whose workers, nodes and driver are killed in the middle."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, Callable
+
+import numpy as np
+import pytest
+import zipsplat
+
+pytest.importorskip("ray")
+from zipsplat.ray import Options, Store, Worker, captures, device, run  # noqa: E402
+
+SIZE = (126, 126)
+
+
+@pytest.fixture()
+def places(tmp_path: Path) -> Path:
+    """A folder of captures of three photos each."""
+    rng = np.random.default_rng(1)
+    for name in range(8):
+        folder = tmp_path / "places" / str(name)
+        folder.mkdir(parents=True)
+        for photo in range(3):
+            small = rng.integers(0, 255, (9, 12, 3), dtype=np.uint8)
+            zipsplat.save_png(folder / f"{photo}.png", np.kron(small, np.ones((16, 16, 1), np.uint8)))
+    return tmp_path / "places"
+
+
+def names(out: Path) -> list[str]:
+    return sorted(path.stem for path in out.glob("*.json") if path.stem != "report")
+
+
+def wait(until: Callable[[], bool], seconds: float = 240) -> None:
+    last = time.time() + seconds
+    while not until():
+        assert time.time() < last, "it takes too long"
+        time.sleep(0.05)
+
+
+def test_every_capture_is_made_once_whatever_is_killed(places: Path, tmp_path: Path) -> None:
+    from ray.cluster_utils import Cluster
+
+    out = tmp_path / "out"
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        node = cluster.add_node(num_cpus=1)
+        program = [
+            sys.executable,
+            "-m",
+            "zipsplat.ray",
+            places,
+            "-o",
+            out,
+            "--address",
+            cluster.address,
+            "--size",
+            "126x126",
+        ]
+        log = (tmp_path / "log").open("w")
+
+        def start() -> subprocess.Popen[Any]:
+            return subprocess.Popen([str(word) for word in program], stdout=log, stderr=log)
+
+        driver = start()
+        wait(lambda: len(names(out)) >= 1 or driver.poll() is not None)
+        assert driver.poll() is None, (tmp_path / "log").read_text()
+        worker = json.loads((out / f"{names(out)[0]}.json").read_text())["process"]
+        os.kill(worker, signal.SIGKILL)
+        wait(lambda: len(names(out)) >= 3)
+        cluster.remove_node(node, allow_graceful=False)
+        wait(lambda: len(names(out)) >= 4)
+        driver.kill()
+        driver.wait()
+        before = {name: (out / f"{name}.ply").stat().st_mtime_ns for name in names(out)}
+        cluster.add_node(num_cpus=1)
+        again = start()
+        assert again.wait(300) == 0, (tmp_path / "log").read_text()
+    finally:
+        cluster.shutdown()
+    assert names(out) == [str(name) for name in range(8)]
+    # A worker that outlived its driver may have made some more.
+    assert all((out / f"{name}.ply").stat().st_mtime_ns == when for name, when in before.items()), (
+        "nothing is made twice"
+    )
+    report = json.loads((out / "report.json").read_text())
+    assert report["captures"] == 8 and report["failed"] == 0 and report["unchanged"] >= len(before)
+    assert not list(out.glob("*.unfinished")) and not (out / "failures.csv").exists()
+    model = zipsplat.Model.open()
+    for name in range(8):
+        assert (out / f"{name}.ply").read_bytes() == model.reconstruct(places / str(name), size=SIZE).to_bytes("ply")
+
+
+def worker(out: Path, tries: int = 3) -> Worker:
+    return Worker(str(out), Options(size=SIZE), tries)
+
+
+def test_a_capture_that_fails_is_a_row_and_one_that_kills_is_left_alone(places: Path, tmp_path: Path) -> None:
+    (places / "3" / "1.png").write_bytes(b"no picture")
+    rows = {row.name: row for row in captures([str(places)], Options(size=SIZE))}
+    assert sorted(rows) == [str(name) for name in range(8)]
+    one = worker(tmp_path / "out")
+    assert "PNG" in one.one(rows["3"])["error"]
+    # Begun as often as is allowed by workers that died of it.
+    for tries in (1, 2, 3):
+        one.store.try_again(rows["5"], tries)
+    assert "begun 3 times" in one.one(rows["5"])["error"] and not (tmp_path / "out" / "5.ply").exists()
+    assert one.one(rows["4"])["gaussians"] > 0
+    made = (tmp_path / "out" / "4.ply").stat().st_mtime_ns
+    assert one.one(rows["4"])["hash"] == rows["4"].hash and (tmp_path / "out" / "4.ply").stat().st_mtime_ns == made
+    # Another photo, another hash: it is made, and counted, anew.
+    zipsplat.save_png(places / "5" / "1.png", np.zeros((20, 20, 3), np.uint8))
+    again = {row.name: row for row in captures([str(places)], Options(size=SIZE))}
+    assert again["5"].hash != rows["5"].hash and one.one(again["5"])["gaussians"] > 0
+    assert captures([str(places)], Options(ratio="0.5"))[0].hash != rows["0"].hash
+
+
+def test_inputs_and_outputs_lie_wherever_fsspec_reads(places: Path) -> None:
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    for photo in (places / "1").iterdir():
+        memory.pipe_file(f"/in/1/{photo.name}", photo.read_bytes())
+    [row] = captures(["memory://in"], Options(size=SIZE))
+    one = Worker("memory://out", Options(size=SIZE), 3)
+    assert one.one(row)["photos"] == 3
+    data = memory.cat_file("/out/1.ply")
+    assert data == zipsplat.Model.open().reconstruct(places / "1", size=SIZE).to_bytes("ply")
+    record = Store("memory://out").record(row)
+    assert record is not None and record["bytes"] == len(data)
+
+
+def test_a_device_is_chosen_by_its_uuid(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    assert device() is None
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-12345678-1234-1234-1234-123456789abc")
+    assert device() == "GPU-12345678-1234-1234-1234-123456789abc"
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
+    double = tmp_path / "nvidia-smi"
+    double.write_text("#!/bin/sh\necho '0, GPU-a'\necho '1, GPU-b'\n")
+    double.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    assert device() == "GPU-b"
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "7")
+    with pytest.raises(RuntimeError, match="GPU 7"):
+        device()
+    found = zipsplat.default_context().device
+    assert len(found.uuid) == 32 and zipsplat.Context(found.uuid).device.name == found.name
+
+
+def test_what_is_no_capture_is_named(places: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(ValueError, match="found no photos"):
+        captures([str(empty)], Options())
+    with pytest.raises(ValueError, match="second capture called 1"):
+        run([str(places), str(places / "1")], str(tmp_path / "out"))

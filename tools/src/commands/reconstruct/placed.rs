@@ -1,0 +1,79 @@
+//! The cameras of photos without any, as they follow from a scene.
+
+use crate::{cameras::path_from, options::Size, photos::names, table::counted};
+use serde_json::{Map, Value, json};
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Error, Result,
+    cameras::FoundCamera,
+    types::{
+        Camera, Image,
+        poses::{Frame, write_frames_with},
+        preprocess::PixelMap,
+    },
+};
+
+/// The cameras of views of one size.
+pub struct Placed {
+    found: Vec<Result<FoundCamera>>,
+    size: Size,
+}
+
+impl Placed {
+    /// The cameras of views of this size, one of each photo.
+    pub fn new(found: Vec<Result<FoundCamera>>, size: Size) -> Self {
+        Self { found, size }
+    }
+
+    /// Writes the cameras of the whole photos, with the numbers of patches that agree. Returns a note where photos have none.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where no photo has a camera; those of photos that cannot be read; [`Error::Io`].
+    pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());
+        for (photo, found) in photos.iter().zip(&self.found) {
+            let Ok(FoundCamera { camera, inliers, pairs }) = found else {
+                lost.push(photo.clone());
+                continue;
+            };
+            let (width, height) = Image::size(photo)?;
+            let intrinsics = PixelMap::cropped([width, height], [self.size.0, self.size.1]).undo(&camera.intrinsics);
+            let camera = Image::camera_as_stored(photo, &Camera { intrinsics, ..*camera })?;
+            frames.push(Frame { name: path_from(folder, photo)?, photo: None, camera, lens: None });
+            let counts = [("inliers", inliers), ("patches", pairs)];
+            fields.push(Map::from_iter(counts.map(|(name, count)| (name.to_owned(), json!(count)))));
+        }
+        if let (true, Some(Err(error))) = (frames.is_empty(), self.found.first()) {
+            let found = format!("none: {error}");
+            return Err(Error::argument(
+                path.display().to_string(),
+                found,
+                "a scene with which photos agree; --poses find finds more",
+            ));
+        }
+        write_frames_with(path, &frames, None, &fields)?;
+        Ok((!lost.is_empty()).then(|| format!("without a camera: {}", names(&lost))))
+    }
+
+    /// The outcome in words, as a line.
+    pub fn told(&self) -> String {
+        let found: Vec<&FoundCamera> = self.found.iter().flatten().collect();
+        let mut shares: Vec<f64> = found.iter().map(|found| found.inliers as f64 / found.pairs as f64).collect();
+        shares.sort_by(f64::total_cmp);
+        let Some(median) = shares.get(shares.len() / 2) else { return "cameras: none\n".into() };
+        let of = counted(self.found.len(), "photo");
+        format!("cameras of {} of {of}: {:.0} % of a photo's patches agree (median)\n", found.len(), 100.0 * median)
+    }
+
+    /// The same for programs: photo by photo, null where there is no camera.
+    pub fn as_json(&self) -> Value {
+        let one = |found: &Result<FoundCamera>| match found {
+            Ok(FoundCamera { camera, inliers, pairs }) => {
+                json!({ "inliers": inliers, "patches": pairs, "hfov": camera.intrinsics.hfov().to_degrees() })
+            }
+            Err(_) => Value::Null,
+        };
+        self.found.iter().map(one).collect()
+    }
+}
