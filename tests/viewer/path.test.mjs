@@ -47,9 +47,17 @@ test("a path plays from its first key camera to its last", async () => {
     const tab = await opened("page.html");
     await kept(tab);
     const keys = await tab.run(() => zipsplat.path.keys);
-    await tab.run(() => zipsplat.reset());
+    await tab.slide("seconds", 3);
+    await tab.run(() => {
+        zipsplat.reset();
+        globalThis.shares = [];
+        const { at } = zipsplat.path;
+        zipsplat.path.at = share => (shares.push(share), at.call(zipsplat.path, share));
+    });
     await tab.page.keyboard.press(" ");
     await tab.until(() => zipsplat.path.playing === null);
+    const shares = await tab.run(() => globalThis.shares);
+    assert.ok(shares.length > 2 && shares.at(-1) === 1 && shares.every((share, i) => i === 0 || share > shares[i - 1]), shares.join(" "));
     const eye = await tab.run(() => zipsplat.camera.eye);
     eye.forEach((value, i) => assert.ok(Math.abs(value - keys[1].eye[i]) < 1e-9));
     const [from, halfway, to] = await tab.run(() => [0, 0.5, 1].map(share => zipsplat.path.at(share).axes[2]));

@@ -119,7 +119,7 @@ test("a written page holds several ratios, tokens and small photos, and asks nob
 
 test("a refinement is watched, and stopped with the best so far", async () => {
     const { address, stop } = await serve("view", ...PHOTOS, "--refine=2000", "--refine-size", "70x70"), tab = await Tab.open(address, { width: 700, height: 500 });
-    await tab.until(() => zipsplat.refining.version >= 1);
+    await tab.until(() => zipsplat.refining.version >= 1 && zipsplat.live.took);
     await tab.settled();
     const first = await tab.picture(), version = await tab.run(() => zipsplat.refining.version);
     await tab.page.waitForFunction(version => zipsplat.refining.version > version, { timeout: 300_000 }, version);

@@ -58,6 +58,7 @@ class Page {
         if (scene.failed) this.say(`${scene.name}: ${scene.failed}`, true);
         else if (!scene.loading) this.load(this.current);
         else this.say(scene.drawable ? "" : `${scene.name}: loading`);
+        if (!this.home) this.reset();
         this.tokens.leave();
         this.label();
         this.change();
