@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use zipsplat::gpu::{Element, Recorder, Resident, Run, Tensor};
 use zipsplat::kernels::ops::PlaceColumns;
-use zipsplat::ops::{Arithmetic, ParameterLayout};
+use zipsplat::ops::{Arithmetic, ParameterLayout, Rows};
 use zipsplat::refine::{Adam, Space, record_adam};
 use zipsplat::stages::gaussians::Head;
 use zipsplat::stages::loss::{Loss, LossTensors, record_loss};
@@ -66,10 +66,11 @@ fn through_the_head() {
         let ends = [0, 3, 6, 10, 11, width];
         for stem in golden.stems("/d_gauss") {
             let mut rec = Recorder::new(device().limits()).observing();
-            let tokens = rec.input::<f32>("tokens", golden.f32("tokens").len());
+            let shape = golden.shape("tokens");
+            let tokens = rec.input::<f32>("tokens", shape[0] * shape[1]);
             let unit = rec.input::<f32>("unit", 1);
             let scene = SceneTensors::output(&mut rec, count, 1);
-            let kept = head.record(&mut rec, tokens, golden.shape("tokens")[0], unit, &scene);
+            let kept = head.record(&mut rec, Rows::new(tokens, shape[0], shape[1]), unit, &scene);
             let d = [0, 1, 2, 3, 4].map(|i| rec.input::<f32>("d", count * (ends[i + 1] - ends[i])));
             let [means, scales, quats, opacities, sh_coeffs] = d;
             let d_gaussians = SceneGradients { means, scales, quats, opacities, sh_coeffs };
@@ -113,7 +114,7 @@ fn through_a_head_of_odd_width() {
     let input = rec.input::<f32>("tokens", tokens.len());
     let unit = rec.input::<f32>("unit", 1);
     let scene = SceneTensors::output(&mut rec, 2 * count, 1);
-    let kept = head.record(&mut rec, input, count, unit, &scene);
+    let kept = head.record(&mut rec, Rows::new(input, count, width), unit, &scene);
     let widths = [3, 3, 4, 1, 12];
     let d = widths.map(|width| rec.input::<f32>("d", 2 * count * width));
     let [means, scales, quats, opacities, sh_coeffs] = d;
@@ -157,7 +158,7 @@ struct Steps {
 
 /// The inputs of a plan.
 struct Inputs {
-    tokens: Tensor,
+    tokens: Rows,
     unit: Tensor,
     moments: [Tensor; 2],
     schedule: Tensor,
@@ -170,12 +171,12 @@ fn record_gradient(
     rec: &mut Recorder,
     head: &Head,
     inputs: &Inputs,
-    [count, gaussians]: [usize; 2],
+    gaussians: usize,
     shape: FrameShape,
     loss: Loss,
 ) -> (Tensor, LossTensors, Tensor, Tensor) {
     let scene = SceneTensors::output(rec, gaussians, 1);
-    let kept = head.record(rec, inputs.tokens, count, inputs.unit, &scene);
+    let kept = head.record(rec, inputs.tokens, inputs.unit, &scene);
     let d = [3, 3, 4, 1, 12].map(|width| rec.tensor::<f32>("d_gaussians", gaussians * width));
     d.iter().for_each(|tensor| rec.fill(*tensor, 0));
     let [means, scales, quats, opacities, sh_coeffs] = d;
@@ -202,15 +203,15 @@ impl Steps {
         let shape = FrameShape { cameras: cameras.len(), width: size[0], height: size[1] };
         let mut rec = Recorder::new(device().limits()).observing();
         let inputs = Inputs {
-            tokens: rec.constant::<f32>("tokens", count * width),
+            tokens: Rows::new(rec.constant::<f32>("tokens", count * width), count, width),
             unit: rec.constant::<f32>("unit", 1),
             moments: [0, 1].map(|_| rec.constant::<f32>("moments", count * width)),
             schedule: rec.input::<f32>("schedule", 4),
             cameras: rec.constant::<CameraRows>("cameras", cameras.len()),
             targets: rec.constant::<f32>("targets", golden.f32("target").len()),
         };
-        let counts = [count, golden.shape("step0/gauss")[0]];
-        let (d_tokens, losses, frames, status) = record_gradient(&mut rec, &head, &inputs, counts, shape, loss);
+        let gaussians = golden.shape("step0/gauss")[0];
+        let (d_tokens, losses, frames, status) = record_gradient(&mut rec, &head, &inputs, gaussians, shape, loss);
         if scene_only {
             let zeros = rec.tensor::<f32>("zeros", count * width / 2);
             rec.fill(zeros, 0);
@@ -225,7 +226,7 @@ impl Steps {
             };
             rec.dispatch(kernel, count * width / 2);
         }
-        let Inputs { tokens, moments, schedule, .. } = inputs;
+        let Inputs { tokens: Rows { tensor: tokens, .. }, moments, schedule, .. } = inputs;
         let adam = Adam::default();
         record_adam(&mut rec, adam, tokens, d_tokens, moments, schedule, 1.0, Space::Linear, count * width);
         [tokens, losses.value].iter().for_each(|tensor| rec.output(*tensor));

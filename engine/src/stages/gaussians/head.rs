@@ -57,22 +57,15 @@ impl Head {
         HeadKept { hidden: rows(first), raw: rows(third), unit }
     }
 
-    /// Records the head for `tokens` `[count, width + color_width]` f32, scene tokens beside colour features, into a scene whose
-    /// lengths are `unit` (`[1]` f32) times the network's.
-    pub fn record(
-        &self,
-        rec: &mut Recorder,
-        tokens: Tensor,
-        count: usize,
-        unit: Tensor,
-        into: &SceneTensors,
-    ) -> HeadKept {
+    /// Records the head for `tokens`, f32 scene tokens beside colour features, into a scene whose lengths are `unit` (`[1]` f32) times
+    /// the network's.
+    pub fn record(&self, rec: &mut Recorder, tokens: Rows, unit: Tensor, into: &SceneTensors) -> HeadKept {
         let [first, _, third] = &self.layers;
         let kept = rec.scope("head", |rec| {
-            let mut rows = |name, layer: &Linear| Rows::scratch(rec, name, count, layer.columns, Element::F32);
+            let mut rows = |name, layer: &Linear| Rows::scratch(rec, name, tokens.count, layer.columns, Element::F32);
             HeadKept { hidden: rows("hidden", first), raw: rows("raw", third), unit }
         });
-        self.record_kept(rec, tokens, &kept, into);
+        self.record_kept(rec, tokens.tensor, &kept, into);
         kept
     }
 

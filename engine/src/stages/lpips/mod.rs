@@ -3,146 +3,21 @@
 //! Source: Zhang et al. 2018, version 0.1. Features of both pictures are brought to length 1 at every pixel of five layers;
 //! the weighted squares of their differences are averaged over pixels and summed over layers.
 
+mod features;
+mod network;
+
+pub use network::LpipsNetwork;
+
 use crate::{
-    gpu::{Element, Recorder, Tensor},
-    kernels::{loss::Value, lpips as kernels, ops::Im2col},
-    ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
+    gpu::{Recorder, Tensor},
+    kernels::{loss::Value, lpips as kernels},
+    ops::{ParameterLayout, Rows, row_chunks},
 };
-use std::ops::Range;
+use features::{Convolution, Features, Inputs, Pool};
+use network::Recipe;
 
 /// Layers whose features are compared.
 pub const TAPS: usize = 5;
-
-/// Rows that a convolution multiplies at once fill this share of a binding, so that scratch stays small.
-const SHARE: usize = 8;
-
-/// The network that sees the pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LpipsNetwork {
-    /// VGG16: the reference's, in training, alignment and metric.
-    Vgg,
-    /// AlexNet: the authors' choice for judging, ten times as fast.
-    Alex,
-}
-
-/// The shape of a convolution and what comes before and behind it.
-struct Recipe {
-    outputs: usize,
-    side: usize,
-    step: usize,
-    padding: usize,
-    /// The pooling before it.
-    pool: Option<Pool>,
-    /// Features behind it are compared.
-    tap: bool,
-}
-
-impl LpipsNetwork {
-    /// The name in file names and options.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Vgg => "vgg",
-            Self::Alex => "alex",
-        }
-    }
-
-    /// The least side of a picture that leaves a pixel to every layer.
-    pub fn least_side(self) -> u32 {
-        match self {
-            Self::Vgg => 16,
-            Self::Alex => 31,
-        }
-    }
-
-    fn recipes(self) -> Vec<Recipe> {
-        match self {
-            Self::Vgg => {
-                let stages = [(64, 2), (128, 2), (256, 3), (512, 3), (512, 3)];
-                let of_stage = |(stage, (outputs, count)): (usize, (usize, usize))| {
-                    (0..count).map(move |i| Recipe {
-                        outputs,
-                        side: 3,
-                        step: 1,
-                        padding: 1,
-                        pool: (stage > 0 && i == 0).then_some(Pool { side: 2, step: 2 }),
-                        tap: i + 1 == count,
-                    })
-                };
-                stages.into_iter().enumerate().flat_map(of_stage).collect()
-            }
-            Self::Alex => {
-                let layers = [(64, 11, 4, 2, false), (192, 5, 1, 2, true), (384, 3, 1, 1, true), (256, 3, 1, 1, false)];
-                let recipe = |(outputs, side, step, padding, pooled): (usize, usize, usize, usize, bool)| Recipe {
-                    outputs,
-                    side,
-                    step,
-                    padding,
-                    pool: pooled.then_some(Pool { side: 3, step: 2 }),
-                    tap: true,
-                };
-                layers.into_iter().chain([(256, 3, 1, 1, false)]).map(recipe).collect()
-            }
-        }
-    }
-}
-
-/// Features of a picture, `[height * width, channels]` f32.
-#[derive(Clone, Copy)]
-struct Features {
-    rows: Rows,
-    height: usize,
-    width: usize,
-}
-
-impl Features {
-    fn scratch(rec: &mut Recorder, name: &str, [height, width]: [usize; 2], channels: usize) -> Self {
-        Self { rows: Rows::scratch(rec, name, height * width, channels, Element::F32), height, width }
-    }
-
-    fn channels(&self) -> usize {
-        self.rows.width
-    }
-
-    fn size(&self) -> [usize; 2] {
-        [self.height, self.width]
-    }
-
-    /// Bytes of a line.
-    fn line_bytes(&self) -> usize {
-        self.width * self.rows.row_bytes()
-    }
-
-    /// These lines and few before them, as slices start at whole bindings; and the first line's index.
-    fn lines(&self, lines: Range<usize>) -> (Tensor, u32) {
-        let aligned = 256 >> self.line_bytes().trailing_zeros().min(8);
-        let first = lines.start / aligned * aligned;
-        (self.rows.part(first * self.width..lines.end.min(self.height) * self.width).tensor, first as u32)
-    }
-}
-
-/// A convolution as a product of rows.
-struct Convolution {
-    layer: Linear,
-    side: usize,
-    step: usize,
-    padding: usize,
-    /// The distance of the inputs' pixels, between which are zeros.
-    spread: usize,
-}
-
-/// What happens to the inputs of a convolution.
-enum Inputs {
-    AsTheyAre,
-    Rectified,
-    Gated(Features),
-}
-
-/// Max pooling without padding.
-#[derive(Clone, Copy)]
-struct Pool {
-    side: usize,
-    step: usize,
-}
 
 struct Layer {
     forward: Convolution,
@@ -335,103 +210,5 @@ impl Layer {
         let size = self.pool.as_ref().map_or(before.size(), |pool| pool.size(before));
         let d = convolution.record(rec, "d_features", d, Inputs::Gated(after), size);
         self.pool.as_ref().map_or(d, |pool| pool.backward(rec, before, d))
-    }
-}
-
-impl Convolution {
-    fn record(&self, rec: &mut Recorder, name: &str, source: Features, inputs: Inputs, out: [usize; 2]) -> Features {
-        let out = Features::scratch(rec, name, out, self.layer.columns);
-        let inner = self.layer.inner;
-        for part in row_chunks(rec, out.rows.count, &[SHARE * 4 * inner, out.rows.row_bytes()]) {
-            let lines = part.start / out.width..(part.end - 1) / out.width + 1;
-            let first = (lines.start * self.step).saturating_sub(self.padding) / self.spread;
-            let last = ((lines.end - 1) * self.step + self.side).saturating_sub(self.padding + 1) / self.spread;
-            let seen = first.min(source.height - 1)..(last + 1).clamp(1, source.height);
-            let (values, source_first) = source.lines(seen.clone());
-            let patches = Rows::scratch(rec, "patches", part.len(), inner, Element::F32);
-            let kernel = Im2col {
-                source: values,
-                gate: if let Inputs::Gated(gate) = &inputs { gate.lines(seen).0 } else { values },
-                out: patches.tensor,
-                count: patches.values() as u32,
-                row: inner as u32,
-                first: part.start as u32,
-                out_width: out.width as u32,
-                channels: source.channels() as u32,
-                width: source.width as u32,
-                height: source.height as u32,
-                source_first,
-                side: self.side as u32,
-                step: self.step as u32,
-                padding: self.padding as u32,
-                spread: self.spread as u32,
-                rectified: matches!(inputs, Inputs::Rectified),
-                gated: matches!(inputs, Inputs::Gated(_)),
-            };
-            rec.dispatch(kernel, patches.values());
-            self.layer.record(rec, patches, out.rows.part(part), Epilogue::default());
-        }
-        out
-    }
-}
-
-impl Pool {
-    /// Height and width of the result.
-    fn size(&self, source: Features) -> [usize; 2] {
-        source.size().map(|side| (side - self.side) / self.step + 1)
-    }
-
-    fn forward(&self, rec: &mut Recorder, source: Features) -> Features {
-        let out = Features::scratch(rec, "pooled", self.size(source), source.channels());
-        for lines in row_chunks(rec, out.height, &[source.line_bytes() * self.step, out.line_bytes()]) {
-            let seen = lines.start * self.step..(lines.end - 1) * self.step + self.side;
-            let (values, source_first) = source.lines(seen);
-            let count = lines.len() * out.width * out.channels();
-            let kernel = kernels::Pool {
-                source: values,
-                out: out.rows.part(lines.start * out.width..lines.end * out.width).tensor,
-                count: count as u32,
-                first: lines.start as u32,
-                out_width: out.width as u32,
-                channels: out.channels() as u32,
-                width: source.width as u32,
-                source_first,
-                side: self.side as u32,
-                step: self.step as u32,
-            };
-            rec.dispatch(kernel, count);
-        }
-        out
-    }
-
-    /// The gradient by the rectified `source`, from that by the result.
-    fn backward(&self, rec: &mut Recorder, source: Features, d_out: Features) -> Features {
-        let d = Features::scratch(rec, "d_pooled", source.size(), source.channels());
-        for lines in row_chunks(rec, d.height, &[2 * d.line_bytes()]) {
-            let windows = (lines.start.max(self.side - 1) + 1 - self.side).div_ceil(self.step)
-                ..((lines.end - 1) / self.step + 1).min(d_out.height);
-            let windows = windows.start.min(d_out.height - 1)..windows.end.max(1);
-            let seen = (windows.start * self.step).min(lines.start)
-                ..((windows.end - 1) * self.step + self.side).max(lines.end);
-            let ((values, source_first), (d_values, out_first)) = (source.lines(seen), d_out.lines(windows));
-            let count = lines.len() * d.width * d.channels();
-            let kernel = kernels::PoolBackward {
-                source: values,
-                d_out: d_values,
-                d_source: d.rows.part(lines.start * d.width..lines.end * d.width).tensor,
-                count: count as u32,
-                first: lines.start as u32,
-                out_first,
-                out_width: d_out.width as u32,
-                out_height: d_out.height as u32,
-                channels: d.channels() as u32,
-                width: d.width as u32,
-                source_first,
-                side: self.side as u32,
-                step: self.step as u32,
-            };
-            rec.dispatch(kernel, count);
-        }
-        d
     }
 }

@@ -1,0 +1,73 @@
+//! The networks: their convolutions, and after which of them features are compared.
+
+use super::features::Pool;
+
+/// The network that sees the pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LpipsNetwork {
+    /// VGG16: the reference's, in training, alignment and metric.
+    Vgg,
+    /// AlexNet: the authors' choice for judging, ten times as fast.
+    Alex,
+}
+
+/// The shape of a convolution and what comes before and behind it.
+pub(super) struct Recipe {
+    pub outputs: usize,
+    pub side: usize,
+    pub step: usize,
+    pub padding: usize,
+    /// The pooling before it.
+    pub pool: Option<Pool>,
+    /// Features behind it are compared.
+    pub tap: bool,
+}
+
+impl LpipsNetwork {
+    /// The name in file names and options.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Vgg => "vgg",
+            Self::Alex => "alex",
+        }
+    }
+
+    /// The least side of a picture that leaves a pixel to every layer.
+    pub fn least_side(self) -> u32 {
+        match self {
+            Self::Vgg => 16,
+            Self::Alex => 31,
+        }
+    }
+
+    pub(super) fn recipes(self) -> Vec<Recipe> {
+        match self {
+            Self::Vgg => {
+                let stages = [(64, 2), (128, 2), (256, 3), (512, 3), (512, 3)];
+                let of_stage = |(stage, (outputs, count)): (usize, (usize, usize))| {
+                    (0..count).map(move |i| Recipe {
+                        outputs,
+                        side: 3,
+                        step: 1,
+                        padding: 1,
+                        pool: (stage > 0 && i == 0).then_some(Pool { side: 2, step: 2 }),
+                        tap: i + 1 == count,
+                    })
+                };
+                stages.into_iter().enumerate().flat_map(of_stage).collect()
+            }
+            Self::Alex => {
+                let layers = [(64, 11, 4, 2, false), (192, 5, 1, 2, true), (384, 3, 1, 1, true), (256, 3, 1, 1, false)];
+                let recipe = |(outputs, side, step, padding, pooled): (usize, usize, usize, usize, bool)| Recipe {
+                    outputs,
+                    side,
+                    step,
+                    padding,
+                    pool: pooled.then_some(Pool { side: 3, step: 2 }),
+                    tap: true,
+                };
+                layers.into_iter().chain([(256, 3, 1, 1, false)]).map(recipe).collect()
+            }
+        }
+    }
+}
