@@ -249,7 +249,7 @@ fn pictures_without_cameras_are_aligned() {
     let near = |row: &serde_json::Value| row["degrees"].as_f64().is_some_and(|degrees| (0.0..15.0).contains(&degrees));
     assert!(rows.len() == 2 && rows.iter().all(near), "{}", json["aligned"]);
     let csv = std::fs::read_to_string(folder.path("s.csv")).expect("the table was written");
-    assert!(csv.lines().next().is_some_and(|line| line.ends_with("degrees,distance,doubt")), "{csv}");
+    assert!(csv.lines().next().is_some_and(|line| line.ends_with("degrees,distance,doubt,lpips")), "{csv}");
     // Random weights know nothing of the place, and the figures say so.
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);

@@ -12,7 +12,7 @@ use zipsplat_tests::{device::device, networks, scenes::camera};
 
 const GRID: ViewGrid = ViewGrid { views: 4, rows: 18, columns: 20, patch: 14 };
 
-/// What there is to see: a wall alone, or a ball before it and a floor, too.
+/// Places: a wall alone, or a ball before it and a floor, too.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
     Wall,

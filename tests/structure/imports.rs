@@ -1,5 +1,5 @@
-//! Who may use whom, where Cargo does not say it: each module of the engine names only what stands before it. That only
-//! `engine/gpu` names Vulkan, and that the references know nothing of the engine, follows from the crates.
+//! Layers use only those before them, where Cargo does not say it: each module of the engine names only what stands before it.
+//! That only `engine/gpu` names Vulkan, and that the references know nothing of the engine, follows from the crates.
 
 use crate::source::{Source, files, paths, tokens};
 

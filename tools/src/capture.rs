@@ -308,7 +308,7 @@ fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
 }
 
 /// The direction of a number; those of many are spread evenly.
-fn spread(k: usize) -> DVec3 {
+pub fn spread(k: usize) -> DVec3 {
     // The R2 sequence (Roberts 2018).
     let [u, v] = [0.754_877_666_246_693, 0.569_840_290_998_053].map(|step| (0.5 + step * k as f64).fract());
     let z: f64 = 2.0 * u - 1.0;

@@ -58,7 +58,7 @@ impl Arena {
         free.is_ok().then(|| Claim(self.clone()))
     }
 
-    /// This arena and the right to run plans in it, or another one where somebody has that right now.
+    /// The arena and the right to run plans in it, or another one where somebody has that right now.
     pub fn claimed(&self) -> (Self, Option<Claim>) {
         match self.claim() {
             Some(claim) => (self.clone(), Some(claim)),

@@ -49,7 +49,7 @@ pub struct zs_device_info {
     pub driver: [c_char; 256],
     /// Reasons why the device is not usable; "" where it is.
     pub missing: [c_char; 512],
-    /// Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    /// UUID of the device, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
     pub uuid: [c_char; 40],
 }
 

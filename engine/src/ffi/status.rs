@@ -34,7 +34,7 @@ pub enum zs_status {
     ZS_ERROR_DEVICE_LOST = 8,
     /// Your progress callback asked to stop.
     ZS_ERROR_CANCELLED = 9,
-    /// This build of the library does not have what was asked for.
+    /// The build of the library does not have what was asked for.
     ZS_ERROR_UNSUPPORTED = 10,
     /// A bug in the library. It goes on working, but the objects of this call are better destroyed.
     ZS_ERROR_INTERNAL = 11,

@@ -1,6 +1,6 @@
 //! Features of two pictures, compared pixel by pixel.
 
-/// What is added to lengths.
+/// The length that is added to each.
 const EPSILON: f64 = 1e-10;
 
 /// The weighted squares of the differences of unit features `[pixels, channels]`, a sum a pixel.

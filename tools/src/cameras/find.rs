@@ -28,7 +28,7 @@ use zipsplat::{
 const FIND: &str = "find";
 /// Most photos of which all pairs are matched where nobody says: their number goes with the square.
 const ALL_PAIRS: usize = 100;
-/// Of so few photos none should be lost without another try.
+/// Most photos of which none should be lost without another try.
 const FEW_PHOTOS: usize = 12;
 /// Share of more photos with which one try is enough.
 const ENOUGH: f64 = 0.8;

@@ -102,7 +102,7 @@ struct Failure {
     error: String,
 }
 
-/// What became of the captures so far.
+/// The captures so far by their outcome.
 #[derive(Default)]
 struct Tally {
     made: usize,
@@ -217,7 +217,7 @@ impl Batch {
     }
 }
 
-/// What all captures of a run share.
+/// The things that all captures of a run share.
 struct Runner<'a> {
     batch: &'a Batch,
     works: &'a [Work],
@@ -328,7 +328,7 @@ impl Runner<'_> {
         Ok(Made { scene, world, record })
     }
 
-    /// What a scene is made of and with.
+    /// The inputs and options that a scene is made of.
     fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
         let mut hash = Sha256::new();
         hash.update(&self.made_with);

@@ -90,7 +90,7 @@ pub struct Eval {
     /// which its head makes Gaussians, and not the Gaussians themselves
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", conflicts_with = "pose_free")]
     refine: Option<Steps>,
-    /// What the refinement starts from [default: with the model that is built in points, where the capture has enough,
+    /// Start of the refinement [default: with the model that is built in points, where the capture has enough,
     /// else the scene]. Points of a capture may come from the held-out photos, too
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,

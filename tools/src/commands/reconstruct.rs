@@ -94,7 +94,7 @@ pub struct Reconstruct {
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         )]
     refine: Option<Option<Steps>>,
-    /// What --refine starts from; points are those that structure from motion left beside the cameras [default: with the
+    /// Start of --refine; points are those that structure from motion left beside the cameras [default: with the
     /// model that is built in points, where there are enough, else the scene]
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
@@ -135,7 +135,7 @@ struct Captured {
 enum WorldName {
     /// The first photo's camera: x right, y down, z forward
     First,
-    /// That of the cameras, so that they fit the scene in any program as they are
+    /// The world of the cameras, so that they fit the scene in any program as they are
     Cameras,
 }
 

@@ -57,7 +57,7 @@ pub struct Refine {
     /// Photo whose camera is the scene's world [default: the one that the scene's file names, else the cameras' own world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
-    /// What to start from
+    /// Start of the refinement
     #[arg(long, value_enum, value_name = "WHAT", default_value = "scene")]
     start: Start,
     /// Steps of the optimiser

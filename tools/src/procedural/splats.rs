@@ -14,10 +14,13 @@ const OPACITY: f32 = 0.95;
 impl Capture {
     /// One round Gaussian for every pixel of every photo that shows a surface, in the capture's world.
     pub fn splats(&self) -> Scene {
+        self.splats_of(0..self.images.len())
+    }
+
+    /// The same of some of the photos.
+    pub fn splats_of(&self, views: impl Iterator<Item = usize>) -> Scene {
         let mut scene = Scene { sh_degree: 0, ..Scene::default() };
-        for ((camera, image), depth) in self.cameras.iter().zip(&self.images).zip(&self.depths) {
-            add_view(&mut scene, camera, image, depth);
-        }
+        views.for_each(|i| add_view(&mut scene, &self.cameras[i], &self.images[i], &self.depths[i]));
         scene
     }
 }

@@ -1,4 +1,4 @@
-//! What a page asks its server for.
+//! The requests of a page to its server.
 
 use super::{
     Config, Live, Requests, Studio, Watched,

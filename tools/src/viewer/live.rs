@@ -154,7 +154,7 @@ impl Live<'_> {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].precision
     }
 
-    /// What the page may ask for.
+    /// The choices that a page has.
     pub fn ratios(&self) -> Ratios {
         let tokens = self.grid().tokens();
         let first = self.first_precision();

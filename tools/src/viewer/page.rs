@@ -72,7 +72,7 @@ pub struct View {
     pub photo: String,
 }
 
-/// What scenes can be asked for.
+/// The scenes that can be asked for.
 #[derive(Serialize)]
 pub struct Ratios {
     /// Tokens at ratio 1.

@@ -61,7 +61,7 @@ pub struct FromPhotos {
     /// Make the scene sharp in so many steps, as reconstruct does, while the page shows it; a written page holds the result, too
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
     refine: Option<Option<Steps>>,
-    /// What --refine starts from, as of reconstruct
+    /// Start of --refine, as of reconstruct
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
     /// Most pixels of a photo along x and y in --refine

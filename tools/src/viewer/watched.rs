@@ -23,7 +23,7 @@ use zipsplat::{
 /// Scenes that are shown on the way.
 const SHOWN: usize = 50;
 
-/// What is refined.
+/// The thing that is refined.
 pub enum Start {
     Scene(Scene),
     Tokens(SceneTokens),

@@ -36,7 +36,7 @@ impl Features {
         self.width * self.rows.row_bytes()
     }
 
-    /// These lines and few before them, as slices start at whole bindings; and the first line's index.
+    /// The lines and few before them, as slices start at whole bindings; and the first line's index.
     fn lines(&self, lines: Range<usize>) -> (Tensor, u32) {
         let aligned = 256 >> self.line_bytes().trailing_zeros().min(8);
         let first = lines.start / aligned * aligned;
@@ -54,7 +54,7 @@ pub struct Convolution {
     pub spread: usize,
 }
 
-/// What happens to the inputs of a convolution.
+/// The treatment of a convolution's inputs.
 pub enum Inputs {
     AsTheyAre,
     Rectified,

@@ -30,9 +30,9 @@ pub struct HostGradients {
 /// The gradients that are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Wanted {
-    /// Those of the Gaussians.
+    /// The gradients by the Gaussians.
     pub scene: bool,
-    /// Those of the cameras.
+    /// The gradients by the cameras.
     pub cameras: bool,
 }
 
@@ -254,7 +254,7 @@ fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Res
 }
 
 impl RenderRequest {
-    /// What has to be drawn for the gradient of this: alpha, too, where expected depth is divided by it.
+    /// The pictures that have to be drawn for the gradient of this: alpha, too, where expected depth is divided by it.
     pub fn differentiable(self) -> Self {
         Self { alpha: self.alpha || self.depth == Some(Depth::Expected), ..self }
     }

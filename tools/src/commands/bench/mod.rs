@@ -1,5 +1,6 @@
 //! `zipsplat bench`: times on a device, each the median of many with its least and greatest.
 
+mod align;
 mod effects;
 mod forward;
 mod gemm;
@@ -20,7 +21,8 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the forward pass, of a matrix product, of drawing, of refining; a device's limits; what accuracy costs in time
+/// Times of the forward pass, of a matrix product, of drawing, of refining, of finding cameras; a device's limits; what accuracy costs
+/// in time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
@@ -28,6 +30,7 @@ use zipsplat::{
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
   zipsplat bench refine --gaussians 102000 --size 252x252
+  zipsplat bench align --degrees 1,5
   zipsplat bench tradeoff capture/ -o report/
 
 Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from
@@ -39,6 +42,7 @@ pub struct Bench {
 
 #[derive(Subcommand)]
 enum What {
+    Align(align::Align),
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Peak(peak::Peak),
@@ -64,6 +68,7 @@ struct Repeats {
 impl Bench {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match &self.what {
+            What::Align(bench) => bench.run(session),
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),

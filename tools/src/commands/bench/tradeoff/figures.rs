@@ -24,7 +24,7 @@ const GAUSSIANS: Axis<'_> = log("Gaussians");
 const VIEWS: Axis<'_> = linear("input photos");
 const SHARE: Axis<'_> = log("share of tokens");
 
-/// What a colour means: a name for it, and the value of a point.
+/// The meaning of a colour: a name for it, and the value of a point.
 type Meaning = (&'static str, fn(&Point) -> String);
 
 const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());

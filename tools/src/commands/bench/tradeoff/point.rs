@@ -62,7 +62,7 @@ impl Point {
         self.refine != "0"
     }
 
-    /// Its settings, in words.
+    /// The settings in words.
     pub fn settings(&self) -> String {
         let photos = counted(self.views, "photo");
         let chosen = match self.select.as_str() {
