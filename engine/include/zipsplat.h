@@ -116,7 +116,7 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_DEVICE_LOST = 8,
     // Your progress callback asked to stop.
     ZS_ERROR_CANCELLED = 9,
-    // This build of the library does not have what was asked for.
+    // The build of the library does not have what was asked for.
     ZS_ERROR_UNSUPPORTED = 10,
     // A bug in the library. It goes on working, but the objects of this call are better destroyed.
     ZS_ERROR_INTERNAL = 11,
@@ -168,7 +168,7 @@ typedef struct zs_device_info {
     char driver[256];
     // Reasons why the device is not usable; "" where it is.
     char missing[512];
-    // Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    // UUID of the device, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
     char uuid[40];
 } zs_device_info;
 
