@@ -238,8 +238,9 @@ impl Reconstruct {
         times.push(("write", write));
         let seconds: serde_json::Map<_, _> =
             times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
-        let peak_bytes =
-            forward.iter().map(|forward| forward.result.peak_bytes).fold(device.allocated_bytes(), u64::max);
+        let peaks = forward.iter().map(|forward| forward.result.peak_bytes);
+        let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
+        let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
             "output": self.output, "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
             "peak_bytes": peak_bytes, "seconds": seconds,
