@@ -1,7 +1,7 @@
 //! Cameras from points of the world and the pixels in which they are seen: perspective-n-point.
 //!
-//! Three pairs give a camera ([`p3p`]), of many tries that is kept which most pairs agree with (LO-RANSAC: Chum, Matas, Kittler,
-//! Locally Optimized RANSAC, 2003), and all of those move it to where they see it best ([`adjust`]). Everything is f64 on the host.
+//! Three pairs give a camera (P3P), of many tries that is kept which most pairs agree with (LO-RANSAC: Chum, Matas, Kittler,
+//! Locally Optimized RANSAC, 2003), and all of those move it to where they see it best. Everything is f64 on the host.
 
 mod adjust;
 mod p3p;
