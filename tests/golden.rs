@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Metadata, TensorInfo};
 use safetensors::{Dtype, SafeTensors};
+use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
 /// A safetensors file starts with the length of its header, a u64.
 const LENGTH_BYTES: usize = 8;
@@ -31,6 +32,21 @@ pub fn find(file: &str) -> Option<PathBuf> {
         let _ = writeln!(io::stderr(), "golden {file} is absent (tests/data, ../shared/golden/data): not compared");
     }
     found
+}
+
+/// The weights of LPIPS, which no repository has, or `None` with a printed line where nobody has fetched them.
+pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
+    let found = Perceptual::file(network);
+    if let Err(error) = &found {
+        let _ = writeln!(io::stderr(), "{error}: not compared");
+    }
+    found.ok()
+}
+
+/// `[N, 3, pixels]` as `[N, pixels, 3]`.
+pub fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
+    let picture = |planes: &[T]| (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect::<Vec<_>>();
+    planes.chunks(3 * pixels).flat_map(picture).collect()
 }
 
 /// File names in both folders that start with `prefix` and end with `.safetensors`, sorted: `micro.v` lists the

@@ -9,6 +9,7 @@
 //! - [`photos`] are photos as cameras write them.
 //! - [`processes`] are tests that run in processes of their own.
 //! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
+//! - [`mod@random`] are numbers that are the same on every machine.
 //! - [`scenes`] are Gaussians and cameras as the engine takes them.
 
 pub mod architectures;
@@ -19,6 +20,7 @@ pub mod golden;
 pub mod networks;
 pub mod photos;
 pub mod processes;
+pub mod random;
 pub mod scenes;
 
 pub use zipsplat_reference as reference;

@@ -315,7 +315,7 @@ zs_status zs_capture_get_count(const struct zs_capture *capture,
 
 // Says what photo number `index` is: the camera that took it, where lens distortion is undone a pinhole camera; its name as the
 // file writes it; and where it lies, NULL where it was not found. Texts are the capture's own memory, there until it is destroyed.
-// What is not wanted may be NULL. Set the camera's struct_size before the call.
+// Pointers for what is not wanted may be NULL. Set the camera's struct_size before the call.
 zs_status zs_capture_get(const struct zs_capture *capture,
                          size_t index,
                          struct zs_camera *camera,

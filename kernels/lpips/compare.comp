@@ -3,7 +3,7 @@
 // A, B      [pixels, channels] f32, not yet rectified
 // Weights   [channels] f32
 // Sums      [pixels] f32, scale times the sum
-// DA        [pixels, channels] f32, written where GRADIENT: d_scale times the gradient by rectified features, added to what
+// DA        [pixels, channels] f32, written where GRADIENT: the gradient of their sum by rectified features, added to what
 //           is there where ADD
 //
 // One workgroup (a subgroup) owns a pixel. Source: Zhang et al. 2018, version 0.1, with 1e-10 added to lengths.
@@ -22,7 +22,7 @@ layout(set = 0, binding = 2) readonly buffer Weights { float weights[]; };
 layout(set = 0, binding = 3) writeonly buffer Sums { float sums[]; };
 layout(set = 0, binding = 4) buffer DA { float d_a[]; };
 
-layout(push_constant) uniform Push { uint pixels; uint channels; float scale; float d_scale; };
+layout(push_constant) uniform Push { uint pixels; uint channels; float scale; };
 
 const float EPSILON = 1e-10;
 
@@ -49,7 +49,7 @@ void main() {
     for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
         vec2 values = max(vec2(a[from + c], b[from + c]), 0);
         float difference = values.x * inverse.x - values.y * inverse.y;
-        float gradient = d_scale * (2 * weights[c] * difference * inverse.x - values.x * inverse.x * along);
+        float gradient = scale * (2 * weights[c] * difference * inverse.x - values.x * inverse.x * along);
         d_a[from + c] = ADD ? d_a[from + c] + gradient : gradient;
     }
 }

@@ -304,3 +304,10 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         assert!(code != 0 && err.contains(&format!("port {port}")), "{err}");
     });
 }
+
+#[test]
+fn options_of_a_refinement_need_one() {
+    for option in ["--grow 100", "--refine-cameras", "--start points", "--hold-out 1"] {
+        folder().run(&format!("view @/photos --poses @/cameras.json {option}")).fails_usage();
+    }
+}

@@ -4,6 +4,7 @@ use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
 use zipsplat::ops::{AttentionKernel, LinearKernel, NearestKernel, Units};
 use zipsplat_tests::device::device;
+pub use zipsplat_tests::random::{random, random_below};
 
 /// Bytes behind an output that nothing may write.
 const GUARD: usize = 256;
@@ -108,24 +109,6 @@ pub fn nearest_kernels() -> Vec<NearestKernel> {
 /// Values as they are once they are stored in this type.
 pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
     element.decode(&element.encode(&values))
-}
-
-/// `len` values in (-1, 1), the same for the same seed (splitmix64).
-pub fn random(seed: u64, len: usize) -> Vec<f32> {
-    let signed = |z: u64| (z >> 40) as f32 / (1 << 23) as f32 - 1.0;
-    (0..len).map(|i| signed(bits(seed, i))).collect()
-}
-
-/// `len` whole numbers below `bound`, the same for the same seed.
-pub fn random_below(seed: u64, len: usize, bound: u32) -> Vec<u32> {
-    (0..len).map(|i| (bits(seed, i) >> 32) as u32 % bound).collect()
-}
-
-fn bits(seed: u64, i: usize) -> u64 {
-    let z = (seed << 32).wrapping_add(i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// f64 results of at most one rounding each as the f32 that a kernel gives exactly.

@@ -8,7 +8,7 @@ use zipsplat::types::{Camera, Pose};
 use zipsplat_cli::align::adam::Descent;
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden};
+use zipsplat_tests::golden::{self, Golden, lpips_weights};
 use zipsplat_tests::scenes::{golden_scene, intrinsics};
 
 /// `[R row-major (9), t (3)]`.
@@ -59,10 +59,7 @@ fn the_steps_are_those_of_the_authors() {
 
 #[test]
 fn the_steps_with_lpips_are_those_of_the_authors() {
-    let Ok(path) = Perceptual::file(LpipsNetwork::Vgg) else {
-        eprintln!("weights of LPIPS are absent (python3 tools/lpips.py): not compared");
-        return;
-    };
+    let Some(path) = lpips_weights(LpipsNetwork::Vgg) else { return };
     for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
         let lpips = Perceptual::open(device(), LpipsNetwork::Vgg, &path, true).unwrap();
         check_steps(&golden, "lpips/", Some(lpips));

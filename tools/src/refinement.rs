@@ -2,10 +2,11 @@
 
 use crate::{
     cameras::path_from,
+    options::Size,
     session::Session,
     table::{Table, bytes, counted, time},
 };
-use clap::{Args, ValueEnum};
+use clap::{ArgGroup, Args, ValueEnum};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::{
@@ -152,6 +153,50 @@ pub struct Moved {
     /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
     #[arg(long, value_name = "N", value_parser = parse_count)]
     grow: Option<usize>,
+}
+
+/// The refinement of a scene that is made of photos.
+#[derive(Args)]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
+pub struct RefineOptions {
+    /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
+    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
+    /// the step that predicts it best. Ctrl-C in between writes the best so far
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
+    refine: Option<Option<Steps>>,
+    /// Start of --refine; points are those that structure from motion left beside the cameras [default: with the
+    /// model that is built in points, where there are enough, else the scene]
+    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    pub start: Option<Start>,
+    /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
+    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
+    refine_size: Size,
+    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
+    #[arg(long, value_name = "K", requires = "refine")]
+    hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+}
+
+impl RefineOptions {
+    /// The steps of --refine; on its own it takes the default's.
+    pub fn steps(&self) -> Option<Steps> {
+        self.refine.map(Option::unwrap_or_default)
+    }
+
+    /// Refuses what tokens cannot start from.
+    ///
+    /// # Errors
+    /// As [`Steps::check`].
+    pub fn check(&self) -> Result<()> {
+        self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))
+    }
+
+    /// The request of these steps.
+    pub fn request(&self, steps: Steps) -> Refine {
+        let size = Some([self.refine_size.0, self.refine_size.1]);
+        self.moved.request(Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() })
+    }
 }
 
 fn parse_count(text: &str) -> Result<usize, String> {

@@ -104,7 +104,7 @@ impl Image {
     /// orientation says. Files of cameras count pixels as they are stored.
     ///
     /// # Errors
-    /// As [`Image::size`], and [`Error::Argument`] for a photo that is mirrored, which no camera is.
+    /// The errors of [`Image::size`], and [`Error::Argument`] for a photo that is mirrored, which no camera is.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
         let orientation = stored_size(path.as_ref())?.1;
         let (lens, [right, down, forward]) =

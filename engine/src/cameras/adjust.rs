@@ -7,7 +7,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// Steps that are tried at most.
 const STEPS: usize = 50;
-/// Where a step gains less than this share, it is done.
+/// Share of the loss that a step has to gain to be followed by another.
 const TOLERANCE: f64 = 1e-12;
 /// Damping from which on no step is of use.
 const MOST_DAMPING: f64 = 1e12;

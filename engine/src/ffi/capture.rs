@@ -79,7 +79,7 @@ pub unsafe extern "C" fn zs_capture_get_count(
 
 /// Says what photo number `index` is: the camera that took it, where lens distortion is undone a pinhole camera; its name as the
 /// file writes it; and where it lies, NULL where it was not found. Texts are the capture's own memory, there until it is destroyed.
-/// What is not wanted may be NULL. Set the camera's struct_size before the call.
+/// Pointers for what is not wanted may be NULL. Set the camera's struct_size before the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get(
     capture: *const zs_capture,

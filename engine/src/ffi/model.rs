@@ -23,7 +23,7 @@ pub struct zs_model {
     pub(super) picture_side: u32,
     /// The latest scene, which stays on the device for renderers.
     pub(super) latest: LatestScene,
-    /// Where the tokens of its scenes can be refined.
+    /// The head by which tokens of its scenes are refined, where they are kept.
     pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
     /// GPUs and kernels that are not used, one a line.

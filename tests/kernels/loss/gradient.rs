@@ -8,7 +8,7 @@ use zipsplat::stages::{
 };
 use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
 use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden};
+use zipsplat_tests::golden::{self, Golden, interleaved};
 use zipsplat_tests::reference::{loss::gradient as reference, widen};
 
 const LOSSES: [(Loss, &str); 4] =
@@ -62,12 +62,6 @@ fn of(loss: Loss, a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
 
 fn rms(rms: f64) -> Tolerance {
     Tolerance { max: f64::INFINITY, rms }
-}
-
-/// `[N, 3, H, W]` as `[N, H, W, 3]`.
-fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
-    let picture = |planes: &[T]| (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect::<Vec<_>>();
-    planes.chunks(3 * pixels).flat_map(picture).collect()
 }
 
 #[test]

@@ -39,7 +39,6 @@ impl Features {
             pixels: pixels as u32,
             channels: channels as u32,
             scale,
-            d_scale: scale,
             gradient: true,
             add: before.is_some(),
         };

@@ -7,16 +7,16 @@ mod refined;
 use super::render::Render;
 use crate::{
     cameras::{Finding, Found, Known, Place},
-    options::{Quality, Size, Weights, parse_length, refuse},
+    options::{Quality, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::{self, PhotoArgs},
-    refinement::{self, MOST_PIXELS, Moved, Start, Steps, placed, save_cameras},
+    refinement::{self, RefineOptions, Start, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     video::FrameFolder,
     views::FitOption,
 };
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{Args, ValueEnum};
 use forward::{Forward, LOAD_WEIGHTS};
 use refined::{From, Given, Made};
 use serde_json::json;
@@ -37,7 +37,6 @@ use zipsplat::{
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
 #[derive(Args)]
-#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
@@ -88,24 +87,8 @@ pub struct Reconstruct {
     /// Also print the stages that ran, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
-    /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
-    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
-    /// the step that predicts it best. Ctrl-C in between writes the best so far
-    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
-        )]
-    refine: Option<Option<Steps>>,
-    /// Start of --refine; points are those that structure from motion left beside the cameras [default: with the
-    /// model that is built in points, where there are enough, else the scene]
-    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
-    start: Option<Start>,
-    /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
-    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
-    refine_size: Size,
-    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
-    #[arg(long, value_name = "K", requires = "refine")]
-    hold_out: Option<usize>,
     #[command(flatten)]
-    moved: Moved,
+    refine: RefineOptions,
     /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
     #[arg(long, value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
@@ -169,7 +152,7 @@ impl Reconstruct {
         let Captured { photos, poses, mut frame_folder, _found } = self.captured(session)?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let first = frames.first().map(|frame| frame.camera.pose);
-        let steps = self.refine();
+        let steps = self.refine.steps();
         let cloud = match (steps, &poses, &first) {
             (Some(_), Some(Poses { points: Some(points), .. }), Some(first)) => {
                 Some(placed(read_cloud(points)?, &first.inverse(), 1.0))
@@ -298,7 +281,7 @@ impl Reconstruct {
             }
         }
         self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
-        self.refine().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))
+        self.refine.check()
     }
 
     fn finds(&self) -> bool {
@@ -332,11 +315,6 @@ impl Reconstruct {
             return Err(Error::argument("views", photos.len(), expected));
         }
         Ok(Captured { photos, poses, frame_folder, _found: found })
-    }
-
-    /// The steps of --refine; on its own it takes the default's.
-    fn refine(&self) -> Option<Steps> {
-        self.refine.map(Option::unwrap_or_default)
     }
 
     /// The drawing of --pictures, checked before anything that takes time.

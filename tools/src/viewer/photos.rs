@@ -10,9 +10,9 @@ use super::{
 };
 use crate::{
     cameras::{Finding, Known},
-    options::{Quality, Size, Weights, parse_length},
+    options::{Quality, Weights, parse_length},
     photos::{self, Reading},
-    refinement::{MOST_PIXELS, Moved, Start, Steps, placed},
+    refinement::{RefineOptions, Start, placed},
     session::Session,
     table::counted,
     video::FrameFolder,
@@ -27,7 +27,6 @@ use zipsplat::{
     Error, Result,
     gpu::Progress,
     reconstruct::{MAX_VIEWS, Ratio, Request, Shape},
-    refine::Refine,
     types::{
         Camera, PointCloud, Pose,
         poses::{Frame, Poses, read_cloud},
@@ -58,20 +57,8 @@ pub struct FromPhotos {
     /// Ratios of the scenes in a written page, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
     #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',')]
     ratios: Vec<f64>,
-    /// Make the scene sharp in so many steps, as reconstruct does, while the page shows it; a written page holds the result, too
-    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
-    refine: Option<Option<Steps>>,
-    /// Start of --refine, as of reconstruct
-    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
-    start: Option<Start>,
-    /// Most pixels of a photo along x and y in --refine
-    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
-    refine_size: Size,
-    /// Photos that --refine holds out, evenly spread [default: 1 of 9 or more, none with --refine-cameras]
-    #[arg(long, value_name = "K", requires = "refine")]
-    hold_out: Option<usize>,
     #[command(flatten)]
-    moved: Moved,
+    refine: RefineOptions,
 }
 
 /// Ratios of a written page where nobody says, and the most.
@@ -100,14 +87,14 @@ impl FromPhotos {
             ("--ratios", !self.ratios.is_empty()),
             ("--views", self.views.is_some()),
             ("--unit", self.unit.is_some()),
-            ("--refine", self.refine.is_some()),
+            ("--refine", self.refines()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
 
     /// Whether a refinement is asked for.
     pub fn refines(&self) -> bool {
-        self.refine.is_some()
+        self.refine.steps().is_some()
     }
 
     /// Brings photos to the device and runs the network up to its features.
@@ -121,7 +108,7 @@ impl FromPhotos {
         poses: Option<&Path>,
     ) -> Result<Ready<'a>> {
         let cancelled = session.cancelled();
-        self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
+        self.refine.check()?;
         let checkpoint = self.weights.open()?;
         session.notes(checkpoint.notes());
         self.quality.check(checkpoint.architecture())?;
@@ -221,7 +208,7 @@ impl FromPhotos {
     /// # Errors
     /// Where a photo cannot be read, or there is nothing to start from.
     pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
-        let (Some(steps), Some(first)) = (self.steps(), ready.frames.first()) else { return Ok(None) };
+        let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
         let to_scene = first.camera.pose.inverse();
         let camera = |frame: &Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
@@ -235,24 +222,17 @@ impl FromPhotos {
             (Started::Tokens(live.tokens()?), Some(shown))
         } else {
             let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
-            let from = Start::or_best(self.start, cloud.as_ref(), self.weights.is_embedded());
+            let from = Start::or_best(self.refine.start, cloud.as_ref(), self.weights.is_embedded());
             let (scene, shown) = match from.needs()[0] {
                 true => made().map(|Made { scene, shown }| (Some(scene), Some(shown)))?,
                 false => (None, None),
             };
             (Started::Scene(from.scene(scene, cloud.as_ref(), &cameras)?), shown.filter(|_| from == Start::Scene))
         };
-        let size = Some([self.refine_size.0, self.refine_size.1]);
-        let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
-        let request = self.moved.request(request);
+        let request = self.refine.request(steps);
         let tokens = tokens.filter(|_| request.grow.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, photos, cameras, request)))
-    }
-
-    /// The steps of --refine; on its own it takes the default's.
-    fn steps(&self) -> Option<Steps> {
-        self.refine.map(Option::unwrap_or_default)
     }
 }
 

@@ -85,7 +85,7 @@ impl Poses {
     /// The unit of a reconstruction from `views` of this capture, as [`Unit::of`] finds it.
     ///
     /// # Errors
-    /// As [`Unit::of`].
+    /// The errors of [`Unit::of`].
     pub fn unit(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<Unit> {
         let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
         Unit::of(given, &cameras, self.points.as_deref(), views, origin)

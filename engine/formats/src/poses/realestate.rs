@@ -1,22 +1,19 @@
 //! Camera files of RealEstate10K (Zhou et al. 2018): a video's address, then a frame a line.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
 use super::super::file::read_file;
 use super::super::{Camera, Image, Intrinsics, Pose};
-use super::{Frame, Poses, checked};
+use super::{Frame, Poses, checked, transforms::find_photo};
 use crate::{Error, Result};
 
 /// Numbers of a line: microseconds, four of the lens as shares of the picture's sides, two without meaning, and a
 /// world-to-camera matrix of three rows.
 const NUMBERS: usize = 19;
 
-/// The extensions of frames.
-const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
-
-/// Whether a text file is one of these.
+/// A camera file is a text file that begins with an address.
 pub(super) fn is_file(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "txt")
         && read_file(path).is_ok_and(|bytes| bytes.starts_with(b"http"))
@@ -41,7 +38,7 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
             value.ok_or_else(|| malformed(format!("found {field:?}, expected a number")))
         };
         let numbers: Vec<f64> = fields.iter().map(number).collect::<Result<_>>()?;
-        let Some(photo) = find_photo(&folders, name) else {
+        let Some(photo) = folders.iter().find_map(|folder| find_photo(folder, name)) else {
             poses.sizeless.push(folders[0].join(name));
             continue;
         };
@@ -55,12 +52,6 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
         poses.notes.push(format!("{count} frames left out: no picture of them, such as {}", place.display()));
     }
     Ok(poses)
-}
-
-fn find_photo(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
-    let places =
-        folders.iter().flat_map(|folder| EXTENSIONS.map(|extension| folder.join(format!("{name}.{extension}"))));
-    places.into_iter().find(|path| path.is_file())
 }
 
 /// The lens of a picture, from shares of its sides.

@@ -50,7 +50,8 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     Ok(poses)
 }
 
-fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
+/// The photo of this name, with an extension or without.
+pub(super) fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(name);
     let extended = EXTENSIONS.iter().map(|extension| {
         let mut extended = path.clone().into_os_string();
@@ -160,10 +161,10 @@ pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&st
     write_frames_with(path, frames, points, &[])
 }
 
-/// As [`write_frames`], with more fields for each frame, where there are any: for programs that know them.
+/// Writes frames as [`write_frames`] does, with more fields for each frame, where there are any: for programs that know them.
 ///
 /// # Errors
-/// As [`write_frames`].
+/// The errors of [`write_frames`].
 pub fn write_frames_with(
     path: impl AsRef<Path>,
     frames: &[Frame],

@@ -80,7 +80,8 @@ impl Lpips {
     /// Records the distance of two pictures and, where `gradient` is a weight and a tensor like the first picture, adds the
     /// weight times the gradient by the first picture to that.
     ///
-    /// For the gradient the features of the first picture stay, 1,070 bytes a pixel of VGG16.
+    /// For the gradient features stay: all of the first picture and those of the second that are compared, together 1,570 bytes a
+    /// pixel of VGG16.
     pub fn record(&self, rec: &mut Recorder, of: LpipsPictures, gradient: Option<(f32, Tensor)>) -> LpipsTensors {
         rec.scope("lpips", |rec| {
             let value = rec.tensor::<f32>("lpips", 1);
@@ -148,7 +149,6 @@ fn compare(
             pixels: part.len() as u32,
             channels: channels as u32,
             scale,
-            d_scale: scale,
             gradient: gradient.is_some(),
             add: gradient.is_some_and(|(_, add)| add),
         };

@@ -51,7 +51,8 @@ pub struct Differentiator {
 struct Memory {
     resident: Arc<Resident>,
     scene: SceneTensors,
-    gradients: SceneGradients,
+    /// The gradient of each value in its place.
+    gradients: SceneTensors,
 }
 
 struct Planned {
@@ -112,7 +113,7 @@ impl Differentiator {
             found.cameras.extend(self.add(camera, request, &values, wanted)?);
         }
         if let (true, Some(memory)) = (wanted.scene, &self.memory) {
-            found.scene = memory.read(scene.sh_degree)?;
+            found.scene = memory.gradients.read(&memory.resident)?;
         }
         Ok(found)
     }
@@ -173,7 +174,8 @@ impl Differentiator {
             self.plans.remove(0);
         }
         let (shape, request, wanted) = key;
-        let Memory { resident, scene, gradients } = self.memory.as_ref().expect("loaded before");
+        let memory = self.memory.as_ref().expect("loaded before");
+        let Memory { resident, scene, .. } = memory;
         let most = (self.limits().max_binding_bytes / INTERSECTION_BYTES) as usize;
         let capacity = self.capacity.max(first_capacity(scene.len)).min(most);
         let mut rec = Recorder::new(self.limits());
@@ -182,7 +184,7 @@ impl Differentiator {
         let d_frames = rec.input::<f32>("d_frames", values);
         let d_cameras = wanted.cameras.then(|| rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1));
         d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));
-        let gradients = Gradients { scene: wanted.scene.then_some(*gradients), cameras: d_cameras };
+        let gradients = Gradients { scene: wanted.scene.then(|| memory.scene_gradients()), cameras: d_cameras };
         let given = |_: &mut Recorder, _| d_frames;
         let outputs = record_with_gradients(&mut rec, scene, cameras, shape, &request, capacity, given, &gradients);
         d_cameras.iter().for_each(|tensor| rec.output(*tensor));
@@ -199,9 +201,7 @@ impl Memory {
     fn new(device: &Device, (len, sh_degree): (usize, u32)) -> Result<Self> {
         let mut layout = ResidentLayout::new(device.limits());
         let scene = SceneTensors::lay_out(&mut layout, len, sh_degree);
-        let SceneTensors { means, scales, quats, opacities, sh_coeffs, .. } =
-            SceneTensors::lay_out(&mut layout, len, sh_degree);
-        let gradients = SceneGradients { means, scales, quats, opacities, sh_coeffs };
+        let gradients = SceneTensors::lay_out(&mut layout, len, sh_degree);
         Ok(Self { resident: Arc::new(Resident::new(device, &layout)?), scene, gradients })
     }
 
@@ -216,16 +216,9 @@ impl Memory {
         [d.means, d.scales, d.quats, d.opacities, d.sh_coeffs].into_iter().try_for_each(zero)
     }
 
-    fn read(&self, sh_degree: u32) -> Result<Scene> {
-        let Self { resident, gradients: d, .. } = self;
-        Ok(Scene {
-            means: resident.read(d.means)?,
-            scales: resident.read(d.scales)?,
-            quats: resident.read(d.quats)?,
-            opacities: resident.read(d.opacities)?,
-            sh_coeffs: resident.read(d.sh_coeffs)?,
-            sh_degree,
-        })
+    fn scene_gradients(&self) -> SceneGradients {
+        let SceneTensors { means, scales, quats, opacities, sh_coeffs, .. } = self.gradients;
+        SceneGradients { means, scales, quats, opacities, sh_coeffs }
     }
 }
 

@@ -188,7 +188,7 @@ impl Planned<'_> {
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let length = unit.as_ref().map_or(1.0, |unit| unit.length);
         let request = Request { ratio: quality.ratio, selection: quality.select.clone(), cameras, unit: length };
-        let moves_tokens = command.refine().is_some_and(|steps| steps.tokens);
+        let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
         let mut scene = result.scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();

@@ -45,7 +45,7 @@ impl Reconstruct {
     pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
         match steps.tokens {
             true => From::Tokens,
-            false => From::Scene(Start::or_best(self.start, cloud, self.weights.is_embedded())),
+            false => From::Scene(Start::or_best(self.refine.start, cloud, self.weights.is_embedded())),
         }
     }
 
@@ -66,9 +66,7 @@ impl Reconstruct {
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let (photos, _) =
             session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
-        let size = Some([self.refine_size.0, self.refine_size.1]);
-        let request = Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() };
-        let request = self.moved.request(request);
+        let request = self.refine.request(steps);
         let arena = given.forward.map_or_else(|| Arena::new(given.device), |forward| forward.model.arena().clone());
         let (refined, started) = match (start, given.forward.and_then(|forward| forward.tokens.as_ref())) {
             (From::Tokens, Some(tokens)) => {
