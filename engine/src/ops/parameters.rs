@@ -60,9 +60,41 @@ enum Packing {
     GatedVector,
     /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
     Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
-    /// An `[inner / taps, taps, columns]` matrix as if it were `[columns, taps, inner / taps]`, the taps from last to first, and
-    /// behind it, from a multiple of 256 bytes on, a bias `[columns]` of zeros.
-    Transposed { taps: usize, inner: usize, columns: usize, kernel: LinearKernel },
+    /// A matrix whose values the checkpoint has in another order, as [`LinearKernel`] wants it, and behind it, from a multiple of 256
+    /// bytes on, a bias `[columns]` of zeros.
+    Reordered { order: Order, inner: usize, columns: usize, kernel: LinearKernel },
+}
+
+/// The order of a checkpoint's values of a matrix `[columns, inner]`.
+#[derive(Clone, Copy)]
+enum Order {
+    /// `[inner / taps, taps, columns]`, the taps from last to first: a convolution, for gradients.
+    Transposed { taps: usize },
+    /// `[columns, channels, taps]` for an inner `[taps, channels padded to whole vec4]`: a convolution of pictures whose channels run
+    /// fastest.
+    Planar { taps: usize, channels: usize },
+    /// `[inner, columns / taps, taps]` for columns `[taps, columns / taps]`: a transposed convolution whose kernels do not overlap.
+    Spread { taps: usize },
+}
+
+impl Order {
+    /// The place in the checkpoint of the value in a column; nothing for padding.
+    fn place(self, [inner, columns]: [usize; 2], column: usize, k: usize) -> Option<usize> {
+        match self {
+            Order::Transposed { taps } => {
+                let outputs = inner / taps;
+                Some((k % outputs * taps + taps - 1 - k / outputs) * columns + column)
+            }
+            Order::Planar { taps, channels } => {
+                let (tap, channel) = (k / (inner / taps), k % (inner / taps));
+                (channel < channels).then_some((column * channels + channel) * taps + tap)
+            }
+            Order::Spread { taps } => {
+                let outputs = columns / taps;
+                Some((k * outputs + column % outputs) * taps + column / outputs)
+            }
+        }
+    }
 }
 
 /// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
@@ -146,10 +178,36 @@ impl ParameterLayout {
 
     /// The weight `NAME.weight` `[outputs, .., inputs]`, of so many taps, from outputs to inputs.
     fn transposed(&mut self, name: &str, shape: &[usize], taps: usize) -> Linear {
+        self.reordered(name, shape, [taps * shape[0], shape[shape.len() - 1]], Order::Transposed { taps })
+    }
+
+    /// `NAME.weight` `[outputs, inputs, side, side]` and, where `biased`, `NAME.bias` of a convolution whose rows are `[side, side,
+    /// inputs padded to whole vec4]`, in f32 whatever the arithmetic.
+    pub fn planar_convolution(
+        &mut self,
+        name: &str,
+        [inputs, outputs]: [usize; 2],
+        side: usize,
+        biased: bool,
+    ) -> Linear {
+        let taps = side * side;
+        let inner = taps * inputs.next_multiple_of(4);
+        let order = Order::Planar { taps, channels: inputs };
+        let layer = self.reordered(name, &[outputs, inputs, side, side], [inner, outputs], order);
+        if biased { Linear { bias: self.vector(&format!("{name}.bias"), &[outputs]), ..layer } } else { layer }
+    }
+
+    /// `NAME.weight` `[inputs, outputs, side, side]` of a transposed convolution whose kernels do not overlap: a layer to
+    /// `[side, side, outputs]` without bias, in f32 whatever the arithmetic.
+    pub fn spread_convolution(&mut self, name: &str, [inputs, outputs]: [usize; 2], side: usize) -> Linear {
+        let taps = side * side;
+        self.reordered(name, &[inputs, outputs, side, side], [inputs, taps * outputs], Order::Spread { taps })
+    }
+
+    fn reordered(&mut self, name: &str, shape: &[usize], [inner, columns]: [usize; 2], order: Order) -> Linear {
         let kernel = LinearKernel::Panels(Element::F32);
-        let (inner, columns) = (taps * shape[0], shape[shape.len() - 1]);
         let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
-        let packing = Packing::Transposed { taps, inner, columns, kernel };
+        let packing = Packing::Reordered { order, inner, columns, kernel };
         let both = self.add::<u8>(&format!("{name}.weight"), shape, bias_at + size_of::<f32>() * columns, packing);
         Linear {
             weight: both.slice::<u8>(0, bias_at),
@@ -260,12 +318,10 @@ impl Packing {
                 let value = |column| source[source_row(column, source.len(), true)];
                 packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
             }
-            Packing::Transposed { taps, inner, columns, kernel } => {
-                let outputs = inner / taps;
-                let place = |c: usize, k: usize| (k % outputs * taps + taps - 1 - k / outputs) * columns + c;
-                let turned: Vec<f32> =
-                    (0..columns).flat_map(|c| (0..inner).map(move |k| source[place(c, k)])).collect();
-                Packing::Matrix { inner, columns, gated: false, kernel }.pack(&turned, packed);
+            Packing::Reordered { order, inner, columns, kernel } => {
+                let value = |c, k| order.place([inner, columns], c, k).map_or(0.0, |place| source[place]);
+                let matrix: Vec<f32> = (0..columns).flat_map(|c| (0..inner).map(move |k| value(c, k))).collect();
+                Packing::Matrix { inner, columns, gated: false, kernel }.pack(&matrix, packed);
                 packed.resize(packed.len().next_multiple_of(256) + size_of::<f32>() * columns, 0);
             }
             Packing::Matrix { inner, columns, gated, kernel } => {

@@ -5,6 +5,7 @@
 
 mod checkpoint;
 mod contents;
+mod depth;
 mod inference;
 mod pickle;
 mod safetensors;
@@ -17,13 +18,14 @@ mod variant;
 use std::path::Path;
 
 pub use checkpoint::Checkpoint;
+pub use depth::DepthCheckpoint;
 pub use tensor::Dtype;
 pub use tensors::Tensors;
 
 use crate::Result;
 pub use crate::{
     ops::Ffn,
-    stages::{Architecture, RECIPES, VARIANTS},
+    stages::{Architecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS},
 };
 
 /// Writes the checkpoint `input` (PyTorch or safetensors) as safetensors of one type with its architecture as metadata.
