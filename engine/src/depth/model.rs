@@ -70,7 +70,8 @@ impl DepthModel {
         let architecture = checkpoint.architecture().clone();
         let mut layout = ParameterLayout::new(device.limits(), arithmetic);
         let stages = DepthStages::new(&mut layout, &architecture);
-        let parameters = layout.load(device, |name, out| checkpoint.read_f32(name, out), progress)?;
+        let parameters =
+            layout.load(device, &|name: &str, out: &mut [f32]| checkpoint.read_f32(name, out), progress)?;
         let (device, arena) = (device.clone(), Arena::new(device));
         Ok(Self { device, architecture, layout, stages, parameters, arena })
     }
