@@ -41,11 +41,7 @@ impl LpipsWeights {
         let name = format!("LPIPS ({})", network.name());
         let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
         let (parameters, lpips) = layout(gradients);
-        let read = |name: &str, out: &mut [f32]| {
-            tensors.read(name, out);
-            Ok(())
-        };
-        let resident = parameters.load(device, read, |_| ControlFlow::Continue(()))?.resident;
+        let resident = parameters.load(device, &tensors, |_| ControlFlow::Continue(()))?.resident;
         Ok(Self { lpips, resident })
     }
 }

@@ -284,17 +284,8 @@ fn alike(image: &Image, to: &Image) -> Image {
 /// # Errors
 /// As [`Renderer::render_loaded`].
 pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
-    Ok(draw_all(renderer, &[*camera])?.remove(0))
-}
-
-/// As [`draw`], of several cameras.
-///
-/// # Errors
-/// As [`Renderer::render_loaded`].
-pub fn draw_all(renderer: &mut Renderer, cameras: &[Camera]) -> Result<Vec<Vec<f32>>> {
-    let frames = renderer.render_loaded(cameras, &RenderRequest::default())?;
-    let clamped = |rgb: Vec<f32>| rgb.into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
-    Ok(frames.into_iter().map(|frame| clamped(frame.rgb.unwrap_or_default())).collect())
+    let frame = renderer.render_loaded(&[*camera], &RenderRequest::default())?.remove(0);
+    Ok(frame.rgb.unwrap_or_default().into_iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }
 
 impl Score {
