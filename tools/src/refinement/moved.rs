@@ -17,8 +17,8 @@ pub struct Moved {
     /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
     #[arg(long, value_name = "N", value_parser = parse_count)]
     pub(super) grow: Option<usize>,
-    /// Add so much of LPIPS (VGG) to the loss: pictures look sharper, at the cost of PSNR and many times the time of a step. Its
-    /// weights are not ours to ship: `python3 tools/lpips.py` fetches them [default: 0]
+    /// Add so much of LPIPS (VGG) to the loss, 0.05 in the paper's training: a step takes many times as long. Its weights are not ours to
+    /// ship: `python3 tools/lpips.py` fetches them [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
     lpips_weight: Option<f32>,
 }
