@@ -2,8 +2,8 @@
 
 use crate::{
     Error, Result,
-    gpu::{Device, Recorder, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout, Parameters},
+    gpu::{Device, Recorder, Resident, Run, Tensor},
+    ops::{Arithmetic, ParameterLayout},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
     tune::cache_folder,
     weights::Tensors,
@@ -11,17 +11,39 @@ use crate::{
 use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 /// LPIPS 0.1 of pairs of pictures, with weights that are not this project's: `tools/lpips.py` fetches them.
 pub struct Perceptual {
     device: Device,
     network: LpipsNetwork,
-    lpips: Lpips,
     has_gradients: bool,
-    parameters: Parameters,
+    weights: LpipsWeights,
     /// The plans of the latest size: of the distance, and of its gradient.
     prepared: [Option<Prepared>; 2],
+}
+
+/// A network's weights on a device.
+pub(crate) struct LpipsWeights {
+    pub lpips: Lpips,
+    pub resident: Arc<Resident>,
+}
+
+impl LpipsWeights {
+    /// As [`Perceptual::open`].
+    pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
+        let layout = |gradients: bool| {
+            let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
+            let lpips = Lpips::new(&mut parameters, network, gradients);
+            (parameters, lpips)
+        };
+        let name = format!("LPIPS ({})", network.name());
+        let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
+        let (parameters, lpips) = layout(gradients);
+        let resident = parameters.load(device, &tensors, |_| ControlFlow::Continue(()))?.resident;
+        Ok(Self { lpips, resident })
+    }
 }
 
 struct Prepared {
@@ -54,17 +76,9 @@ impl Perceptual {
     /// # Errors
     /// [`Error::Io`], [`Error::Format`] and [`Error::Weights`] for the file; [`Error::Memory`] where the device has too little.
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
-        let layout = |gradients: bool| {
-            let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
-            let lpips = Lpips::new(&mut parameters, network, gradients);
-            (parameters, lpips)
-        };
-        let name = format!("LPIPS ({})", network.name());
-        let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
-        let (parameters, lpips) = layout(gradients);
-        let parameters = parameters.load(device, &tensors, |_| ControlFlow::Continue(()))?;
+        let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
-        Ok(Self { device, network, lpips, has_gradients, parameters, prepared })
+        Ok(Self { device, network, has_gradients, weights, prepared })
     }
 
     /// The network that sees the pictures.
@@ -135,9 +149,9 @@ impl Perceptual {
             size: [height, width],
             clipped: gradient.is_some(),
         };
-        let value = self.lpips.record(&mut rec, of, gradient.map(|gradient| (1.0, gradient))).value;
+        let value = self.weights.lpips.record(&mut rec, of, gradient.map(|gradient| (1.0, gradient))).value;
         [Some(value), gradient].into_iter().flatten().for_each(|tensor| rec.output(tensor));
-        let residents = [self.parameters.resident.clone()];
+        let residents = [self.weights.resident.clone()];
         let run = Run::with_resident(&self.device, rec.finish()?, residents)?;
         Ok(Prepared { size, run, pictures, value, gradient })
     }

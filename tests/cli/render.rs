@@ -41,6 +41,27 @@ fn every_camera_gets_a_picture_and_again_the_same() {
 }
 
 #[test]
+fn gaussians_are_drawn_as_points() {
+    let folder = folder();
+    // One large, faint Gaussian in the middle, red in every direction.
+    let mut scene = scenes::random_scene(1, 0, 0.2);
+    (scene.means[0], scene.scales[0], scene.opacities[0]) = ([0.0, 0.0, 2.0], [1.0; 3], 0.2);
+    scene.sh_coeffs[0] = [1.7, -1.7, -1.7];
+    write_ply(&scene, folder.path("one.ply")).expect("a scene can be written");
+    let draw = |options: &str| {
+        folder.run(&format!("render @/one.ply --cameras @/cameras.json {options} -o @/out")).success();
+        Image::open(folder.path("out/000.png")).expect("a picture")
+    };
+    let lit = |image: &Image| image.rgb.chunks_exact(3).filter(|pixel| pixel[0] > 20).count();
+    let [whole, wide, narrow] = [draw(""), draw("--points 0.4"), draw("--points 0.1")];
+    assert!(lit(&whole) > 1000 && lit(&wide) < 500 && lit(&narrow) < lit(&wide) && lit(&narrow) > 0);
+    let middle = 3 * (16 * 48 + 24);
+    assert!(whole.rgb[middle] < 80 && wide.rgb[middle] > 200 && wide.rgb[middle + 1] < 30, "no opaque dot");
+    let line = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/s.ply --pictures @/p -- --wiggle --points 1";
+    folder.run(line).fails(3, &["--points", "words behind --"]);
+}
+
+#[test]
 fn depth_and_alpha_are_what_the_renderer_gives() {
     let folder = folder();
     std::fs::create_dir(folder.path("out")).expect("an empty folder");

@@ -3,10 +3,13 @@
 use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::gpu::Arena;
-use zipsplat::refine::{Rates, Refine, Refined, Refining, Stopped, refine_scene};
+use zipsplat::perceptual::Perceptual;
+use zipsplat::refine::{Look, Rates, Refine, Refined, Refining, Stopped, refine_scene};
+use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::stages::render::{Frame, RenderRequest, Renderer};
 use zipsplat::types::{Camera, Image, Pose, Scene};
 use zipsplat_tests::device::device;
+use zipsplat_tests::golden::lpips_weights;
 use zipsplat_tests::scenes::{camera, random_scene};
 
 fn cameras(count: usize) -> Vec<Camera> {
@@ -206,4 +209,44 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     grown.scene.validate().unwrap();
     let again = with(Some(400));
     assert!(again.scene == grown.scene && again.losses == grown.losses);
+}
+
+/// A scene's picture beside a photo, as values in 0..1, `[height][width][rgb]`.
+fn pair(scene: &Scene, camera: &Camera, photo: &Image) -> [Vec<f32>; 2] {
+    let frame = Renderer::new(device()).render(scene, &[*camera], &RenderRequest::default()).unwrap().remove(0);
+    let drawn = frame.rgb.unwrap().into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
+    [drawn, photo.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()]
+}
+
+#[test]
+fn lpips_is_a_share_of_the_loss_where_asked() {
+    let network = LpipsNetwork::Vgg;
+    let Some(weights) = lpips_weights(network) else { return };
+    let cameras = cameras(3);
+    let (scene, photos) = photos(&cameras);
+    let (start, mut lpips) = (moved(&scene), Perceptual::open(device(), network, &weights, false).unwrap());
+    let mut distance = |scene: &Scene| {
+        let of = |i: usize| {
+            let [drawn, photo] = pair(scene, &cameras[i], &photos[i]);
+            lpips.distance([&drawn, &photo], [photos[i].width, photos[i].height]).unwrap()
+        };
+        (0..3).map(of).collect::<Vec<f64>>().iter().sum::<f64>() / 3.0
+    };
+    // Short steps, so that what is made less becomes less.
+    let Rates { means, scales, sh_coeffs, .. } = Rates::default();
+    let rates = Rates { means: 0.02 * means, scales: 0.02 * scales, sh_coeffs: 0.02 * sh_coeffs, ..Rates::default() };
+    let rates = Rates { quats: 0.0, opacities: 0.0, ..rates };
+    let with = |look: Option<Look>, steps: usize| {
+        let request = Refine { steps, look, rates, views_per_step: 3, together: Some(3), ..Refine::default() };
+        refine(&start, &photos, &cameras, &request)
+    };
+    let look = |weight: f32| Some(Look { weight, network });
+    // The loss of the first step is that of the pictures before it.
+    let [plain, looked] = [with(None, 1), with(look(0.5), 1)].map(|refined| f64::from(refined.losses[0]));
+    let expected = plain + 0.5 * distance(&start);
+    assert!((looked - expected).abs() < 1e-4 * expected, "{looked}, expected {expected}");
+    // Its gradient counts: the first step goes by signs alone, so that no other one makes so much less of what decides them.
+    let [plain, looked] = [None, look(1e3)].map(|look| distance(&start) - distance(&with(look, 1).scene));
+    assert!(looked > 0.0 && looked > 1.05 * plain, "nearer by {looked} with, {plain} without");
+    assert_eq!(with(look(0.0), 3).losses, with(None, 3).losses, "a share of 0 changes nothing");
 }

@@ -1,5 +1,9 @@
 //! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
 
+mod moved;
+
+pub use moved::Moved;
+
 use crate::{
     cameras::path_from,
     options::Size,
@@ -112,11 +116,12 @@ impl Display for Steps {
 }
 
 impl Steps {
-    /// Refuses what tokens cannot start from.
+    /// Refuses what tokens cannot start from, and a share of LPIPS without its weights.
     ///
     /// # Errors
     /// [`Error::Argument`].
     pub fn check(self, start: Option<Start>, moved: &Moved) -> Result<()> {
+        moved.check()?;
         match (start, moved.grow) {
             (Some(Start::Points | Start::Both), _) if self.tokens => {
                 Err(Error::argument("--start", "points, which have no tokens", "--start scene with --refine N:tokens"))
@@ -144,20 +149,9 @@ impl FromStr for Steps {
     }
 }
 
-/// The choice of what moves beside the Gaussians that there are.
-#[derive(Args, Debug)]
-pub struct Moved {
-    /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
-    #[arg(long)]
-    refine_cameras: bool,
-    /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
-    #[arg(long, value_name = "N", value_parser = parse_count)]
-    grow: Option<usize>,
-}
-
 /// The refinement of a scene that is made of photos.
 #[derive(Args)]
-#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
 pub struct RefineOptions {
     /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
     /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
@@ -196,18 +190,6 @@ impl RefineOptions {
     pub fn request(&self, steps: Steps) -> Refine {
         let size = Some([self.refine_size.0, self.refine_size.1]);
         self.moved.request(Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() })
-    }
-}
-
-fn parse_count(text: &str) -> Result<usize, String> {
-    let count = text.parse().ok().filter(|count| *count > 0);
-    count.ok_or_else(|| "expected a number of Gaussians, such as 20000".into())
-}
-
-impl Moved {
-    /// The request with that in it.
-    pub fn request(&self, request: Refine) -> Refine {
-        Refine { cameras: self.refine_cameras, grow: self.grow, ..request }
     }
 }
 

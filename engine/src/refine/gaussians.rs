@@ -4,7 +4,7 @@
 //! neither with the photos of a step nor with those that there are.
 
 use super::{
-    Adam, Rates, Refine, Space,
+    Adam, Look, Rates, Refine, Space,
     planned::{Found, Planned, intersection_bytes, record_photos},
     record_adam,
     views::View,
@@ -12,6 +12,7 @@ use super::{
 use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
+    perceptual::{LpipsWeights, Perceptual},
     stages::render::{FrameShape, Gradients, RenderOutputs, SceneGradients, SceneTensors, first_capacity},
     types::{Scene, unit_quaternion},
 };
@@ -52,6 +53,8 @@ pub(super) struct Gaussians {
     clear: Run,
     update: Run,
     schedule: Tensor,
+    /// The weights of LPIPS, where the request has a share of it.
+    look: Option<LpipsWeights>,
     steps: u32,
     /// Last used last.
     plans: Vec<Planned>,
@@ -106,6 +109,9 @@ impl Gaussians {
         (update, schedule): (Run, Tensor),
     ) -> Result<Self> {
         let clear = filling(arena, &memories[0], gradients.into_iter())?;
+        let open =
+            |Look { network, .. }: Look| LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true);
+        let look = request.look.map(open).transpose()?;
         let together = together(request, arena.device().limits());
         Ok(Self {
             arena: arena.clone(),
@@ -117,6 +123,7 @@ impl Gaussians {
             clear,
             update,
             schedule,
+            look,
             steps: 0,
             plans: Vec::new(),
             together,
@@ -222,9 +229,11 @@ impl Gaussians {
         }
         let capacity = room(self.limits(), self.capacity, shape.cameras, learns);
         let mut rec = Recorder::new(self.limits());
-        let learnt = learns.then_some((&self.request, &self.gradients));
+        let look = self.look.as_ref().map(|weights| &weights.lpips);
+        let learnt = learns.then_some((&self.request, &self.gradients, look));
         let recorded = record_photos(&mut rec, &self.scene, shape, capacity, learnt);
-        let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned())?;
+        let weights = self.look.iter().map(|weights| weights.resident.clone());
+        let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
         Ok(Planned { shape, capacity, run, recorded })
     }
 
@@ -279,7 +288,8 @@ impl Gaussians {
 
 /// Photos whose gradients are computed at once, where they are of one size and not large.
 pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
-    request.together.unwrap_or(if limits.cpu { 1 } else { request.views_per_step }).max(1)
+    let usual = if limits.cpu || request.look.is_some() { 1 } else { request.views_per_step };
+    request.together.filter(|_| request.look.is_none()).unwrap_or(usual).max(1)
 }
 
 /// Photos of so many pixels of one run, at most.

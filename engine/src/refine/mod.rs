@@ -22,7 +22,7 @@ use crate::{
     Error, Result,
     gpu::{Arena, Profile},
     reconstruct::SceneTokens,
-    stages::loss::Loss,
+    stages::{loss::Loss, lpips::LpipsNetwork},
     types::{Camera, Image, Scene},
 };
 use gaussians::Gaussians;
@@ -53,6 +53,9 @@ pub struct Refine {
     pub hold_out: Option<usize>,
     /// The loss that is made less.
     pub loss: Loss,
+    /// A share of LPIPS in it, for photos that are large enough; photos of a step are then learnt from one after the other. `None`: no
+    /// weights of LPIPS are needed.
+    pub look: Option<Look>,
     /// How far a step moves each value.
     pub rates: Rates,
     /// The cameras of the photos that are learnt from are moved, too: all but the first of them, which holds the world.
@@ -88,6 +91,7 @@ impl Default for Refine {
             size: None,
             hold_out: None,
             loss: Loss::L1Dssim,
+            look: None,
             rates: Rates::default(),
             cameras: false,
             grow: None,
@@ -101,6 +105,15 @@ impl Default for Refine {
             profile: false,
         }
     }
+}
+
+/// A share of LPIPS in a loss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Factor of the distance.
+    pub weight: f32,
+    /// The network that sees the pictures, whose weights [`Perceptual::file`](crate::perceptual::Perceptual::file) finds.
+    pub network: LpipsNetwork,
 }
 
 /// Adam's rates at first, which fall to a tenth.
@@ -209,8 +222,8 @@ impl Refined {
 /// until then is returned.
 ///
 /// # Errors
-/// [`Error::Argument`] where the scene, a photo, a camera or the request cannot be used; [`Error::Memory`] where the device
-/// has too little.
+/// [`Error::Argument`] where the scene, a photo, a camera or the request cannot be used, or the weights of LPIPS that it asks for are
+/// missing; [`Error::Memory`] where the device has too little.
 pub fn refine_scene(
     arena: &Arena,
     scene: &Scene,

@@ -128,7 +128,7 @@ fn record_steps(
         let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
-        record_photos(&mut rec, scene, shape, room(limits, each, cameras, true), Some((request, gradients)));
+        record_photos(&mut rec, scene, shape, room(limits, each, cameras, true), Some((request, gradients, None)));
         plans.push(rec.finish()?);
     }
     if request.hold_out.unwrap_or(0) > 0 {

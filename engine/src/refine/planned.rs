@@ -1,12 +1,13 @@
 //! The plans of a step: photos of one size drawn, compared, and their gradients added up.
 
-use super::{Refine, views::View};
+use super::{Look, Refine, views::View};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
     stages::{
         SceneTensors,
         loss::{LossTensors, record_loss},
+        lpips::{Lpips, LpipsPictures},
         render::{
             CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, camera_rows, record,
             record_with_gradients,
@@ -37,6 +38,8 @@ pub(super) struct Learning {
     pub targets: Tensor,
     /// `[cameras]`.
     pub losses: Tensor,
+    /// Factor and value of LPIPS, where the loss has a share of it.
+    pub look: Option<(f32, Tensor)>,
     /// `[cameras, 10]`, where cameras are moved, too.
     pub d_cameras: Option<Tensor>,
 }
@@ -56,12 +59,12 @@ pub(super) fn record_photos(
     scene: &SceneTensors,
     shape: FrameShape,
     capacity: usize,
-    learnt: Option<(&Refine, &Gradients)>,
+    learnt: Option<(&Refine, &Gradients, Option<&Lpips>)>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
     let drawing = RenderRequest::default();
-    let Some((request, gradients)) = learnt else {
+    let Some((request, gradients, lpips)) = learnt else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
     };
     let d_cameras = request.cameras.then(|| {
@@ -76,13 +79,38 @@ pub(super) fn record_photos(
         let LossTensors { value, d_frames } =
             record_loss(rec, request.loss, frames, targets, shape, drawing.channels(), scale);
         rec.output(value);
-        learning = Some(Learning { targets, losses: value, d_cameras });
+        let look = lpips.and_then(|lpips| record_look(rec, lpips, request, [frames, targets, d_frames], shape));
+        look.iter().for_each(|(_, value)| rec.output(*value));
+        learning = Some(Learning { targets, losses: value, look, d_cameras });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
     let outputs = record_with_gradients(rec, scene, cameras, shape, &drawing, capacity, compare, &gradients);
     d_cameras.iter().for_each(|tensor| rec.output(*tensor));
     Recorded { cameras, learning, outputs }
+}
+
+/// Records the share of LPIPS of one picture, whose gradient is added to `d_frames`; none of one that is too small for it. Returns its
+/// factor and `[1]` f32.
+fn record_look(
+    rec: &mut Recorder,
+    lpips: &Lpips,
+    request: &Refine,
+    [frames, targets, d_frames]: [Tensor; 3],
+    FrameShape { cameras, width, height }: FrameShape,
+) -> Option<(f32, Tensor)> {
+    let Look { weight, network } = request.look?;
+    assert_eq!(cameras, 1, "photos are learnt from one after the other");
+    if width.min(height) < network.least_side() {
+        return None;
+    }
+    let pictures = LpipsPictures {
+        pictures: [(frames, RenderRequest::default().channels()), (targets, 3)],
+        size: [height as usize, width as usize],
+        clipped: true,
+    };
+    let share = weight / request.views_per_step as f32;
+    Some((weight, lpips.record(rec, pictures, Some((share, d_frames))).value))
 }
 
 /// Bytes of the largest list of a picture's intersections, for each.
@@ -105,8 +133,11 @@ impl Planned {
 
     /// The findings of its run about these photos.
     pub fn found(&self, views: &[&View]) -> Result<Vec<Found>> {
-        let Learning { losses, d_cameras, .. } = self.recorded.learning.expect("it learns");
-        let losses: Vec<f32> = self.run.read(losses)?;
+        let Learning { losses, look, d_cameras, .. } = self.recorded.learning.expect("it learns");
+        let mut losses: Vec<f32> = self.run.read(losses)?;
+        if let Some((weight, value)) = look {
+            losses[0] += weight * self.run.read::<f32>(value)?[0];
+        }
         let poses: Option<Vec<[f32; CAMERA_NUMBERS]>> = d_cameras.map(|tensor| self.run.read(tensor)).transpose()?;
         let pose = |i: usize| poses.as_ref().map(|all| std::array::from_fn(|k| all[i][k]));
         let of = |(i, view): (usize, &&View)| Found { photo: view.photo, loss: losses[i], d_pose: pose(i) };

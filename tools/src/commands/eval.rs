@@ -51,7 +51,7 @@ const TARGETS: usize = 8;
 /// of the paper's tables; and page.html, with pictures. The same command goes on where it was. A scene that fails is a row of
 /// failures.csv, and the others go on; the exit code is then 1.
 #[derive(Args)]
-#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow"]).multiple(true).requires("refine")))]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
 #[command(after_help = "Examples:
   zipsplat eval capture/ --views 8
   zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/

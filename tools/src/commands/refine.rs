@@ -97,6 +97,7 @@ struct Started {
 impl Refine {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
+        self.moved.check()?;
         if SceneFormat::of_extension(&self.output).is_none() {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));

@@ -5,7 +5,7 @@ use crate::{
     cameras::CameraArgs,
     color,
     explain::Explanation,
-    options::SceneInput,
+    options::{SceneInput, parse_length},
     outputs::{self, DEPTH_LEVELS, Overwrite},
     pictures::{self, SHEET, Sinks},
     session::Session,
@@ -65,6 +65,9 @@ pub struct Render {
     /// Also write NNN.tokens.png: every N Gaussians, those of one token, in a colour of their own
     #[arg(long, value_name = "N")]
     group: Option<NonZeroU32>,
+    /// Draw each Gaussian as an opaque dot of this width, in the scene's unit: where Gaussians are, and not what they show
+    #[arg(long, value_name = "SIZE", value_parser = parse_length)]
+    points: Option<f64>,
     /// Also print the passes of the first picture, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
@@ -86,6 +89,15 @@ pub struct Render {
     ffmpeg: PathBuf,
 }
 
+/// Widths of a Gaussian, where it has half its height, in standard deviations.
+const WIDTH: f64 = 2.354_820_045;
+
+/// Makes each Gaussian an opaque dot of a width, in its own colour.
+fn show_points(scene: &mut Scene, width: f64) {
+    scene.scales.fill([(width / WIDTH) as f32; 3]);
+    scene.opacities.fill(1.0);
+}
+
 /// Kinds of depth.
 #[derive(Clone, Copy, ValueEnum)]
 enum DepthKind {
@@ -98,7 +110,8 @@ enum DepthKind {
 impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
-        let (scene, dropped) = self.input.read(session, &self.scene)?;
+        let (mut scene, dropped) = self.input.read(session, &self.scene)?;
+        self.points.iter().for_each(|size| show_points(&mut scene, *size));
         let world = read_world(&self.scene)?;
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
@@ -176,6 +189,10 @@ impl Render {
         let force = force.then_some("--overwrite".as_ref());
         let words = own.into_iter().chain(force).chain(words.iter().map(AsRef::as_ref));
         let found = command.try_get_matches_from(words).and_then(|matches| Self::from_arg_matches(&matches));
+        if found.as_ref().is_ok_and(|found| found.points.is_some()) {
+            let expected = "none: the Gaussians stay on the device as they are; render the scene's file";
+            return Err(Error::argument("words behind --", "--points", expected));
+        }
         found.map_err(|error| {
             let text = error.to_string();
             let text = text.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
