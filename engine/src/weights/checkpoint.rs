@@ -34,8 +34,9 @@ const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/mod
 /// An architecture, and what was assumed to know it.
 type Known = (Architecture, Option<String>);
 
+/// The values of a list of parameters.
 #[derive(Debug)]
-enum Source {
+pub(super) enum Source {
     /// A tensor for each parameter.
     Stored {
         file: Bytes,
@@ -60,6 +61,37 @@ impl Deref for Bytes {
         match self {
             Self::Mapped(file) => file,
             Self::Held(bytes) => bytes,
+        }
+    }
+}
+
+impl Source {
+    /// Reads parameter `index` of those that it has, in C order; `provenance` stands for all of them in messages.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a wrong length, [`Error::Format`] for a value that is not finite.
+    pub fn read(
+        &self,
+        provenance: &str,
+        index: usize,
+        parameters: &[(String, Vec<usize>)],
+        out: &mut [f32],
+    ) -> Result<()> {
+        let (name, shape) = &parameters[index];
+        let expected: usize = shape.iter().product();
+        if out.len() != expected {
+            return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
+        }
+        match self {
+            Self::Stored { file, tensors } => tensors[index].read(file, out),
+            Self::Seeded { key } => seeded::fill(key, name, shape, out),
+        }
+        match out.iter().position(|value| !value.is_finite()) {
+            Some(i) => {
+                let reason = format!("{name}: found {} as value {i}, expected finite values", out[i]);
+                Err(Error::format(provenance, None, reason))
+            }
+            None => Ok(()),
         }
     }
 }
@@ -209,23 +241,7 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for a value that is not finite.
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        let index = self.find(name)?;
-        let shape = &self.parameters[index].1;
-        let expected: usize = shape.iter().product();
-        if out.len() != expected {
-            return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
-        }
-        match &self.source {
-            Source::Stored { file, tensors } => tensors[index].read(file, out),
-            Source::Seeded { key } => seeded::fill(key, name, shape, out),
-        }
-        match out.iter().position(|value| !value.is_finite()) {
-            Some(i) => {
-                let reason = format!("{name}: found {} as value {i}, expected finite values", out[i]);
-                Err(Error::format(&self.provenance, None, reason))
-            }
-            None => Ok(()),
-        }
+        self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
 
     /// Bytes of all tensors as they are stored; of a seed, as f32.
