@@ -12,6 +12,7 @@ mod bound;
 mod cameras;
 mod case;
 mod cluster;
+mod convolution;
 mod head;
 mod head_backward;
 mod linear;
@@ -188,6 +189,7 @@ pub fn catalogue() -> Vec<Area> {
     vec![
         linear::area(),
         norm::area(),
+        convolution::area(),
         positions::area(),
         attention::area(),
         cameras::area(),
