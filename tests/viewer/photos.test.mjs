@@ -1,8 +1,9 @@
 // Scenes that are made of photos while the page looks: the slider of ratios, tokens, a refinement.
 
 import assert from "node:assert/strict";
-import { rmSync } from "node:fs";
+import { readFileSync, rmSync } from "node:fs";
 import { after, before, test } from "node:test";
+import { PNG } from "pngjs";
 import { Tab, at, close, folder, opened, psnr, serve, sleep, spread, zipsplat } from "./browser.mjs";
 
 const PHOTOS = ["place/images", "--poses", "place/transforms.json"];
@@ -115,6 +116,30 @@ test("a written page holds several ratios, tokens and small photos, and asks nob
     assert.equal(tab.requests.length, 1);
     assert.deepEqual(tab.complaints, []);
     await tab.close();
+});
+
+test("a photo over the picture says how like it the picture is", async () => {
+    const { address, stop } = await serve("view", ...PHOTOS, "--ratio", "0.3"), tab = await Tab.open(address, { width: 140, height: 140 });
+    await tab.until(() => zipsplat.live.took);
+    const said = [];
+    for (const input of [1, 2]) {
+        await tab.page.keyboard.press(".");
+        await tab.page.waitForFunction(input => zipsplat.input === input && / dB, 140 x 140/.test(document.getElementById("photo-label").textContent), {}, input);
+        said.push(parseFloat(await tab.page.$eval("#photo-label", element => element.textContent)));
+        const photo = PNG.sync.read(readFileSync(at(`place/images/00${input}.png`)));
+        const alike = psnr(await tab.picture(), photo);
+        assert.ok(alike > 5 && Math.abs(said.at(-1) - alike) < 0.02, `${said.at(-1)} dB beside ${alike}`);
+    }
+    assert.notEqual(said[0], said[1]);
+    // Another scene, another figure.
+    await tab.slide("ratio", place(0.05));
+    await made(tab, 0.05);
+    await tab.page.waitForFunction(before => document.getElementById("photo-label").textContent !== before, {}, `${said[1].toFixed(2)} dB, 140 x 140`);
+    await tab.page.setViewport({ width: 700, height: 500 });
+    await tab.screenshot("photo");
+    assert.deepEqual(tab.complaints, []);
+    await tab.close();
+    await stop();
 });
 
 test("a refinement is watched, and stopped with the best so far", async () => {

@@ -69,8 +69,8 @@ def row(capture, folder, options):
     turn, away = errors(common, given)
     focal = np.median([focals[name] / given_focals[name] for name in common]) - 1
     psnr = []
-    for poses in [[], ["--poses", out]] if options.refine else []:
-        scored = zipsplat("eval", capture, "--views", 8, "--refine", 100, *poses)
+    for source in [[capture], [photos, "--poses", out]] if options.refine else []:
+        scored = zipsplat("eval", *source, "--views", 8, "--refine", 100)
         psnr.append(f"{scored['mean']['psnr']:.2f} ({len(scored['views'])})")
     counts = f"{found['found']} of {found['photos']}" + (f", {found['mappings']} tries" if found["mappings"] > 1 else "")
     return [capture.name, counts, f"{turn:.2f}", f"{100 * away:.2f} %", f"{100 * focal:+.1f} %", f"{found['points']:,}", *psnr,

@@ -3,7 +3,7 @@
 pub mod adam;
 
 use crate::{
-    capture::{draw, draw_all},
+    capture::draw,
     metrics::{mean_color, psnr, values},
 };
 use clap::ValueEnum;
@@ -15,7 +15,7 @@ use std::{cell::RefCell, iter::successors};
 use zipsplat::{
     Result,
     perceptual::Perceptual,
-    stages::render::Renderer,
+    stages::render::{Frame, RenderRequest, Renderer},
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
@@ -30,6 +30,10 @@ const STOPPED: f64 = 0.9;
 const PRIOR: f64 = 0.1;
 /// Standard deviation of the values of a photo, in 0..1, below which it has no texture to align by.
 const TEXTURE: f64 = 0.02;
+/// Difference of a value in 0..1 from which it counts as large: what is hidden, and not where the camera is.
+const LARGE: f64 = 0.01;
+/// The least mean alpha that errors are divided by.
+const LEAST_SEEN: f64 = 1e-3;
 /// Shortest side of the smallest picture that is compared.
 const SMALLEST: u32 = 20;
 /// Half the length of central differences, in pixels that what is at distance 1 moves.
@@ -98,7 +102,8 @@ pub enum Doubt {
 
 /// Turns and moves `camera` until its picture of the scene that a renderer holds has the least squared error to `photo`, of
 /// the camera's size; at a distance of about 1 there should be something to see. Its lens stays. The camera stays within 15
-/// degrees and 0.25 of where it was, and a movement has to gain the more the farther it goes.
+/// degrees and 0.25 of where it was, and a movement has to gain the more the farther it goes. Holes of the scene say nothing:
+/// the picture is drawn over the photo, and its error is divided by the mean alpha. Large differences count by their size, not their square.
 ///
 /// Levenberg-Marquardt over the 6 degrees of freedom, derivatives by central differences, from small pictures to those of
 /// full size, where the camera that it began with is kept if none is better. Before each drawing `check` is asked.
@@ -135,12 +140,15 @@ pub fn align(
         found.failure.into_inner()?;
         movement = found.movement;
     }
-    let found = moved(camera, &movement);
-    let drawn = draw(renderer, &found)?;
     // Small pictures may be most alike elsewhere.
-    if psnr(&drawn, &truth) <= psnr(&before, &truth) {
+    let search = Search::new(renderer, photo, *camera, check);
+    let errors = search.pixels(&[Vector6::zeros(), movement]);
+    search.failure.into_inner()?;
+    if errors.is_none_or(|errors| errors[1].norm_squared() >= errors[0].norm_squared()) {
         return Ok(stay(None));
     }
+    let found = moved(camera, &movement);
+    let drawn = draw(renderer, &found)?;
     let [turn, shift] = turn_and_shift(&movement).map(DVec3::length);
     let stopped = turn > STOPPED * MOST_TURN || shift > STOPPED * MOST_SHIFT;
     Ok(Aligned { camera: found, drawn, before, turn, shift, doubt: stopped.then_some(Doubt::Bound) })
@@ -174,6 +182,12 @@ fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
+/// A residual whose square is that of a small difference, and grows in step with a large one (pseudo-Huber).
+fn robust(difference: f64) -> f64 {
+    let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
+    (LARGE * root).copysign(difference)
+}
+
 fn moved(camera: &Camera, movement: &Vector6<f64>) -> Camera {
     let [turn, shift] = turn_and_shift(movement);
     let movement = Pose { rotation: DMat3::from_quat(DQuat::from_scaled_axis(turn)), translation: shift };
@@ -197,17 +211,28 @@ impl<'a> Search<'a> {
     /// says where the camera is, and where it does not, a small gain is no reason to go far.
     fn from(mut self, movement: Vector6<f64>) -> Result<Self> {
         self.movement = movement;
-        let error = self.residuals().map(|residuals| residuals.rows(0, self.truth.len()).norm_squared());
+        let error = self.pixels(&[movement]).map(|pixels| pixels[0].norm_squared());
         self.failure.replace(Ok(()))?;
         self.prior = (PRIOR * error.unwrap_or(0.0)).sqrt();
         Ok(self)
     }
 
-    /// Pictures from where movements lead.
-    fn pictures(&self, movements: &[Vector6<f64>]) -> Option<Vec<Vec<f32>>> {
+    /// The residuals of the pixels from where movements lead: robust ones of what the scene, drawn over the photo, changes in it,
+    /// divided by the root of the mean alpha, so that seeing less of the scene is no gain.
+    fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
-        let drawn = (self.check)().and_then(|()| draw_all(&mut self.renderer.borrow_mut(), &cameras));
-        drawn.map_err(|error| *self.failure.borrow_mut() = Err(error)).ok()
+        let request = RenderRequest { alpha: true, ..RenderRequest::default() };
+        let drawn = (self.check)().and_then(|()| self.renderer.borrow_mut().render_loaded(&cameras, &request));
+        let frames = drawn.map_err(|error| *self.failure.borrow_mut() = Err(error)).ok()?;
+        let residuals = |frame: Frame| {
+            let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());
+            let seen = alpha.iter().map(|alpha| f64::from(*alpha)).sum::<f64>() / alpha.len() as f64;
+            let changed =
+                |(i, value): (usize, &f64)| f64::from(rgb[i].clamp(0.0, 1.0)) - f64::from(alpha[i / 3]) * value;
+            let pixels = self.truth.iter().enumerate().map(changed).map(robust);
+            DVector::from_iterator(self.truth.len(), pixels) / seen.max(LEAST_SEEN).sqrt()
+        };
+        Some(frames.into_iter().map(residuals).collect())
     }
 }
 
@@ -226,10 +251,9 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Search<'_> {
 
     /// The residuals of the pixels, then those of the six numbers of the movement.
     fn residuals(&self) -> Option<DVector<f64>> {
-        let picture = self.pictures(&[self.movement])?.remove(0);
-        let pixels = picture.into_iter().zip(self.truth.iter()).map(|(drawn, truth)| f64::from(drawn) - truth);
+        let pixels = self.pixels(&[self.movement])?.remove(0);
         let prior = self.movement.iter().map(|value| self.prior * value);
-        Some(DVector::from_iterator(self.truth.len() + 6, pixels.chain(prior)))
+        Some(DVector::from_iterator(self.truth.len() + 6, pixels.iter().copied().chain(prior)))
     }
 
     fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U6>> {
@@ -237,9 +261,9 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Search<'_> {
         let half = |i: usize| pixel / if i < 3 { MOST_TURN } else { MOST_SHIFT };
         let step = |i: usize| Vector6::from_fn(|row, _| if row == i { half(i) } else { 0.0 });
         let movements: Vec<_> = (0..6).flat_map(|i| [self.movement + step(i), self.movement - step(i)]).collect();
-        let pictures = self.pictures(&movements)?;
-        let columns = pictures.chunks_exact(2).enumerate().flat_map(|(i, pair)| {
-            let slope = move |(a, b): (&f32, &f32)| f64::from(a - b) / (2.0 * half(i));
+        let pixels = self.pixels(&movements)?;
+        let columns = pixels.chunks_exact(2).enumerate().flat_map(|(i, pair)| {
+            let slope = move |(a, b): (&f64, &f64)| (a - b) / (2.0 * half(i));
             let prior = (0..6).map(move |row| if row == i { self.prior } else { 0.0 });
             pair[0].iter().zip(&pair[1]).map(slope).chain(prior)
         });

@@ -1,4 +1,6 @@
-// What lies over the picture: the input cameras, and the photo of the one that is looked through.
+// What lies over the picture: the input cameras, and the photo of the one that is looked through, with how like it the picture is.
+
+const MOST_PIXELS = 1 << 20; // of a photo that is compared
 
 class Overlay {
     constructor(page) {
@@ -19,9 +21,29 @@ class Overlay {
     // Shows the photo of an input camera, where there is one.
     stand(input) {
         if (!input.photo) return;
+        this.input = input;
+        this.compared = null;
+        element("photo-label").textContent = "";
         this.photo.src = input.photo;
+        this.photo.onload = () => this.page.change();
         this.photo.hidden = element("photos").hidden = false;
         this.wipe();
+    }
+
+    // Says how like the photo the scene's picture is, once both are there and where the scene is another than before.
+    compare(scene) {
+        const { page, photo } = this, { naturalWidth, naturalHeight } = photo;
+        if (photo.hidden || !photo.complete || !naturalWidth || !scene?.drawable || scene.sorting || this.compared === scene.drawable) return;
+        this.compared = scene.drawable;
+        const shrink = Math.min(1, Math.sqrt(MOST_PIXELS / naturalWidth / naturalHeight));
+        const [width, height] = [naturalWidth, naturalHeight].map(side => Math.max(1, Math.round(side * shrink)));
+        const context = Object.assign(document.createElement("canvas"), { width, height }).getContext("2d", { willReadFrequently: true });
+        context.drawImage(photo, 0, 0, width, height);
+        const truth = context.getImageData(0, 0, width, height).data, drawn = page.seen(this.input, width, height);
+        let sum = 0;
+        for (let i = 0; i < truth.length; ++i) if (i % 4 < 3) sum += (truth[i] - drawn[i]) ** 2;
+        const psnr = 10 * Math.log10(255 ** 2 * 3 * width * height / Math.max(sum, 1e-9));
+        element("photo-label").textContent = `${psnr.toFixed(2)} dB, ${width} x ${height}`;
     }
 
     leave() { this.photo.hidden = element("photos").hidden = true; }

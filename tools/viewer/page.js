@@ -210,13 +210,24 @@ class Page {
         this.measure(now, moving);
         const ratio = Math.min(devicePixelRatio, 2) * (moving ? this.coarse : 1);
         const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
-        this.renderer.resize(width, height, this.views.shown);
         this.order(scene);
+        if (!moving) this.overlay.compare(scene);
+        this.renderer.resize(width, height, this.views.shown);
         this.renderer.draw(scene?.drawable, camera, this.background, this.views.drawn());
         this.overlay.draw();
         element("fov").value = camera.fov;
         element("fov-value").textContent = `${Math.round(camera.fov)}°`;
         if (moving) this.change();
+    }
+
+    // The scene in colours as an input camera sees it in a picture of a size: rows from the top, four bytes a pixel. What is on show
+    // is to be drawn again.
+    seen(input, width, height) {
+        const { renderer, background, scene } = this, camera = new ViewCamera();
+        camera.through(input, width, height, 1);
+        renderer.resize(width, height);
+        renderer.draw(scene.drawable, camera, background);
+        return renderer.bytes();
     }
 
     // Asks for the order of a scene's Gaussians as they are seen now, once the last answer is there.

@@ -9,10 +9,23 @@ const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
 // Colours of depths, near to far.
 const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];
 
-const SPLAT_VERTEX = `#version 300 es
+// Gaussians of an instance: a driver that starts each instance anew has little else to do where an instance is one.
+const BATCH = 128;
+// The textures of Gaussians as they are seen, three texels each: centre and long axis; short axis, number, opacity; colour.
+const PROJECTED = ["ellipses", "short_axes", "colors"];
+
+const TEXELS = `
+ivec2 place_of(uint at) { return ivec2(at % ${TEXTURE_WIDTH}u, at / ${TEXTURE_WIDTH}u); }
+uvec4 texel(usampler2D source, uint at) { return texelFetch(source, place_of(at), 0); }
+`;
+
+// Computes a Gaussian once for its four corners, in the order in which they are drawn. One that is not seen gets opacity 0.
+const PROJECT_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
+uniform usampler2D order;
+uniform uint drawn;
 uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx; colour and q.yz
 uniform usampler2D harmonics;
 uniform mat3 view;
@@ -20,17 +33,13 @@ uniform vec3 eye;
 uniform vec2 focal, size;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
 uniform uint group; // Gaussians of a token
-layout(location = 0) in uint index;
-out vec2 place; // in standard deviations from the centre
-flat out vec4 color;
-flat out uint gaussian;
+layout(location = 0) out uvec4 ellipse;
+layout(location = 1) out uvec4 short_axis;
+layout(location = 2) out uvec4 color;
 
 const float BLUR = 0.3, ALPHA_MIN = 1.0 / 255.0, NEAR = 0.01, SCALE_MAX = 1e8;
 
-uvec4 texel(usampler2D source, uint at) {
-    return texelFetch(source, ivec2(at % ${TEXTURE_WIDTH}u, at / ${TEXTURE_WIDTH}u), 0);
-}
-
+${TEXELS}
 mat3 rotation(vec4 q) {
     q = normalize(q);
     float w = q.x, x = q.y, y = q.z, z = q.w;
@@ -39,7 +48,7 @@ mat3 rotation(vec4 q) {
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-vec3 bands(vec3 d) {
+vec3 bands(uint index, vec3 d) {
     float basis[15];
     basis[0] = -0.48860251190292 * d.y;
     basis[1] = 0.48860251190292 * d.z;
@@ -84,7 +93,10 @@ vec3 normal(mat3 axes, vec3 scale, vec3 offset) {
 }
 
 void main() {
-    gl_Position = vec4(2, 2, 2, 1); // outside
+    ellipse = short_axis = color = uvec4(0);
+    uint slot = uint(gl_FragCoord.y) * ${TEXTURE_WIDTH}u + uint(gl_FragCoord.x);
+    if (slot >= drawn) return;
+    uint index = texel(order, slot).x;
     uvec4 first = texel(gaussians, 3u * index), second = texel(gaussians, 3u * index + 1u), third = texel(gaussians, 3u * index + 2u);
     vec3 offset = uintBitsToFloat(first.xyz) - eye, p = view * offset;
     float opacity = uintBitsToFloat(first.w);
@@ -92,7 +104,7 @@ void main() {
 
     vec2 half_size = 0.5 * size, limit = half_size / focal * 1.3;
     vec2 slope = clamp(p.xy / p.z, -limit, limit);
-    mat3 axes = rotation(vec4(unpackSnorm2x16(second.w), unpackSnorm2x16(third.w))), rows = transpose(view * axes);
+    mat3 turn = rotation(vec4(unpackSnorm2x16(second.w), unpackSnorm2x16(third.w))), rows = transpose(view * turn);
     vec3 scale = min(uintBitsToFloat(second.xyz), SCALE_MAX * p.z / focal.x);
     vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scale;
     vec3 v = focal.y / p.z * (rows[1] - slope.y * rows[2]) * scale;
@@ -108,17 +120,41 @@ void main() {
     float tilt = 0.5 * (xx - yy), spread = length(vec2(tilt, xy)), longest = 0.5 * (xx + yy) + spread;
     vec2 axis = tilt >= 0.0 ? vec2(tilt + spread, xy) : vec2(xy, spread - tilt);
     axis = spread > 0.0 ? normalize(axis) : vec2(1, 0);
-    place = (vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0) * sqrt(reach);
-    vec2 pixel = centre + place.x * sqrt(longest) * axis + place.y * sqrt(det / longest) * vec2(-axis.y, axis.x);
-    gl_Position = vec4(vec2(2, -2) * pixel / size + vec2(-1, 1), 0, 1);
+    ellipse = floatBitsToUint(vec4(centre, sqrt(longest) * axis));
+    short_axis = uvec4(floatBitsToUint(sqrt(det / longest) * vec2(-axis.y, axis.x)), index, first.w);
 
-    gaussian = index;
     vec3 value = uintBitsToFloat(third.xyz);
     if (show == 1) value = vec3(p.z);
-    else if (show == 2) value = normal(axes, uintBitsToFloat(second.xyz), offset);
+    else if (show == 2) value = normal(turn, uintBitsToFloat(second.xyz), offset);
     else if (show == 3) value = uint(hovered) == index / group ? vec3(1) : token_color(index / group) * (hovered < 0 ? 1.0 : 0.45);
-    else value = max(degree > 0 ? value + bands(normalize(offset)) : value, 0.0);
-    color = vec4(value, opacity);
+    else value = max(degree > 0 ? value + bands(index, normalize(offset)) : value, 0.0);
+    color = floatBitsToUint(vec4(value, 0));
+}`;
+
+const SPLAT_VERTEX = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+uniform usampler2D ellipses, short_axes, colors;
+uniform uint drawn;
+uniform vec2 size;
+out vec2 place; // in standard deviations from the centre
+flat out vec4 color;
+flat out uint gaussian;
+${TEXELS}
+void main() {
+    gl_Position = vec4(2, 2, 2, 1); // outside
+    uint slot = uint(gl_InstanceID) * ${BATCH}u + uint(gl_VertexID >> 2);
+    if (slot >= drawn) return;
+    uvec4 second = texel(short_axes, slot);
+    float opacity = uintBitsToFloat(second.w);
+    if (opacity == 0.0) return;
+    vec4 first = uintBitsToFloat(texel(ellipses, slot));
+    color = vec4(uintBitsToFloat(texel(colors, slot).xyz), opacity);
+    gaussian = second.z;
+    place = (vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0) * sqrt(2.0 * log(255.0 * opacity));
+    vec2 pixel = first.xy + place.x * first.zw + place.y * uintBitsToFloat(second.xy);
+    gl_Position = vec4(vec2(2, -2) * pixel / size + vec2(-1, 1), 0, 1);
 }`;
 
 const SPLAT_FRAGMENT = `#version 300 es
@@ -183,12 +219,14 @@ class Renderer {
         this.colorFormat = float ? gl.RGBA16F : gl.RGBA8;
         // Depths and normals need the bits.
         this.valueFormat = gl.getExtension("EXT_float_blend") && gl.getExtension("EXT_color_buffer_float") ? gl.RGBA32F : this.colorFormat;
+        this.projector = this.program(SHOW_VERTEX, PROJECT_FRAGMENT);
         this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
         this.picks = this.program(SPLAT_VERTEX, PICK_FRAGMENT);
         this.show = this.program(SHOW_VERTEX, SHOW_FRAGMENT);
         this.frame = { texture: gl.createTexture(), buffer: gl.createFramebuffer(), width: 0, height: 0 };
         this.pixel = this.pickBuffer();
         this.empty = gl.createVertexArray();
+        this.quads = this.quadArray();
     }
 
     program(vertex, fragment) {
@@ -210,6 +248,17 @@ class Renderer {
         return { program, uniforms };
     }
 
+    // The corners of a batch: four vertices and two triangles a Gaussian.
+    quadArray() {
+        const { gl } = this, array = gl.createVertexArray();
+        const corners = Uint16Array.from({ length: 6 * BATCH }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
+        gl.bindVertexArray(array);
+        gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+        gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+        gl.bindVertexArray(null);
+        return array;
+    }
+
     // A picture of one pixel, which holds the number of a Gaussian.
     pickBuffer() {
         const { gl } = this, buffer = gl.createFramebuffer(), texture = gl.createTexture();
@@ -223,43 +272,50 @@ class Renderer {
     // Brings a scene that the worker packed to the device.
     upload({ count, degree, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
-        const texture = words => {
-            const height = Math.max(1, Math.ceil(words.length / 4 / TEXTURE_WIDTH));
+        const texture = (texels, format = gl.RGBA32UI) => {
+            const height = Math.max(1, Math.ceil(texels / TEXTURE_WIDTH));
             if (height > most) throw new Error(`${count.toLocaleString("en")} Gaussians of degree ${degree} are more than this device can hold.`);
-            const texture = gl.createTexture(), whole = Math.floor(words.length / 4 / TEXTURE_WIDTH);
+            const texture = gl.createTexture();
             gl.bindTexture(gl.TEXTURE_2D, texture);
-            gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXTURE_WIDTH, height);
-            const put = (y, width, rows, from) => width && rows &&
-                gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, y, width, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words, from);
-            put(0, TEXTURE_WIDTH, whole, 0);
-            put(whole, words.length / 4 - whole * TEXTURE_WIDTH, 1, 4 * whole * TEXTURE_WIDTH);
+            gl.texStorage2D(gl.TEXTURE_2D, 1, format, TEXTURE_WIDTH, height);
+            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
             return texture;
         };
-        const scene = { count, degree, drawn: 0, gaussians: texture(gaussians), harmonics: texture(harmonics) };
-        scene.order = gl.createBuffer();
-        scene.array = gl.createVertexArray();
-        gl.bindVertexArray(scene.array);
-        gl.bindBuffer(gl.ARRAY_BUFFER, scene.order);
-        gl.bufferData(gl.ARRAY_BUFFER, 4 * count, gl.DYNAMIC_DRAW);
-        gl.enableVertexAttribArray(0);
-        gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-        gl.vertexAttribDivisor(0, 1);
-        gl.bindVertexArray(null);
+        const scene = { count, degree, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
+        this.fill(scene.gaussians, gaussians, 4);
+        this.fill(scene.harmonics, harmonics, 4);
+        scene.order = texture(count, gl.R32UI);
+        scene.projection = gl.createFramebuffer();
+        gl.bindFramebuffer(gl.FRAMEBUFFER, scene.projection);
+        const outputs = PROJECTED.map((name, i) => {
+            scene[name] = texture(count);
+            gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, scene[name], 0);
+            return gl.COLOR_ATTACHMENT0 + i;
+        });
+        gl.drawBuffers(outputs);
         return scene;
     }
 
+    // Puts words into a texture of so many channels, row by row.
+    fill(texture, words, channels) {
+        const { gl } = this, texels = words.length / channels, whole = Math.floor(texels / TEXTURE_WIDTH);
+        const put = (y, width, rows, from) => width && rows &&
+            gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, y, width, rows, channels === 1 ? gl.RED_INTEGER : gl.RGBA_INTEGER, gl.UNSIGNED_INT, words, from);
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+        put(0, TEXTURE_WIDTH, whole, 0);
+        put(whole, texels - whole * TEXTURE_WIDTH, 1, channels * whole * TEXTURE_WIDTH);
+    }
+
     // Frees what `upload` made.
-    release({ gaussians, harmonics, order, array }) {
-        this.gl.deleteTexture(gaussians);
-        this.gl.deleteTexture(harmonics);
-        this.gl.deleteBuffer(order);
-        this.gl.deleteVertexArray(array);
+    release(scene) {
+        for (const name of ["gaussians", "harmonics", "order", ...PROJECTED]) this.gl.deleteTexture(scene[name]);
+        this.gl.deleteFramebuffer(scene.projection);
     }
 
     // Takes the order, far to near, in which a scene is drawn.
     sort(scene, order) {
-        this.gl.bindBuffer(this.gl.ARRAY_BUFFER, scene.order);
-        this.gl.bufferSubData(this.gl.ARRAY_BUFFER, 0, order);
+        this.fill(scene.order, order, 1);
         scene.drawn = order.length;
     }
 
@@ -283,6 +339,7 @@ class Renderer {
     // token that is pointed at, and the range of depths.
     draw(scene, camera, background, { shown = "color", group = 1, hovered = -1, range = [0, 1] } = {}) {
         const { gl, frame, show } = this, { width, height } = frame;
+        if (scene?.drawn) this.project(scene, camera, { shown, group, hovered });
         gl.viewport(0, 0, width, height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
         gl.clearColor(0, 0, 0, 0);
@@ -290,11 +347,8 @@ class Renderer {
         if (scene?.drawn) {
             gl.enable(gl.BLEND);
             gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-            const uniforms = this.use(this.splats, scene, camera);
-            gl.uniform1i(uniforms.show, SHOWN[shown]);
-            gl.uniform1ui(uniforms.group, group);
-            gl.uniform1i(uniforms.hovered, hovered);
-            gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, scene.drawn);
+            this.use(this.splats, scene);
+            this.drawQuads(scene);
             gl.disable(gl.BLEND);
         }
         gl.bindVertexArray(this.empty);
@@ -309,36 +363,63 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    // Makes a program ready to draw a scene's Gaussians, and gives its uniforms.
-    use({ program, uniforms }, scene, camera) {
-        const { gl } = this, { width, height } = this.frame, focal = camera.focal(width, height), [right, down, forward] = camera.axes;
+    // Computes each Gaussian as a camera sees it, in the order in which they are drawn.
+    project(scene, camera, { shown = "color", group = 1, hovered = -1 } = {}) {
+        const { gl, projector: { program, uniforms } } = this, { width, height } = this.frame;
+        const focal = camera.focal(width, height), [right, down, forward] = camera.axes;
         gl.useProgram(program);
-        for (const [unit, name] of ["gaussians", "harmonics"].entries()) {
-            gl.activeTexture(gl.TEXTURE0 + unit);
-            gl.bindTexture(gl.TEXTURE_2D, scene[name]);
-            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-            gl.uniform1i(uniforms[name], unit);
-        }
+        this.bind(uniforms, scene, ["order", "gaussians", "harmonics"]);
         gl.uniformMatrix3fv(uniforms.view, false, [0, 1, 2].flatMap(i => [right[i], down[i], forward[i]]));
         gl.uniform3fv(uniforms.eye, camera.eye);
         gl.uniform2f(uniforms.focal, focal, focal);
         gl.uniform2f(uniforms.size, width, height);
         gl.uniform1i(uniforms.degree, scene.degree);
-        gl.bindVertexArray(scene.array);
+        gl.uniform1i(uniforms.show, SHOWN[shown]);
+        gl.uniform1ui(uniforms.group, group);
+        gl.uniform1i(uniforms.hovered, hovered);
+        gl.uniform1ui(uniforms.drawn, scene.drawn);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, scene.projection);
+        gl.viewport(0, 0, TEXTURE_WIDTH, Math.ceil(scene.drawn / TEXTURE_WIDTH));
+        gl.bindVertexArray(this.empty);
+        gl.drawArrays(gl.TRIANGLES, 0, 3);
+    }
+
+    // Binds textures of a scene to the samplers of their names.
+    bind(uniforms, scene, names) {
+        for (const [unit, name] of names.entries()) {
+            this.gl.activeTexture(this.gl.TEXTURE0 + unit);
+            this.gl.bindTexture(this.gl.TEXTURE_2D, scene[name]);
+            this.gl.uniform1i(uniforms[name], unit);
+        }
+    }
+
+    // Makes a program ready to draw a scene's Gaussians as they were projected last, and gives its uniforms.
+    use({ program, uniforms }, scene) {
+        const { gl } = this;
+        gl.useProgram(program);
+        this.bind(uniforms, scene, PROJECTED);
+        gl.uniform1ui(uniforms.drawn, scene.drawn);
+        gl.uniform2f(uniforms.size, this.frame.width, this.frame.height);
+        gl.bindVertexArray(this.quads);
         return uniforms;
+    }
+
+    drawQuads({ drawn }) {
+        this.gl.drawElementsInstanced(this.gl.TRIANGLES, 6 * BATCH, this.gl.UNSIGNED_SHORT, 0, Math.ceil(drawn / BATCH));
     }
 
     // The nearest Gaussian that covers half of what is behind it at a pixel of the picture, else a tenth; none where nothing does.
     pick(scene, camera, x, y) {
         if (!scene?.drawn) return null;
-        const { gl } = this, { width, height } = this.frame, uniforms = this.use(this.picks, scene, camera), found = new Uint32Array(4);
+        const { gl } = this, { width, height } = this.frame, found = new Uint32Array(4);
+        this.project(scene, camera);
+        const uniforms = this.use(this.picks, scene);
         gl.bindFramebuffer(gl.FRAMEBUFFER, this.pixel);
         gl.viewport(-x, y + 1 - height, width, height);
         for (const least of [0.5, 0.1]) {
             gl.clearBufferuiv(gl.COLOR, 0, [0xffffffff, 0, 0, 0]);
             gl.uniform1f(uniforms.least, least);
-            gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, scene.drawn);
+            this.drawQuads(scene);
             gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
             if (found[0] !== 0xffffffff) return found[0];
         }
@@ -354,5 +435,14 @@ class Renderer {
             const row = Math.floor(i / 4 / width);
             return values[i + 4 * width * (height - 1 - 2 * row)];
         });
+    }
+
+    // The last picture, rows from the top: four bytes a pixel.
+    bytes() {
+        const { gl, frame: { width, height } } = this, rows = new Uint8Array(4 * width * height), bytes = new Uint8Array(rows.length);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+        gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, rows);
+        for (let y = 0; y < height; ++y) bytes.set(rows.subarray(4 * width * y, 4 * width * (y + 1)), 4 * width * (height - 1 - y));
+        return bytes;
     }
 }
