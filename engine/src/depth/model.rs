@@ -59,6 +59,11 @@ impl DepthModel {
         &self.network.architecture
     }
 
+    /// The network, for plans within other limits.
+    pub fn network(&self) -> &DepthNetwork {
+        &self.network
+    }
+
     /// Bytes of the weights on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.network.weight_bytes()
