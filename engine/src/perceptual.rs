@@ -62,11 +62,7 @@ impl Perceptual {
         let name = format!("LPIPS ({})", network.name());
         let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
         let (parameters, lpips) = layout(gradients);
-        let read = |name: &str, out: &mut [f32]| {
-            tensors.read(name, out);
-            Ok(())
-        };
-        let parameters = parameters.load(device, read, |_| ControlFlow::Continue(()))?;
+        let parameters = parameters.load(device, &tensors, |_| ControlFlow::Continue(()))?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
         Ok(Self { device, network, lpips, has_gradients, parameters, prepared })
     }

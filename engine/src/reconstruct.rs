@@ -103,15 +103,15 @@ impl Model {
     /// As [`Model::load`], for an arithmetic that the device has.
     ///
     /// # Errors
-    /// As [`Model::load`].
+    /// As [`Model::load`], and as [`Network::of`].
     pub fn load_with(
         device: &Device,
         checkpoint: &Checkpoint,
         arithmetic: Arithmetic,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        let network = Network::new(checkpoint.architecture(), device.limits(), arithmetic);
-        let parameters = network.parameters.load(device, |name, out| checkpoint.read_f32(name, out), progress)?;
+        let network = Network::of(checkpoint, device.limits(), arithmetic)?;
+        let parameters = network.parameters.load(device, checkpoint, progress)?;
         let (arena, recorded) = (Arena::new(device), Mutex::default());
         Ok(Self { device: device.clone(), network, parameters, arena, recorded })
     }

@@ -1,7 +1,10 @@
 // Linear layer with its epilogue: out = residual + gamma * activation(a * weight + bias).
 //
 // A         [rows, inner] INPUT, inner a multiple of 4
-// Weight    [panels, inner, PANEL_COLUMNS] INPUT, panels of columns, the last padded (SwiGLU: gate and value columns alternate)
+// Weight    [panels, inner, PANEL_COLUMNS] INPUT, panels of columns, the last padded (SwiGLU: gate and value columns alternate);
+//           read where not Q8
+// Integers  [panels, inner / 4, PANEL_COLUMNS / 4, 4, 4] i8, of 4 terms those of 4 columns; read where Q8
+// Scales    [panels, inner / Q8_GROUP, PANEL_COLUMNS] f16: what 1 stands for in a group of terms; read where Q8
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
@@ -16,12 +19,14 @@
 #extension GL_EXT_control_flow_attributes : require
 #include "shared/gelu.glsl"
 #include "shared/limits.glsl"
+#include "shared/q8.glsl"
 
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
 layout(constant_id = 2) const bool SCALE = false;
 layout(constant_id = 3) const bool ADD = false;
+layout(constant_id = 4) const bool Q8 = false;
 
 const uint ROWS = LINEAR_ROWS;
 
@@ -31,6 +36,8 @@ layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
 layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
 layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
 layout(set = 0, binding = 5) buffer Out { OUTPUT result[]; };
+layout(set = 0, binding = 6) readonly buffer Integers { uvec4 integers[]; };
+layout(set = 0, binding = 7) readonly buffer Scales { uvec2 scales[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -55,6 +62,8 @@ void main() {
     // Lanes past the last panel repeat one, to keep the loop uniform.
     uint panel = min(quad, quads - 1) / panel_quads;
     uint weight_at = panel * inner * panel_quads + quad % panel_quads;
+    uint integers_at = panel * quads_inner * panel_quads + quad % panel_quads;
+    uint scales_at = panel * (inner / Q8_GROUP) * panel_quads + quad % panel_quads;
 
     vec4 sum[ROWS];
     uint row_at[ROWS];
@@ -63,11 +72,21 @@ void main() {
         row_at[r] = min(first_row + r, rows - 1) * quads_inner;
     }
     for (uint k = 0; k < quads_inner; k++) {
-        uint at = weight_at + 4 * k * panel_quads;
-        vec4 b0 = from_INPUT4(weight[at]);
-        vec4 b1 = from_INPUT4(weight[at + panel_quads]);
-        vec4 b2 = from_INPUT4(weight[at + 2 * panel_quads]);
-        vec4 b3 = from_INPUT4(weight[at + 3 * panel_quads]);
+        vec4 b0, b1, b2, b3;
+        if (Q8) {
+            vec4 scale = q8_scales(scales[scales_at + k / (Q8_GROUP / 4) * panel_quads]);
+            uvec4 quads = integers[integers_at + k * panel_quads];
+            b0 = q8_integers(quads.x) * scale;
+            b1 = q8_integers(quads.y) * scale;
+            b2 = q8_integers(quads.z) * scale;
+            b3 = q8_integers(quads.w) * scale;
+        } else {
+            uint at = weight_at + 4 * k * panel_quads;
+            b0 = from_INPUT4(weight[at]);
+            b1 = from_INPUT4(weight[at + panel_quads]);
+            b2 = from_INPUT4(weight[at + 2 * panel_quads]);
+            b3 = from_INPUT4(weight[at + 3 * panel_quads]);
+        }
         [[unroll]] for (uint r = 0; r < ROWS; r++) {
             vec4 x = from_INPUT4(a[row_at[r] + k]);
             sum[r] += x.x * b0;

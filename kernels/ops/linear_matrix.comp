@@ -1,7 +1,9 @@
 // Linear layer with its epilogue on matrix units: out = residual + gamma * activation(a * weight + bias).
 //
 // A         [rows, inner] FACTOR, inner a multiple of 8
-// Weight    [columns, inner] FACTOR, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate)
+// Weight    [columns, inner] FACTOR, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate); read where not Q8
+// Integers, Scales  [columns, inner] i8, [columns, inner / Q8_GROUP] f16: a weight and what 1 stands for in a group of terms; read
+//           where Q8, where they are multiplied and rounded to FACTOR
 // RowScales, ColumnScales  [rows], [columns] f32: what 1 stands for in a row of A or Weight; read where FACTOR is i8
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
@@ -16,6 +18,8 @@
 #extension GL_GOOGLE_include_directive : require
 #include "shared/matrices.glsl"
 #include "shared/gelu.glsl"
+#include "shared/limits.glsl"
+#include "shared/q8.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -26,6 +30,7 @@ layout(constant_id = 8) const uint TILE_K = 32;
 layout(constant_id = 9) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
 layout(constant_id = 10) const bool SCALE = false;
 layout(constant_id = 11) const bool ADD = false;
+layout(constant_id = 12) const bool Q8 = false; // not where FACTOR is i8
 
 const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
@@ -53,6 +58,8 @@ layout(set = 0, binding = 4) readonly buffer Residual { vec4 residual[]; };
 layout(set = 0, binding = 5) buffer Out { OUTPUT4 result[]; };
 layout(set = 0, binding = 6) readonly buffer RowScales { float row_scales[]; };
 layout(set = 0, binding = 7) readonly buffer ColumnScales { vec4 column_scales[]; };
+layout(set = 0, binding = 8) readonly buffer Integers { uvec2 integers[]; };
+layout(set = 0, binding = 9) readonly buffer Scales { uint scales[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -64,6 +71,24 @@ shared Piece staged[SHARED];
 
 Piece next_a[A_LOADS];
 Piece next_weight[W_LOADS];
+
+#if FACTOR_IS_I8
+Piece weight_at(uint at) { return weight[at]; }
+Piece factors(Piece loaded) { return loaded; }
+#else
+// Eight weights as they are loaded: where Q8 two words of integers, one of scales, and which of its two is theirs.
+Piece weight_at(uint at) {
+    if (!Q8) return weight[at];
+    uint group = at / (Q8_GROUP / 8);
+    return Piece(integers[at], scales[group / 2], group % 2);
+}
+
+Piece factors(Piece loaded) {
+    if (!Q8) return loaded;
+    float scale = unpackHalf2x16(loaded.z)[loaded.w];
+    return Piece(pack_FACTOR4(q8_integers(loaded.x) * scale), pack_FACTOR4(q8_integers(loaded.y) * scale));
+}
+#endif
 
 // Rows and columns past the last repeat it, since their results go nowhere; sums past `inner` are of zeros.
 void load(uint first_row, uint first_column, uint tile) {
@@ -78,7 +103,7 @@ void load(uint first_row, uint first_column, uint tile) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
         uint k = tile * PIECES + at % PIECES;
         uint column = min(first_column + at / PIECES, columns - 1);
-        next_weight[i] = k < pieces ? weight[column * pieces + k] : Piece(0);
+        next_weight[i] = k < pieces ? weight_at(column * pieces + k) : Piece(0);
     }
 }
 
@@ -89,7 +114,9 @@ void stage(uint base) {
     }
     [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_N * PIECES) staged[base + (TILE_M + at / PIECES) * STRIDE + at % PIECES] = next_weight[i];
+        if (at < TILE_N * PIECES) {
+            staged[base + (TILE_M + at / PIECES) * STRIDE + at % PIECES] = factors(next_weight[i]);
+        }
     }
 }
 

@@ -74,12 +74,15 @@ pub fn message() -> String {
 /// The smallest network, as a file.
 pub fn micro() -> &'static [u8] {
     static MICRO: OnceLock<Vec<u8>> = OnceLock::new();
-    MICRO.get_or_init(|| {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("micro.safetensors");
-        checkpoint().save(&path, Dtype::F32).expect("weights can be written");
-        std::fs::read(path).expect("they were just written")
-    })
+    MICRO.get_or_init(|| micro_in(Dtype::F32))
+}
+
+/// The same in another type.
+pub fn micro_in(dtype: Dtype) -> Vec<u8> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("micro.safetensors");
+    checkpoint().save(&path, dtype).expect("weights can be written");
+    std::fs::read(path).expect("they were just written")
 }
 
 pub fn checkpoint() -> Checkpoint {
@@ -100,9 +103,17 @@ pub fn try_model(context: &Object<zs_context>) -> Result<Object<zs_model>, zs_st
 }
 
 pub fn try_model_with(context: &Object<zs_context>, options: &zs_model_options) -> Result<Object<zs_model>, zs_status> {
+    model_from(context, micro(), options)
+}
+
+pub fn model_from(
+    context: &Object<zs_context>,
+    bytes: &[u8],
+    options: &zs_model_options,
+) -> Result<Object<zs_model>, zs_status> {
     let load = |out| {
         // SAFETY: a live context, bytes of that length, options, and where to put it.
-        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), options, out) }
+        unsafe { zs_model_from_memory(context.handle, bytes.as_ptr().cast(), bytes.len(), options, out) }
     };
     Object::try_new(zs_model_destroy, load)
 }

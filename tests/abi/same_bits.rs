@@ -10,6 +10,7 @@ use zipsplat::{
     stages::render::{Depth, Frame, RenderRequest, Renderer},
     tune::Chosen,
     types::{Camera, Image, Intrinsics, Pose, Scene},
+    weights::{Checkpoint, Dtype},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
 
@@ -301,5 +302,22 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
             ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
         let theirs = reconstruct(&model, &images, &reconstruct_options());
         assert_same(&format!("{asked:?}"), &bits(&read(&theirs)), &bits(&ours));
+    }
+}
+
+#[test]
+fn weights_of_8_bits_come_from_memory() {
+    let (context, photos, bytes) = (context(), photos(2), micro_in(Dtype::Q8));
+    let options = zs_model_options { precision: zs_precision::ZS_PRECISION_EXACT as i32, ..model_options() };
+    let model = made(model_from(&context, &bytes, &options));
+    let theirs = reconstruct(&model, &photos.iter().map(image_of).collect::<Vec<_>>(), &reconstruct_options());
+    let checkpoint = Checkpoint::from_bytes("q8", bytes.clone(), None).expect("what was just written");
+    let ours = Model::load(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
+    let ours = ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+    assert_same("q8", &bits(&read(&theirs)), &bits(&ours));
+    if Arithmetic::of(Precision::Turbo, device().limits()).is_some() {
+        let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_TURBO as i32, ..options };
+        let refused = model_from(&context, &bytes, &turbo).err().expect("no turbo for such weights");
+        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fast"]);
     }
 }

@@ -1,9 +1,10 @@
 //! `zipsplat convert`.
 
 use crate::Folder;
+use zipsplat::ops::{Arithmetic, Precision};
 use zipsplat::types::{read_scene, write_ply};
 use zipsplat::weights::Checkpoint;
-use zipsplat_tests::scenes;
+use zipsplat_tests::{device::device, scenes};
 
 #[test]
 fn a_round_trip_keeps_every_value() {
@@ -19,6 +20,32 @@ fn a_round_trip_keeps_every_value() {
     }
     let size = |name: &str| folder.path(name).metadata().expect("a file").len();
     assert!(size("f16.safetensors") < size("f32.safetensors") * 6 / 10);
+}
+
+#[test]
+fn weights_of_8_bits_go_through_every_command() {
+    let folder = Folder::new();
+    let json = folder.run("convert @/micro.safetensors @/q8.safetensors --dtype q8 --json").json();
+    let size = |name: &str| folder.path(name).metadata().expect("a file").len();
+    assert_eq!((&json["dtype"], json["bytes"].as_u64()), (&"q8".into(), Some(size("q8.safetensors"))));
+    assert!(size("q8.safetensors") < size("micro.safetensors") * 2 / 3);
+    folder.run("convert @/q8.safetensors @/again.safetensors --dtype q8").success();
+    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a checkpoint");
+    assert_eq!(bytes("again.safetensors"), bytes("q8.safetensors"));
+    let info = folder.run("info @/q8.safetensors --json").json();
+    let stored = info["stored"].as_object().expect("bytes of each type");
+    assert_eq!(stored.keys().collect::<Vec<_>>(), ["f16", "f32", "q8"]);
+    assert!(folder.run("info @/q8.safetensors").success().contains("q8 "));
+    let plan = |weights: &str| {
+        let plan = folder.run(&format!("--device none info --plan --weights @/{weights}.safetensors --views 2 --json"));
+        plan.json()["weight_bytes"].as_u64().expect("bytes")
+    };
+    assert!(plan("q8") < plan("micro") * 4 / 5, "{} of {}", plan("q8"), plan("micro"));
+    if Arithmetic::of(Precision::Turbo, device().limits()).is_some() {
+        let turbo = folder.run("info --plan --weights @/q8.safetensors --views 2 --precision turbo");
+        turbo.fails(3, &["q8.safetensors, whose weights are q8", "exact, fast or fast-bf16"]);
+    }
+    folder.run("convert @/micro.safetensors @/b.safetensors --dtype q9").fails(3, &["dtype", "q9", "bf16 or q8"]);
 }
 
 #[test]

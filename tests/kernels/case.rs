@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, LinearKernel, NearestKernel, Units};
+use zipsplat::ops::{AttentionKernel, LinearKernel, NearestKernel, Units, Weights};
 use zipsplat_tests::device::device;
 pub use zipsplat_tests::random::{random, random_below};
 
@@ -85,11 +85,16 @@ pub fn elements() -> Vec<Element> {
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
-/// Kernels of linear layers that the device has.
+/// Kernels of linear layers that the device has, for weights in the type of the factors.
 pub fn linear_kernels() -> Vec<LinearKernel> {
-    let panels = elements().into_iter().map(LinearKernel::Panels);
-    let matrices = |factor| Units::of(factor, device().limits()).map(LinearKernel::Matrix);
-    panels.chain(Element::FACTORS.into_iter().filter_map(matrices)).collect()
+    let panels = elements().into_iter().map(|element| LinearKernel::Panels(element, Weights::Factors));
+    let units = Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, device().limits()));
+    panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).collect()
+}
+
+/// Those that have one for weights of 8 bits, and that.
+pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
+    linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
 }
 
 /// Kernels of attention that the device has, with tiles by rule.

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use zipsplat::{
     Error,
     gpu::{Element, Matrices, Recorder, Run},
-    ops::{Arithmetic, Epilogue, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, pack_matrix},
+    ops::{Arithmetic, Epilogue, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, Weights, pack_matrix},
     tune::{Measured, Tuning},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
@@ -94,7 +94,7 @@ fn a_tile_changes_no_bit_of_a_linear_layer() {
     let (x, weight) = values.split_at(rows * inner);
     for units in Element::FACTORS.into_iter().filter_map(|f| Units::of(f, limits)) {
         let product = |index: usize| -> Vec<u32> {
-            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units }, Weights::Factors);
             let packed = pack_matrix(kernel, &weight[..inner * columns], inner, columns);
             let mut rec = Recorder::new(limits);
             let (packed_weight, bias) = (rec.input::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));

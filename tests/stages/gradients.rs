@@ -41,8 +41,7 @@ fn head(golden: &Golden) -> (Head, Arc<Resident>) {
 fn load(checkpoint: &Checkpoint) -> (Head, Arc<Resident>) {
     let mut parameters = ParameterLayout::new(device().limits(), Arithmetic::EXACT);
     let head = Head::new(&mut parameters, checkpoint.architecture());
-    let read = |name: &str, out: &mut [f32]| checkpoint.read_f32(name, out);
-    let loaded = parameters.load(device(), read, |_| ControlFlow::Continue(())).expect("a small head fits");
+    let loaded = parameters.load(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a small head fits");
     (head, loaded.resident)
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::ops::ControlFlow;
 use zipsplat::gpu::{Limits, Recorder, Run};
-use zipsplat::ops::{Arithmetic, ParameterLayout};
+use zipsplat::ops::{Arithmetic, ParameterLayout, ParameterSource};
 use zipsplat::perceptual::Perceptual;
 use zipsplat::stages::lpips::{Lpips, LpipsNetwork, LpipsPictures};
 use zipsplat::weights::Tensors;
@@ -98,7 +98,7 @@ impl Pair {
         &self,
         limits: &Limits,
         network: LpipsNetwork,
-        mut read: impl FnMut(&str, &mut [f32]),
+        read: impl Fn(&str, &mut [f32]),
         clipped: bool,
         weight: Option<f32>,
     ) -> Found {
@@ -108,7 +108,7 @@ impl Pair {
             read(name, out);
             Ok(())
         };
-        let loaded = parameters.load(device(), read, |_| ControlFlow::Continue(())).unwrap();
+        let loaded = parameters.load(device(), &read, |_| ControlFlow::Continue(())).unwrap();
         let mut rec = Recorder::new(limits);
         let [a, b, d_a] = ["a", "b", "d_a"].map(|name| rec.input::<f32>(name, self.a.len()));
         let [width, height] = self.size;
@@ -186,7 +186,13 @@ fn equals_the_goldens() {
         for case in golden.stems(&format!("/{}/loss", network.name())) {
             let pair = Pair::golden(&golden, &case);
             let key = |what: &str| golden.f64(&format!("{case}/{}/{what}", network.name()));
-            let found = pair.compared(device().limits(), network, |name, out| tensors.read(name, out), true, Some(1.0));
+            let found = pair.compared(
+                device().limits(),
+                network,
+                |name, out| tensors.read_f32(name, out).unwrap(),
+                true,
+                Some(1.0),
+            );
             let name = format!("{case} {network:?}");
             assert_close(&name, &[found.value], &key("loss"), rms(1e-5));
             assert_close(&format!("{name} layers"), &found.layers, &key("layers"), rms(1e-5));

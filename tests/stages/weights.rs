@@ -2,6 +2,7 @@
 
 mod large;
 mod malformed;
+mod q8;
 mod torch;
 mod trained;
 

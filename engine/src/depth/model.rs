@@ -50,7 +50,8 @@ impl DepthModel {
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let network = DepthNetwork::new(checkpoint.architecture(), device.limits(), arithmetic);
-        let parameters = network.parameters.load(device, |name, out| checkpoint.read_f32(name, out), progress)?;
+        let read = |name: &str, out: &mut [f32]| checkpoint.read_f32(name, out);
+        let parameters = network.parameters.load(device, &read, progress)?;
         Ok(Self { device: device.clone(), network, parameters, arena: Arena::new(device) })
     }
 

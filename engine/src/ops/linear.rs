@@ -7,8 +7,12 @@ use super::{
 };
 use crate::{
     gpu::{Element, Limits, Recorder, Tensor},
-    kernels::{limits::LINEAR_ROWS, ops},
+    kernels::{
+        limits::{LINEAR_ROWS, PANEL_COLUMNS, Q8_GROUP},
+        ops,
+    },
 };
+use half::f16;
 
 /// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, rows / LINEAR_ROWS along an
 /// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
@@ -33,10 +37,20 @@ pub struct Linear {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
     /// ops/linear: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
-    Panels(Element),
+    Panels(Element, Weights),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
     /// behind them, `[columns]` f32 from a multiple of 256 bytes on; inputs are f16 and become such integers row by row.
-    Matrix(Units),
+    Matrix(Units, Weights),
+}
+
+/// How a weight lies on the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weights {
+    /// In the type of the factors.
+    Factors,
+    /// As [`Q8`](super::Q8): the integers, those of panels with four terms of four columns side by side, and from a multiple of
+    /// 256 bytes on the scales, f16, with a group of terms in the place of a term. Not with factors of 8 bits.
+    Q8,
 }
 
 /// The pointwise function behind the bias.
@@ -74,7 +88,31 @@ impl LinearKernel {
     /// Type of the factors, and so of the weight.
     pub fn factor(self) -> Element {
         match self {
-            LinearKernel::Panels(element) | LinearKernel::Matrix(Units { factor: element, .. }) => element,
+            LinearKernel::Panels(element, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => element,
+        }
+    }
+
+    /// How the weight lies on the device.
+    pub fn weights(self) -> Weights {
+        match self {
+            LinearKernel::Panels(_, weights) | LinearKernel::Matrix(_, weights) => weights,
+        }
+    }
+
+    /// The same for weights of 8 bits, where there is one.
+    pub fn with_q8(self) -> Option<Self> {
+        match self {
+            LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => None,
+            LinearKernel::Matrix(units, _) => Some(LinearKernel::Matrix(units, Weights::Q8)),
+            LinearKernel::Panels(element, _) => Some(LinearKernel::Panels(element, Weights::Q8)),
+        }
+    }
+
+    /// Columns of the packed weight.
+    pub(super) fn padded_columns(self, columns: usize) -> usize {
+        match self {
+            LinearKernel::Panels(..) => columns.next_multiple_of(PANEL_COLUMNS as usize),
+            LinearKernel::Matrix(..) => columns,
         }
     }
 
@@ -84,7 +122,7 @@ impl LinearKernel {
     }
 }
 
-/// Where the scales of 8-bit integers begin, `[columns]` f32: at a multiple of 256 bytes.
+/// Where the scales of 8-bit integers begin: at a multiple of 256 bytes.
 pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
     (columns * inner).next_multiple_of(256)
 }
@@ -117,27 +155,47 @@ impl Linear {
             let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
             match self.kernel {
-                LinearKernel::Panels(_) => self.panels(rec, input, out, epilogue),
-                LinearKernel::Matrix(units) => self.matrix(rec, units, input, out, epilogue),
+                LinearKernel::Panels(..) => self.panels(rec, input, out, epilogue),
+                LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue),
+            }
+        }
+    }
+
+    /// The weight as factors, as integers and their scales; what it does not have stands for nothing.
+    fn weights(&self) -> [Tensor; 3] {
+        let values = self.kernel.padded_columns(self.columns) * self.inner;
+        match self.kernel.weights() {
+            Weights::Factors => [self.weight.slice_of(self.kernel.factor(), 0, values), self.bias, self.bias],
+            Weights::Q8 => {
+                let at = scales_at(self.kernel.padded_columns(self.columns), self.inner);
+                [
+                    self.bias,
+                    self.weight.slice::<i8>(0, values),
+                    self.weight.slice::<f16>(at / 2, values / Q8_GROUP as usize),
+                ]
             }
         }
     }
 
     fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
+        let [weight, integers, scales] = self.weights();
         let kernel = ops::Linear {
             a: input.tensor,
-            weight: self.weight,
+            weight,
             bias: self.bias,
             gamma: epilogue.gamma.unwrap_or(self.bias),
             residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
             out: out.tensor,
+            integers,
+            scales,
             rows: rows as u32,
             inner: self.inner as u32,
             columns: self.columns as u32,
             activation: epilogue.activation as u32,
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
+            q8: self.kernel.weights() == Weights::Q8,
             input: input.element,
             output: out.element,
         };
@@ -156,15 +214,18 @@ impl Linear {
             }
             _ => (input, self.bias, self.bias),
         };
+        let [weight, integers, scales] = self.weights();
         let kernel = ops::LinearMatrix {
             a: a.tensor,
-            weight: self.weight.slice_of(factor, 0, columns * inner),
+            weight,
             bias: self.bias,
             gamma: epilogue.gamma.unwrap_or(self.bias),
             residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
             out: out.tensor,
             row_scales,
             column_scales,
+            integers,
+            scales,
             rows: rows as u32,
             inner: inner as u32,
             columns: columns as u32,
@@ -179,6 +240,7 @@ impl Linear {
             activation: epilogue.activation as u32,
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
+            q8: self.kernel.weights() == Weights::Q8,
             factor,
             output: out.element,
         };

@@ -1,13 +1,15 @@
 //! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
 
-use super::{Arithmetic, AttentionKernel, Linear, LinearKernel, NearestKernel, Norm, Units, linear::scales_at};
+use super::{
+    Arithmetic, AttentionKernel, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
+    packing::{Order, Packing, packed_bytes},
+};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Resident, ResidentLayout, Tensor},
-    kernels::limits::PANEL_COLUMNS,
 };
-use rayon::prelude::*;
 use std::{
+    collections::HashSet,
     ops::{ControlFlow, Index},
     sync::Arc,
 };
@@ -18,6 +20,8 @@ pub struct ParameterLayout {
     layout: ResidentLayout,
     declared: Vec<Declared>,
     arithmetic: Arithmetic,
+    /// Matrices whose weights have 8 bits.
+    q8: HashSet<String>,
 }
 
 struct Declared {
@@ -29,6 +33,12 @@ struct Declared {
 enum Place {
     Device(Tensor, Packing),
     Host,
+}
+
+impl<F: Fn(&str, &mut [f32]) -> Result<()>> ParameterSource for F {
+    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
+        self(name, out)
+    }
 }
 
 /// A parameter that the host keeps.
@@ -51,62 +61,37 @@ impl Index<HostParameter> for Parameters {
     }
 }
 
-/// How a checkpoint's values become what kernels read.
-#[derive(Clone, Copy)]
-enum Packing {
-    /// As they are.
-    Vector,
-    /// A vector in the order of a gated matrix' columns.
-    GatedVector,
-    /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
-    Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
-    /// A matrix whose values the checkpoint has in another order, as [`LinearKernel`] wants it, and behind it, from a multiple of 256
-    /// bytes on, a bias `[columns]` of zeros.
-    Reordered { order: Order, inner: usize, columns: usize, kernel: LinearKernel },
-}
+/// Where the values of parameters come from.
+pub trait ParameterSource {
+    /// Reads the values of a name, in C order.
+    ///
+    /// # Errors
+    /// Where they cannot be read.
+    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()>;
 
-/// The order of a checkpoint's values of a matrix `[columns, inner]`.
-#[derive(Clone, Copy)]
-enum Order {
-    /// `[inner / taps, taps, columns]`, the taps from last to first: a convolution, for gradients.
-    Transposed { taps: usize },
-    /// `[columns, channels, taps]` for an inner `[taps, channels padded to whole vec4]`: a convolution of pictures whose channels run
-    /// fastest.
-    Planar { taps: usize, channels: usize },
-    /// `[inner, columns / taps, taps]` for columns `[taps, columns / taps]`: a transposed convolution whose kernels do not overlap.
-    Spread { taps: usize },
-}
-
-impl Order {
-    /// The place in the checkpoint of the value in a column; nothing for padding.
-    fn place(self, [inner, columns]: [usize; 2], column: usize, k: usize) -> Option<usize> {
-        match self {
-            Order::Transposed { taps } => {
-                let outputs = inner / taps;
-                Some((k % outputs * taps + taps - 1 - k / outputs) * columns + column)
-            }
-            Order::Planar { taps, channels } => {
-                let (tap, channel) = (k / (inner / taps), k % (inner / taps));
-                (channel < channels).then_some((column * channels + channel) * taps + tap)
-            }
-            Order::Spread { taps } => {
-                let outputs = columns / taps;
-                Some((k * outputs + column % outputs) * taps + column / outputs)
-            }
-        }
+    /// The weight of a name that [`ParameterLayout::with_q8`] was told of.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    fn read_q8(&self, name: &str) -> Result<Q8> {
+        unreachable!("{name} has no weights of 8 bits")
     }
-}
-
-/// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
-/// alternate, gate, value, gate, value.
-fn source_row(column: usize, columns: usize, gated: bool) -> usize {
-    if gated { (column % 2) * (columns / 2) + column / 2 } else { column }
 }
 
 impl ParameterLayout {
     /// An empty layout for devices of these limits.
     pub fn new(limits: &Limits, arithmetic: Arithmetic) -> Self {
-        Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic }
+        Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic, q8: HashSet::new() }
+    }
+
+    /// Keeps the weights of these names, where a linear layer multiplies by them, in 8 bits on the device.
+    ///
+    /// # Panics
+    /// Where the arithmetic rounds weights to 8 bits itself.
+    pub fn with_q8(self, names: impl IntoIterator<Item = String>) -> Self {
+        let q8: HashSet<String> = names.into_iter().collect();
+        assert!(q8.is_empty() || self.arithmetic.quantised.is_none(), "weights of 8 bits are rounded once");
+        Self { q8, ..self }
     }
 
     /// The kernel of attention.
@@ -205,7 +190,7 @@ impl ParameterLayout {
     }
 
     fn reordered(&mut self, name: &str, shape: &[usize], [inner, columns]: [usize; 2], order: Order) -> Linear {
-        let kernel = LinearKernel::Panels(Element::F32);
+        let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
         let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
         let packing = Packing::Reordered { order, inner, columns, kernel };
         let both = self.add::<u8>(&format!("{name}.weight"), shape, bias_at + size_of::<f32>() * columns, packing);
@@ -238,28 +223,33 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates the parameters and loads them one by one. `read` fills in the values of a name, in C order; `progress` gets the
-    /// share that is done and may stop it.
+    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done and may stop it.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little; the error of `read`; [`Error::Cancelled`].
+    /// [`Error::Memory`] where the device has too little; the errors of `source`; [`Error::Cancelled`].
     pub fn load(
         &self,
         device: &Device,
-        mut read: impl FnMut(&str, &mut [f32]) -> Result<()>,
+        source: &impl ParameterSource,
         mut progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Parameters> {
         let resident = Arc::new(Resident::new(device, &self.layout)?);
         let mut host = vec![Vec::new(); self.declared.len()];
-        let (mut source, mut packed) = (Vec::new(), Vec::new());
+        let (mut values, mut packed) = (Vec::new(), Vec::new());
         let mut done = 0;
         for (Declared { name, shape, place }, host) in self.declared.iter().zip(&mut host) {
-            source.resize(shape.iter().product(), 0.0);
-            read(name, &mut source)?;
+            let is_q8 = matches!(place, Place::Device(_, packing) if packing.takes_q8());
+            if !is_q8 {
+                values.resize(shape.iter().product(), 0.0);
+                source.read_f32(name, &mut values)?;
+            }
             match place {
-                Place::Host => *host = source.clone(),
+                Place::Host => *host = values.clone(),
                 Place::Device(tensor, packing) => {
-                    packing.pack(&source, &mut packed);
+                    match is_q8 {
+                        true => packing.pack_q8(&source.read_q8(name)?, &mut packed),
+                        false => packing.pack(&values, &mut packed),
+                    }
                     resident.write(*tensor, &packed)?;
                     done += tensor.bytes();
                 }
@@ -274,11 +264,13 @@ impl ParameterLayout {
     fn matrix(&mut self, name: &str, row: &[usize], columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
         // The matrix kernel writes whole vectors.
         let Arithmetic { element, linear, quantised, .. } = arithmetic;
-        let kernel = match quantised.or(linear) {
-            Some(units) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(units),
-            _ => LinearKernel::Panels(element),
-        };
         let inner = row.iter().product::<usize>();
+        let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
+        let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
+        let kernel = match quantised.or(linear) {
+            Some(units) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(units, weights),
+            _ => LinearKernel::Panels(element, weights),
+        };
         let (packing, shape) = (Packing::Matrix { inner, columns, gated, kernel }, [&[columns], row].concat());
         let bias = if gated { Packing::GatedVector } else { Packing::Vector };
         Linear {
@@ -295,91 +287,5 @@ impl ParameterLayout {
         let place = Place::Device(tensor, packing);
         self.declared.push(Declared { name: name.into(), shape: shape.into(), place });
         tensor
-    }
-}
-
-/// Bytes of a packed matrix.
-fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -> usize {
-    let inner = inner.next_multiple_of(kernel.vector());
-    match kernel {
-        LinearKernel::Panels(element) => element.bytes() * inner * columns.next_multiple_of(PANEL_COLUMNS as usize),
-        LinearKernel::Matrix(Units { factor: Element::I8, .. }) => scales_at(columns, inner) + 4 * columns,
-        LinearKernel::Matrix(Units { factor, .. }) => factor.bytes() * inner * columns,
-    }
-}
-
-impl Packing {
-    /// The bytes that kernels read.
-    fn pack(self, source: &[f32], packed: &mut Vec<u8>) {
-        packed.clear();
-        match self {
-            Packing::Vector => packed.extend_from_slice(bytemuck::cast_slice(source)),
-            Packing::GatedVector => {
-                let value = |column| source[source_row(column, source.len(), true)];
-                packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
-            }
-            Packing::Reordered { order, inner, columns, kernel } => {
-                let value = |c, k| order.place([inner, columns], c, k).map_or(0.0, |place| source[place]);
-                let matrix: Vec<f32> = (0..columns).flat_map(|c| (0..inner).map(move |k| value(c, k))).collect();
-                Packing::Matrix { inner, columns, gated: false, kernel }.pack(&matrix, packed);
-                packed.resize(packed.len().next_multiple_of(256) + size_of::<f32>() * columns, 0);
-            }
-            Packing::Matrix { inner, columns, gated, kernel } => {
-                packed.resize(packed_bytes(inner, columns, kernel), 0);
-                let row = |column: usize| &source[source_row(column, columns, gated) * inner..][..inner];
-                let padded = inner.next_multiple_of(kernel.vector());
-                match kernel {
-                    LinearKernel::Panels(Element::F32) => panels::<4>(row, columns, padded, Element::F32, packed),
-                    LinearKernel::Panels(half) => panels::<2>(row, columns, padded, half, packed),
-                    LinearKernel::Matrix(Units { factor: Element::I8, .. }) => quantised(row, columns, padded, packed),
-                    LinearKernel::Matrix(Units { factor, .. }) => {
-                        packed.par_chunks_mut(factor.bytes() * padded).enumerate().for_each(|(column, out)| {
-                            out[..factor.bytes() * inner].copy_from_slice(&factor.encode(row(column)));
-                        });
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// The bytes of the matrix `weight` `[columns, inner]` as `kernel` reads them.
-pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
-    let mut packed = Vec::new();
-    Packing::Matrix { inner, columns, gated: false, kernel }.pack(weight, &mut packed);
-    packed
-}
-
-/// Columns, each a row of a checkpoint's matrix, as `[panels, padded, PANEL_COLUMNS]` of a type of N bytes.
-fn panels<'a, const N: usize>(
-    row: impl Fn(usize) -> &'a [f32] + Sync,
-    columns: usize,
-    padded: usize,
-    element: Element,
-    packed: &mut [u8],
-) {
-    const PANEL: usize = PANEL_COLUMNS as usize;
-    packed.par_chunks_mut(padded * PANEL * N).enumerate().for_each(|(p, panel)| {
-        let (panel, _) = panel.as_chunks_mut::<N>();
-        for column in p * PANEL..columns.min((p + 1) * PANEL) {
-            for (k, value) in element.encode(row(column)).as_chunks::<N>().0.iter().enumerate() {
-                panel[k * PANEL + column % PANEL] = *value;
-            }
-        }
-    });
-}
-
-/// Columns as 8-bit integers `[columns, padded]`, each with a scale that makes its largest magnitude 127, and behind them
-/// the scales.
-fn quantised<'a>(row: impl Fn(usize) -> &'a [f32] + Sync, columns: usize, padded: usize, packed: &mut [u8]) {
-    let largest = |column: usize| row(column).iter().fold(0f32, |most, x| most.max(x.abs()));
-    let (integers, scales) = packed.split_at_mut(scales_at(columns, padded));
-    integers[..columns * padded].par_chunks_mut(padded).enumerate().for_each(|(column, out)| {
-        let steps = 127.0 / largest(column).max(f32::MIN_POSITIVE);
-        let scaled: Vec<f32> = row(column).iter().map(|x| x * steps).collect();
-        out[..scaled.len()].copy_from_slice(&Element::I8.encode(&scaled));
-    });
-    for (column, scale) in scales.as_chunks_mut::<4>().0.iter_mut().enumerate() {
-        *scale = (largest(column) / 127.0).to_ne_bytes();
     }
 }

@@ -7,6 +7,7 @@ use crate::{
     ops::{Arithmetic, ParameterLayout, Rows, join_columns},
     stages::{Architecture, Stages, ViewGrid, cluster, render::SceneTensors},
     types::Scene,
+    weights::Checkpoint,
 };
 
 /// A network's parameters, laid out for a device.
@@ -83,7 +84,21 @@ impl NetworkPlan {
 impl Network {
     /// Lays out a network; needs no device.
     pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
-        let mut parameters = ParameterLayout::new(limits, arithmetic);
+        Self::laid_out(architecture, ParameterLayout::new(limits, arithmetic))
+    }
+
+    /// Lays out the network of a checkpoint, whose weights of 8 bits keep them on the device; needs none.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::suits`].
+    pub fn of(checkpoint: &Checkpoint, limits: &Limits, arithmetic: Arithmetic) -> Result<Self> {
+        checkpoint.suits(arithmetic)?;
+        let q8 = checkpoint.q8_names().map(String::from);
+        let parameters = ParameterLayout::new(limits, arithmetic).with_q8(q8);
+        Ok(Self::laid_out(checkpoint.architecture(), parameters))
+    }
+
+    fn laid_out(architecture: &Architecture, mut parameters: ParameterLayout) -> Self {
         let stages = Stages::new(&mut parameters, architecture);
         Self { architecture: architecture.clone(), parameters, stages }
     }

@@ -34,8 +34,7 @@ impl FrozenHead {
         let architecture = checkpoint.architecture().clone();
         let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
         let head = Head::new(&mut parameters, &architecture);
-        let read = |name: &str, out: &mut [f32]| checkpoint.read_f32(name, out);
-        let memory = parameters.load(device, read, |_| ControlFlow::Continue(()))?.resident;
+        let memory = parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?.resident;
         Ok(Self { head, architecture, memory })
     }
 }

@@ -8,7 +8,7 @@ use super::{
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Activation, Arithmetic, Epilogue, Linear, LinearKernel, Rows, Tile, Units, pack_matrix},
+    ops::{Activation, Arithmetic, Epilogue, Linear, LinearKernel, Q8, Rows, Tile, Units, Weights, pack_matrix},
 };
 
 pub(super) struct LinearLayers;
@@ -36,40 +36,41 @@ impl Operation for LinearLayers {
     /// Results go on in f32, or only feed other products.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
         let name = kernel_name("ops/linear", on_units, factor);
-        let outputs = [Element::F32, LinearKernel::Panels(factor).element()];
+        let outputs = [Element::F32, LinearKernel::Panels(factor, Weights::Factors).element()];
         outputs.map(|output| (format!("{name}_{}", output.name()), output)).into()
     }
 
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
         // On matrix units more than one workgroup each way, the last of them not whole.
         let (kernel, rows, columns) = match candidate {
-            Candidate::Lanes(element) => (LinearKernel::Panels(element), 35, 40),
+            Candidate::Lanes(element) => (LinearKernel::Panels(element, Weights::Factors), 35, 40),
             Candidate::Units(units, tile) => {
                 let [rows, columns] = tile.sides(units);
-                (LinearKernel::Matrix(units), rows + 3, columns + 8)
+                (LinearKernel::Matrix(units, Weights::Factors), rows + 3, columns + 8)
             }
         };
-        let mut activations = vec![Activation::None, Activation::Gelu];
-        activations.extend(columns.is_multiple_of(8).then_some(Activation::SwiGlu));
+        let mut cases = vec![(Activation::None, kernel, 72), (Activation::Gelu, kernel, 72)];
+        cases.extend(columns.is_multiple_of(8).then_some((Activation::SwiGlu, kernel, 72)));
+        cases.extend(kernel.with_q8().map(|q8| (Activation::None, q8, 96)));
         let mut worst = Some(0.0);
-        for activation in activations {
+        for (activation, kernel, inner) in cases {
             let product = |twin, output: Element| -> Result<Vec<f32>> {
-                let layer = Layer { kernel: twin, sizes: [rows, 72, columns], activation, output };
-                let (mut run, out) = layer.run(device, kernel.factor())?;
+                let layer = Layer { kernel: twin, sizes: [rows, inner, columns], activation, output };
+                let (mut run, out) = layer.run(device, kernel)?;
                 run.execute()?;
                 Ok(output.decode(&run.read::<u8>(out)?))
             };
-            let exact = product(LinearKernel::Panels(Element::F32), Element::F32)?;
+            let exact = product(LinearKernel::Panels(Element::F32, Weights::Factors), Element::F32)?;
             worst = worse(worst, deviation(LIMIT, output.roundoff(), &exact, &product(kernel, output)?));
         }
         Ok(worst)
     }
 
     fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run> {
-        let kernel = LinearKernel::Matrix(units);
+        let kernel = LinearKernel::Matrix(units, Weights::Factors);
         let sizes = [rows, TERMS, COLUMNS];
         let layer = Layer { kernel, sizes, activation: Activation::None, output: kernel.element() };
-        layer.run(device, units.factor).map(|(run, _)| run)
+        layer.run(device, kernel).map(|(run, _)| run)
     }
 
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
@@ -87,10 +88,14 @@ struct Layer {
 }
 
 impl Layer {
-    /// A run on random numbers that `factor` holds, and its result. GELU comes with a residual and a scale.
-    fn run(&self, device: &Device, factor: Element) -> Result<(Run, Tensor)> {
-        let ([rows, inner, columns], kernel) = (self.sizes, self.kernel);
-        let packed = pack_matrix(kernel, &noise(2, columns, inner, factor), inner, columns);
+    /// A run on random numbers that the kernel `tested` holds, and its result. GELU comes with a residual and a scale.
+    fn run(&self, device: &Device, tested: LinearKernel) -> Result<(Run, Tensor)> {
+        let ([rows, inner, columns], kernel, factor) = (self.sizes, self.kernel, tested.factor());
+        let weight = match tested.weights() {
+            Weights::Q8 => noise(2, columns * Q8::scales_of(inner), Q8::GROUP, Element::I8),
+            Weights::Factors => noise(2, columns, inner, factor),
+        };
+        let packed = pack_matrix(kernel, &weight, inner, columns);
         let values = encoded_noise(1, rows, inner, factor, kernel.element());
         let mut rec = Recorder::new(device.limits());
         let (weight, bias) = (rec.constant::<u8>("weight", packed.len()), rec.constant::<f32>("bias", columns));

@@ -1,6 +1,7 @@
 //! A network's weights, wherever they come from.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::io::BufWriter;
 use std::ops::{ControlFlow, Deref};
 use std::path::{Path, PathBuf};
@@ -8,8 +9,10 @@ use std::path::{Path, PathBuf};
 use memmap2::Mmap;
 
 use super::contents::Contents;
+use super::source::Source;
 use super::tensor::Stored;
-use super::{Architecture, Dtype, inference, safetensors, seeded, torch};
+use super::{Architecture, Dtype, inference, safetensors, torch};
+use crate::ops::{Arithmetic, ParameterSource, Q8};
 use crate::types::{open_file, preprocess::DEFAULT_SIZE};
 use crate::{Error, Result};
 
@@ -34,19 +37,6 @@ const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/mod
 /// An architecture, and what was assumed to know it.
 type Known = (Architecture, Option<String>);
 
-/// The values of a list of parameters.
-#[derive(Debug)]
-pub(super) enum Source {
-    /// A tensor for each parameter.
-    Stored {
-        file: Bytes,
-        tensors: Vec<Stored>,
-    },
-    Seeded {
-        key: String,
-    },
-}
-
 /// A file's contents.
 #[derive(Debug)]
 pub(super) enum Bytes {
@@ -61,37 +51,6 @@ impl Deref for Bytes {
         match self {
             Self::Mapped(file) => file,
             Self::Held(bytes) => bytes,
-        }
-    }
-}
-
-impl Source {
-    /// Reads parameter `index` of those that it has, in C order; `provenance` stands for all of them in messages.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a wrong length, [`Error::Format`] for a value that is not finite.
-    pub fn read(
-        &self,
-        provenance: &str,
-        index: usize,
-        parameters: &[(String, Vec<usize>)],
-        out: &mut [f32],
-    ) -> Result<()> {
-        let (name, shape) = &parameters[index];
-        let expected: usize = shape.iter().product();
-        if out.len() != expected {
-            return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
-        }
-        match self {
-            Self::Stored { file, tensors } => tensors[index].read(file, out),
-            Self::Seeded { key } => seeded::fill(key, name, shape, out),
-        }
-        match out.iter().position(|value| !value.is_finite()) {
-            Some(i) => {
-                let reason = format!("{name}: found {} as value {i}, expected finite values", out[i]);
-                Err(Error::format(provenance, None, reason))
-            }
-            None => Ok(()),
         }
     }
 }
@@ -244,14 +203,76 @@ impl Checkpoint {
         self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
 
+    /// Reads a matrix, whose rows are whole groups, in 8 bits: as it is stored, or rounded.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::read_f32`]; [`Error::Argument`] for a value that is too large to be rounded, and [`Error::Format`] for such a
+    /// scale.
+    pub fn read_q8(&self, name: &str) -> Result<Q8> {
+        let index = self.find(name)?;
+        match &self.source {
+            Source::Stored { file, tensors } if tensors[index].is_q8() => {
+                let found = tensors[index].read_q8(file);
+                let usable = |scale: f32| scale == 0.0 || Q8::SCALES.contains(&scale);
+                match found.scales.iter().position(|scale| !usable(scale.to_f32())) {
+                    Some(i) => {
+                        let expected = format!("0 or {:?}", Q8::SCALES);
+                        Err(self
+                            .malformed(name, format!("found scale {i} of {}, expected {expected}", found.scales[i])))
+                    }
+                    None => Ok(found),
+                }
+            }
+            _ => {
+                let mut values = vec![0.0; self.parameters[index].1.iter().product()];
+                self.read_f32(name, &mut values)?;
+                let largest = || values.iter().fold(0f32, |most, x| if x.abs() > most.abs() { *x } else { most });
+                Q8::round(&values).ok_or_else(|| safetensors::too_small(Dtype::Q8, name, largest()))
+            }
+        }
+    }
+
+    fn malformed(&self, name: &str, reason: String) -> Error {
+        Error::format(&self.provenance, None, format!("{name}: {reason}"))
+    }
+
+    /// Names of the tensors that are stored as [`Q8`].
+    pub fn q8_names(&self) -> impl Iterator<Item = &str> {
+        let is_q8 = |i: usize| matches!(&self.source, Source::Stored { tensors, .. } if tensors[i].is_q8());
+        self.tensor_names().enumerate().filter(move |(i, _)| is_q8(*i)).map(|(_, name)| name)
+    }
+
+    /// Checks that an arithmetic can multiply by these weights.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for `turbo`, which rounds weights to 8 bits itself, and weights that are [`Q8`].
+    pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
+        if arithmetic.quantised.is_none() || self.q8_names().next().is_none() {
+            return Ok(());
+        }
+        let found = format!("turbo for {}, whose weights are q8", self.provenance);
+        Err(Error::argument("precision", found, "exact, fast or fast-bf16; turbo rounds weights of f32, f16 or bf16"))
+    }
+
+    /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
+    pub fn stored(&self) -> BTreeMap<&'static str, u64> {
+        let mut stored = BTreeMap::new();
+        match &self.source {
+            Source::Stored { tensors, .. } => {
+                let kind = |tensor: &Stored| if tensor.is_q8() { Dtype::Q8.name() } else { tensor.dtype.name() };
+                tensors.iter().for_each(|tensor| *stored.entry(kind(tensor)).or_default() += tensor.bytes() as u64);
+            }
+            Source::Seeded { .. } => {
+                let bytes = size_of::<f32>() * self.architecture.parameter_count();
+                stored.insert(Dtype::F32.name(), bytes as u64);
+            }
+        }
+        stored
+    }
+
     /// Bytes of all tensors as they are stored; of a seed, as f32.
     pub fn bytes(&self) -> u64 {
-        let size = |i: usize| match &self.source {
-            Source::Stored { tensors, .. } => tensors[i].dtype.size(),
-            Source::Seeded { .. } => Dtype::F32.size(),
-        };
-        let tensors = self.parameters.iter().enumerate();
-        tensors.map(|(i, (_, shape))| (size(i) * shape.iter().product::<usize>()) as u64).sum()
+        self.stored().values().sum()
     }
 
     /// Where the weights come from: a path or `seeded:VARIANT:KEY`.
@@ -301,6 +322,16 @@ impl Checkpoint {
     fn find(&self, name: &str) -> Result<usize> {
         let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
         self.tensor_names().position(|other| other == name).ok_or_else(unknown)
+    }
+}
+
+impl ParameterSource for Checkpoint {
+    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
+        self.read_f32(name, out)
+    }
+
+    fn read_q8(&self, name: &str) -> Result<Q8> {
+        self.read_q8(name)
     }
 }
 

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::checkpoint::{Bytes, Source, matching};
+use super::checkpoint::{Bytes, matching};
 use super::contents::Contents;
+use super::source::Source;
 use super::{DEPTH_MODELS, DepthArchitecture, Ffn, safetensors};
 use crate::{Error, Result, stages::MAX_DEPTH};
 

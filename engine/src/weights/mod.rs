@@ -2,6 +2,8 @@
 //!
 //! [`Architecture`] says which tensors a model has; [`Checkpoint`] has exactly those, or could not be made.
 //! Read are safetensors and the zip archives of `torch.save`; written are safetensors that name their architecture.
+//! Weights of 8 bits lie in such a file under names of their own: for a tensor NAME `[columns, inner]`, NAME.q8, I8 of that shape,
+//! and NAME.q8_scales, F16 `[columns, inner / 32]`.
 
 mod checkpoint;
 mod contents;
@@ -10,6 +12,7 @@ mod inference;
 mod pickle;
 mod safetensors;
 mod seeded;
+mod source;
 mod tensor;
 mod tensors;
 mod torch;
@@ -24,7 +27,7 @@ pub use tensors::Tensors;
 
 use crate::Result;
 pub use crate::{
-    ops::Ffn,
+    ops::{Ffn, Q8},
     stages::{Architecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS},
 };
 

@@ -11,6 +11,7 @@ use safetensors::tensor::{Metadata, TensorInfo};
 use super::contents::{Contents, MAX_PICTURE_SIDE, add, is_picture_side};
 use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, Checkpoint, Dtype};
+use crate::ops::Q8;
 use crate::types::preprocess::PATCH;
 use crate::{Error, Result};
 
@@ -18,6 +19,8 @@ use crate::{Error, Result};
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
 /// Key of the metadata that holds the side of the pictures a network is best with, in pixels.
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
+/// Ends of the names of a tensor's 8-bit integers and of their scales.
+const Q8_ENDS: [&str; 2] = [".q8", ".q8_scales"];
 /// Bytes of the header's length.
 const PREFIX: usize = 8;
 /// The format's own limit.
@@ -42,17 +45,19 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     }
 
     let mut found = Contents::default();
-    for (name, info) in header.tensors() {
-        let dtype = match info.dtype {
-            FileDtype::F64 => StoredDtype::F64,
-            FileDtype::F32 => StoredDtype::F32,
-            FileDtype::F16 => StoredDtype::F16,
-            FileDtype::BF16 => StoredDtype::Bf16,
-            other => return Err(malformed(format!("{name}: found type {other}, expected F64, F32, F16 or BF16"))),
-        };
-        let (from, to) = info.data_offsets;
-        let tensor = Stored::dense(dtype, info.shape.clone(), start + from, start + to);
-        add(&mut found.tensors, &name, tensor).map_err(malformed)?;
+    let infos = header.tensors();
+    for (name, info) in &infos {
+        let [integers, scales] = Q8_ENDS.map(|end| name.strip_suffix(end));
+        if scales.is_some_and(|name| infos.contains_key(&format!("{name}{}", Q8_ENDS[0]))) {
+            continue;
+        }
+        let mut tensor = stored(info, integers.is_some(), start);
+        if let Some(name) = integers {
+            let beside = infos.get(&format!("{name}{}", Q8_ENDS[1])).ok_or("found no scales beside it".to_owned());
+            let scales = beside.and_then(|info| stored(info, false, start));
+            tensor = tensor.and_then(|tensor| tensor.with_scales(&scales?));
+        }
+        add(&mut found.tensors, integers.unwrap_or(name), tensor).map_err(malformed)?;
     }
     let stated = |key: &str| header.metadata().as_ref().and_then(|metadata| metadata.get(key));
     if let Some(side) = stated(PICTURE_SIDE_KEY) {
@@ -68,6 +73,21 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         found.architecture = Some(architecture);
     }
     Ok(found)
+}
+
+/// A tensor of integers with scales, or of floats, of a file whose values begin at `start`; the reason, where it is none.
+fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, String> {
+    let dtype = match info.dtype {
+        FileDtype::F64 if !integers => StoredDtype::F64,
+        FileDtype::F32 if !integers => StoredDtype::F32,
+        FileDtype::F16 if !integers => StoredDtype::F16,
+        FileDtype::BF16 if !integers => StoredDtype::Bf16,
+        FileDtype::I8 if integers => StoredDtype::I8,
+        other if integers => return Err(format!("found type {other}, expected I8")),
+        other => return Err(format!("found type {other}, expected F64, F32, F16 or BF16")),
+    };
+    let (from, to) = info.data_offsets;
+    Stored::dense(dtype, info.shape.clone(), start + from, start + to)
 }
 
 /// Writes every tensor of `checkpoint` in `dtype`, one at a time. `path` only names `out` in messages.
@@ -87,30 +107,44 @@ pub(super) fn write(
         if progress(i as f64 / parameters.len() as f64).is_break() {
             return Err(Error::Cancelled);
         }
-        let mut values = vec![0.0; shape.iter().product()];
-        checkpoint.read_f32(name, &mut values)?;
-        out.write_all(&encode(name, &values, dtype)?).map_err(file_error)?;
+        let dtype = dtype.of(name, shape);
+        let bytes = match dtype {
+            Dtype::Q8 => q8_bytes(&checkpoint.read_q8(name)?),
+            _ => {
+                let mut values = vec![0.0; shape.iter().product()];
+                checkpoint.read_f32(name, &mut values)?;
+                encode(name, &values, dtype)?
+            }
+        };
+        out.write_all(&bytes).map_err(file_error)?;
     }
     Ok(())
 }
 
 fn header(checkpoint: &Checkpoint, dtype: Dtype) -> Result<String, String> {
-    let file_dtype = match dtype {
-        Dtype::F32 => FileDtype::F32,
-        Dtype::F16 => FileDtype::F16,
-        Dtype::Bf16 => FileDtype::BF16,
-    };
     let mut end = 0;
-    let tensors = checkpoint.parameters().iter().map(|(name, shape)| {
-        let start = end;
-        end += shape.iter().product::<usize>() * dtype.size();
-        (name.clone(), TensorInfo { dtype: file_dtype, shape: shape.clone(), data_offsets: (start, end) })
-    });
+    let mut tensors = Vec::new();
+    for (name, shape) in checkpoint.parameters() {
+        let mut add = |end_of_name: &str, dtype: FileDtype, size: usize, shape: Vec<usize>| {
+            let start = end;
+            end += shape.iter().product::<usize>() * size;
+            tensors.push((format!("{name}{end_of_name}"), TensorInfo { dtype, shape, data_offsets: (start, end) }));
+        };
+        match dtype.of(name, shape) {
+            Dtype::F32 => add("", FileDtype::F32, 4, shape.clone()),
+            Dtype::F16 => add("", FileDtype::F16, 2, shape.clone()),
+            Dtype::Bf16 => add("", FileDtype::BF16, 2, shape.clone()),
+            Dtype::Q8 => {
+                add(Q8_ENDS[0], FileDtype::I8, 1, shape.clone());
+                add(Q8_ENDS[1], FileDtype::F16, 2, vec![shape[0], Q8::scales_of(shape[1])]);
+            }
+        }
+    }
     let architecture = serde_json::to_string(checkpoint.architecture()).map_err(|error| error.to_string())?;
     let side = checkpoint.picture_side().to_string();
     let metadata = [(ARCHITECTURE_KEY, architecture), (PICTURE_SIDE_KEY, side)];
     let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
-    let header = Metadata::new(Some(metadata), tensors.collect()).map_err(|error| error.to_string())?;
+    let header = Metadata::new(Some(metadata), tensors).map_err(|error| error.to_string())?;
     // By way of a value, whose keys are sorted: the same file every time.
     let json = serde_json::to_value(&header).map_err(|error| error.to_string())?.to_string();
     // The format pads with spaces, so that values start at a multiple of 8 bytes. A width of `format!` ends at 65,535,
@@ -119,22 +153,33 @@ fn header(checkpoint: &Checkpoint, dtype: Dtype) -> Result<String, String> {
     Ok(json + &" ".repeat(padding))
 }
 
+/// The bytes of integers, then those of their scales.
+fn q8_bytes(values: &Q8) -> Vec<u8> {
+    let scales = values.scales.iter().flat_map(|scale| scale.to_le_bytes());
+    bytemuck::cast_slice(&values.integers).iter().copied().chain(scales).collect()
+}
+
 /// The bytes of finite values; [`Error::Argument`] where `dtype` cannot hold one of them.
 fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
-    let overflows = |value: f32| match dtype {
-        Dtype::F32 => false,
-        Dtype::F16 => f16::from_f32(value).is_infinite(),
-        Dtype::Bf16 => bf16::from_f32(value).is_infinite(),
+    let held = |value: f32| match dtype {
+        Dtype::F16 => f16::from_f32(value).is_finite(),
+        Dtype::Bf16 => bf16::from_f32(value).is_finite(),
+        Dtype::F32 | Dtype::Q8 => true,
     };
-    if let Some(value) = values.iter().find(|&&value| overflows(value)) {
-        let found = format!("{}, too small for {value} in {name}", dtype.name());
-        return Err(Error::argument("dtype", found, "a type that holds every value"));
+    if let Some(value) = values.iter().find(|&&value| !held(value)) {
+        return Err(too_small(dtype, name, *value));
     }
     Ok(match dtype {
-        Dtype::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
         Dtype::F16 => values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()).collect(),
         Dtype::Bf16 => values.iter().flat_map(|&value| bf16::from_f32(value).to_le_bytes()).collect(),
+        Dtype::F32 | Dtype::Q8 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
     })
+}
+
+/// The error of a value that a type cannot hold.
+pub(super) fn too_small(dtype: Dtype, name: &str, value: f32) -> Error {
+    let found = format!("{}, too small for {value} in {name}", dtype.name());
+    Error::argument("dtype", found, "a type that holds every value")
 }
 
 #[cfg(test)]
@@ -146,13 +191,16 @@ mod tests {
     fn headers_of_every_network_and_type_are_whole() {
         for (variant, least) in [("vits", 0), ("vitb", 0), ("vitl", 1 << 16), ("vitg", 1 << 16)] {
             let checkpoint = Checkpoint::seeded(variant, None).expect("a named network");
-            for dtype in [Dtype::F32, Dtype::F16, Dtype::Bf16] {
+            for (dtype, bytes) in [(Dtype::F32, 4.0), (Dtype::F16, 2.0), (Dtype::Bf16, 2.0), (Dtype::Q8, 1.0625)] {
                 let header = header(&checkpoint, dtype).expect("a header");
                 assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
                 let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
                 let values = checkpoint.architecture().parameter_count();
-                assert_eq!(parsed.data_len(), values * dtype.size(), "{variant}");
-                assert_eq!(parsed.tensors().len(), checkpoint.parameters().len(), "{variant}");
+                // Of q8, little is wider.
+                let expected = values as f64 * bytes;
+                let most = if dtype == Dtype::Q8 { 1.05 * expected } else { expected };
+                assert!((expected..=most).contains(&(parsed.data_len() as f64)), "{variant}: {}", parsed.data_len());
+                assert!(parsed.tensors().len() >= checkpoint.parameters().len(), "{variant}");
             }
         }
     }

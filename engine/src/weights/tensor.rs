@@ -5,7 +5,7 @@ use std::str::FromStr;
 use half::{bf16, f16};
 use rayon::prelude::*;
 
-use crate::{Error, Result};
+use crate::{Error, Result, ops::Q8};
 
 /// How a checkpoint stores its values, little-endian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,23 +16,31 @@ pub enum Dtype {
     F16,
     /// The upper half of a single.
     Bf16,
+    /// Weights of linear layers as [`Q8`], where their rows are whole groups; other matrices in IEEE half precision, vectors in
+    /// single.
+    Q8,
 }
 
 impl Dtype {
-    /// Bytes of one value.
-    pub fn size(self) -> usize {
-        match self {
-            Self::F32 => 4,
-            Self::F16 | Self::Bf16 => 2,
-        }
-    }
+    const ALL: [Self; 4] = [Self::F32, Self::F16, Self::Bf16, Self::Q8];
 
-    /// `f32`, `f16` or `bf16`.
+    /// `f32`, `f16`, `bf16` or `q8`.
     pub fn name(self) -> &'static str {
         match self {
             Self::F32 => "f32",
             Self::F16 => "f16",
             Self::Bf16 => "bf16",
+            Self::Q8 => "q8",
+        }
+    }
+
+    /// The type of a tensor in a file of this type.
+    pub(super) fn of(self, name: &str, shape: &[usize]) -> Self {
+        match (self, shape) {
+            (Self::Q8, [_, inner]) if name.ends_with(".weight") && Q8::fits(*inner) => Self::Q8,
+            (Self::Q8, [] | [_]) => Self::F32,
+            (Self::Q8, _) => Self::F16,
+            (dtype, _) => dtype,
         }
     }
 }
@@ -41,23 +49,23 @@ impl FromStr for Dtype {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        [Self::F32, Self::F16, Self::Bf16]
-            .into_iter()
-            .find(|dtype| dtype.name() == text)
-            .ok_or_else(|| Error::argument("dtype", text, "f32, f16 or bf16"))
+        let found = Self::ALL.into_iter().find(|dtype| dtype.name() == text);
+        found.ok_or_else(|| Error::argument("dtype", text, "f32, f16, bf16 or q8"))
     }
 }
 
 /// Axes of a tensor at most: files may have more, weights have four.
 pub(super) const MAX_RANK: usize = 8;
 
-/// The types of numbers that are read: those of [`Dtype`], and f64, which is rounded to f32.
+/// The types of numbers that are read: those of [`Dtype`], and f64, which is rounded to f32. Those of [`Dtype::Q8`] are I8, with
+/// scales elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StoredDtype {
     F64,
     F32,
     F16,
     Bf16,
+    I8,
 }
 
 impl StoredDtype {
@@ -67,16 +75,18 @@ impl StoredDtype {
             Self::F64 => 8,
             Self::F32 => 4,
             Self::F16 | Self::Bf16 => 2,
+            Self::I8 => 1,
         }
     }
 
-    /// `f64`, `f32`, `f16` or `bf16`.
+    /// `f64`, `f32`, `f16`, `bf16` or `i8`.
     pub fn name(self) -> &'static str {
         match self {
             Self::F64 => "f64",
             Self::F32 => "f32",
             Self::F16 => "f16",
             Self::Bf16 => "bf16",
+            Self::I8 => "i8",
         }
     }
 }
@@ -88,6 +98,8 @@ pub(super) struct Stored {
     pub shape: Vec<usize>,
     strides: Vec<usize>,
     offset: usize,
+    /// Where the scales of integers begin, a group of a row after the other.
+    scales: Option<usize>,
 }
 
 impl Stored {
@@ -113,7 +125,7 @@ impl Stored {
             steps.checked_add(1)?.checked_mul(dtype.size())?.checked_add(offset)
         };
         if shape.len() == strides.len() && past_last().is_some_and(|byte| byte <= end) {
-            Ok(Self { dtype, shape, strides, offset })
+            Ok(Self { dtype, shape, strides, offset, scales: None })
         } else {
             Err(format!("shape {shape:?} with strides {strides:?} does not lie within its data"))
         }
@@ -125,10 +137,50 @@ impl Stored {
         Self::new(dtype, shape, strides, offset, end)
     }
 
+    /// Integers `[rows, width]` with their scales, `[rows, width / Q8_GROUP]` f16, as one tensor; the reason, where they do not fit.
+    pub fn with_scales(self, scales: &Self) -> Result<Self, String> {
+        let expected = match self.shape[..] {
+            [rows, width] if Q8::fits(width) => [rows, width / Q8::GROUP],
+            _ => {
+                return Err(format!("found integers {:?}, expected rows of whole groups of {}", self.shape, Q8::GROUP));
+            }
+        };
+        if scales.dtype != StoredDtype::F16 || scales.shape != expected {
+            let (found, of) = (&scales.shape, scales.dtype.name());
+            return Err(format!("found scales {found:?} of {of}, expected {expected:?} of f16"));
+        }
+        Ok(Self { scales: Some(scales.offset), ..self })
+    }
+
+    /// Whether it is integers with scales.
+    pub fn is_q8(&self) -> bool {
+        self.scales.is_some()
+    }
+
+    /// Bytes of the values, and of their scales.
+    pub fn bytes(&self) -> usize {
+        let values = self.shape.iter().product::<usize>();
+        values * self.dtype.size() + self.scales.map_or(0, |_| Q8::scales_of(values) * size_of::<f16>())
+    }
+
+    /// The integers and their scales, out of the file that holds them.
+    ///
+    /// # Panics
+    /// Where it is something else.
+    pub fn read_q8(&self, file: &[u8]) -> Q8 {
+        let (Some(at), values) = (self.scales, self.shape.iter().product::<usize>()) else { panic!("no integers") };
+        let scales = file[at..][..Q8::scales_of(values) * size_of::<f16>()].as_chunks().0;
+        Q8 {
+            integers: bytemuck::cast_slice(&file[self.offset..][..values]).to_vec(),
+            scales: scales.iter().map(|bytes| f16::from_le_bytes(*bytes)).collect(),
+        }
+    }
+
     /// All elements in C order, out of the file that holds them.
     pub fn read(&self, file: &[u8], out: &mut [f32]) {
         let bytes = &file[self.offset..];
         match self.dtype {
+            StoredDtype::I8 => self.read_q8(file).values(out),
             // A value beyond f32 becomes infinite, which the caller refuses.
             StoredDtype::F64 => self.gather(bytes, out, |bytes| f64::from_le_bytes(bytes) as f32),
             StoredDtype::F32 => self.gather(bytes, out, f32::from_le_bytes),

@@ -1,7 +1,7 @@
 //! Tensors of a file that belongs to no ZipSplat network.
 
 use super::{checkpoint::matching, safetensors, tensor::Stored};
-use crate::{Error, Result, types::open_file};
+use crate::{Error, Result, ops::ParameterSource, types::open_file};
 use std::{collections::HashMap, io::Read, path::Path};
 
 /// The tensors of a safetensors file, which are exactly those that were asked for.
@@ -24,12 +24,13 @@ impl Tensors {
         let tensors = parameters.iter().map(|(name, _)| name.clone()).zip(found).collect();
         Ok(Self { file, tensors })
     }
+}
 
-    /// Reads a tensor in C order.
-    ///
+impl ParameterSource for Tensors {
     /// # Panics
     /// Where the name was not asked for, or `out` has another length.
-    pub fn read(&self, name: &str, out: &mut [f32]) {
+    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.tensors[name].read(&self.file, out);
+        Ok(())
     }
 }

@@ -1,12 +1,12 @@
 //! Linear layers and all their epilogues against the plain product in f64.
 
-use crate::case::{Case, elements, linear_kernels, random, stored};
+use crate::case::{Case, elements, linear_kernels, q8_kernels, random, stored};
 use zipsplat::{
     gpu::{Element, Limits},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel, Rows, Tile, Tiles, Units, pack_matrix},
+    ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix},
 };
-use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
 use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{
     ops::{
@@ -46,15 +46,16 @@ impl Layer {
         let bias: Vec<f32> = (0..self.columns).map(|c| self.bias[row_from_column(c)]).collect();
         let rows = || (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect::<Vec<f32>>();
         let weight = match kernel {
-            LinearKernel::Panels(element) => {
+            _ if kernel.weights() == Weights::Q8 => case.input(&pack_matrix(kernel, &rows(), inner, self.columns)),
+            LinearKernel::Panels(element, _) => {
                 let at = |i| value(i / panel / inner * panel + i % panel, i / panel % inner);
                 let weight: Vec<f32> = (0..inner * self.columns.next_multiple_of(panel)).map(at).collect();
                 case.input_of(element, &weight)
             }
-            LinearKernel::Matrix(Units { factor: Element::I8, .. }) => {
+            LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => {
                 case.input(&pack_matrix(kernel, &rows(), inner, self.columns))
             }
-            LinearKernel::Matrix(Units { factor, .. }) => case.input_of(factor, &rows()),
+            LinearKernel::Matrix(Units { factor, .. }, _) => case.input_of(factor, &rows()),
         };
         Linear { weight, bias: case.input(&bias), inner, columns: self.columns, kernel }
     }
@@ -86,7 +87,7 @@ impl Layer {
     fn tolerance(&self, kernel: LinearKernel, activation: Activation, output: Element) -> Tolerance {
         let sums = Tolerance::sum_of(self.inner).and(Tolerance::ELEMENTWISE);
         let sums = match kernel {
-            LinearKernel::Matrix(units) if !device().limits().cpu => {
+            LinearKernel::Matrix(units, _) if !device().limits().cpu => {
                 sums.and(Tolerance::sum_cut_off(self.inner.div_ceil(units.shape.k as usize)))
             }
             _ => sums,
@@ -104,7 +105,7 @@ impl Layer {
     fn kernels(&self, activation: Activation) -> Vec<LinearKernel> {
         let vector = if activation == Activation::SwiGlu { 8 } else { 4 };
         let whole =
-            |kernel: &LinearKernel| self.columns.is_multiple_of(vector) || matches!(kernel, LinearKernel::Panels(_));
+            |kernel: &LinearKernel| self.columns.is_multiple_of(vector) || matches!(kernel, LinearKernel::Panels(..));
         linear_kernels().into_iter().filter(whole).collect()
     }
 }
@@ -254,6 +255,60 @@ fn rows_beyond_the_most_workgroups() {
     check_plain(LINEAR_ROWS as usize * 65_536 + 1, 4, 4);
 }
 
+/// Weights that every type of factors holds: of each group the first is 127 times its scale, which is a power of two.
+fn grouped(inner: usize, columns: usize) -> Layer {
+    let mut layer = Layer::random(inner, columns);
+    for (g, group) in layer.weight.chunks_mut(Q8::GROUP).enumerate() {
+        let scale = ((g % 3) as f32 - 8.0).exp2();
+        group.iter_mut().enumerate().for_each(|(i, w)| *w = scale * if i == 0 { 127.0 } else { (126.0 * *w).round() });
+    }
+    layer
+}
+
+#[test]
+fn q8_weights_equal_the_reference() {
+    let shapes = [(1, 32, 1), (17, 64, 36), (33, 96, 130), (19, 1536, 72), (270, 160, 264)];
+    for (rows, inner, columns) in shapes {
+        let layer = grouped(inner, columns);
+        for activation in [Activation::None, Activation::Gelu, Activation::SwiGlu] {
+            let able = layer.kernels(activation);
+            let gated = activation == Activation::SwiGlu;
+            for [kernel, q8] in q8_kernels().into_iter().filter(|[kernel, _]| able.contains(kernel)) {
+                if !gated || columns.is_multiple_of(4) {
+                    let added = activation == Activation::Gelu;
+                    // Products of two sums differ too much in size for a type of 16 bits.
+                    let output = if gated { Element::F32 } else { kernel.element() };
+                    check_kernel(device().limits(), (q8, output), rows, &layer, activation, added, added);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn q8_weights_give_the_bits_of_what_they_stand_for() {
+    let (rows, inner, columns) = (37, 224, 100);
+    let x = random(3, rows * inner);
+    for [kernel, q8] in q8_kernels() {
+        let mut layer = grouped(inner, columns);
+        if kernel.factor() == Element::F32 {
+            // Also weights that only f32 holds, in groups of very different sizes.
+            let sized = |(i, x): (usize, f32)| x * 10f32.powi((i / Q8::GROUP % 7) as i32 - 4);
+            let values: Vec<f32> = random(1, columns * inner).into_iter().enumerate().map(sized).collect();
+            Q8::round(&values).expect("small weights").values(&mut layer.weight);
+        }
+        let product = |kernel: LinearKernel| -> Vec<u32> {
+            let mut case = Case::new();
+            let input = layer.rows(&mut case, kernel, &x);
+            let device_layer = layer.input(&mut case, kernel, Activation::None);
+            let out = device_layer.apply(&mut case.rec, "out", input, Element::F32, Epilogue::default()).tensor;
+            case.rec.output(out);
+            case.result(out)
+        };
+        assert_same(&format!("{q8:?}"), &product(q8), &product(kernel));
+    }
+}
+
 #[test]
 fn tiles_of_gpus() {
     // On a CPU kernels take smaller tiles, which compile faster.
@@ -261,7 +316,7 @@ fn tiles_of_gpus() {
     let layer = Layer::random(72, 260);
     for units in [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, &limits)) {
         for (index, tile) in Tile::linear(&limits, units).iter().enumerate() {
-            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
+            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units }, Weights::Factors);
             println!("{tile}");
             check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);
         }

@@ -26,6 +26,7 @@ use zipsplat::{
   zipsplat convert scene.ply scene.spz
   zipsplat convert scene.spz scene.glb
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
+  zipsplat convert zipsplat.pt small.safetensors --dtype q8
   zipsplat convert tensors.safetensors named.safetensors --variant vitb
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
@@ -37,7 +38,7 @@ pub struct Convert {
     overwrite: Overwrite,
     #[command(flatten)]
     scene_input: SceneInput,
-    /// Numbers of a checkpoint: f32, f16 or bf16 [default: f32]
+    /// Numbers of a checkpoint: f32, f16, bf16, or q8, which rounds matrices to 8 bits with a scale for each 32 [default: f32]
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
     /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or

@@ -33,7 +33,7 @@ use serde::Serialize;
 use zipsplat::{
     Error, Result,
     gpu::{Device, Element, Limits},
-    ops::Units,
+    ops::{Units, Weights},
 };
 
 /// Arithmetic of matrix products: the only thing that precision modes differ in.
@@ -43,6 +43,8 @@ pub struct Mode {
     pub factor: Element,
     /// Whether matrix units multiply them; else a lane gives a result.
     pub matrix: bool,
+    /// How weights lie on the device.
+    pub weights: Weights,
 }
 
 /// How a mode holds the factors of matrix products.
@@ -66,16 +68,24 @@ impl Factors {
 
 impl Mode {
     /// f32 throughout.
-    pub const EXACT: Mode = Mode { factor: Element::F32, matrix: false };
-    const F16: Mode = Mode { factor: Element::F16, matrix: false };
-    const BF16: Mode = Mode { factor: Element::Bf16, matrix: false };
-    const F16_MATRIX: Mode = Mode { factor: Element::F16, matrix: true };
-    const BF16_MATRIX: Mode = Mode { factor: Element::Bf16, matrix: true };
-    const I8_MATRIX: Mode = Mode { factor: Element::I8, matrix: true };
+    pub const EXACT: Mode = Mode { factor: Element::F32, matrix: false, weights: Weights::Factors };
+    const F16: Mode = Mode { factor: Element::F16, ..Mode::EXACT };
+    const BF16: Mode = Mode { factor: Element::Bf16, ..Mode::EXACT };
+    const F16_MATRIX: Mode = Mode { matrix: true, ..Mode::F16 };
+    const BF16_MATRIX: Mode = Mode { matrix: true, ..Mode::BF16 };
+    const I8_MATRIX: Mode = Mode { factor: Element::I8, ..Mode::F16_MATRIX };
 
     /// Every mode: those of linear layers.
     pub const ALL: &[Mode] =
         &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
+    /// The modes of linear layers whose weights have 8 bits.
+    const Q8: &[Mode] = &[
+        Mode { weights: Weights::Q8, ..Mode::EXACT },
+        Mode { weights: Weights::Q8, ..Mode::F16 },
+        Mode { weights: Weights::Q8, ..Mode::BF16 },
+        Mode { weights: Weights::Q8, ..Mode::F16_MATRIX },
+        Mode { weights: Weights::Q8, ..Mode::BF16_MATRIX },
+    ];
     /// The modes of attention.
     const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
     /// The modes of finding nearest rows.
@@ -188,6 +198,7 @@ impl Area {
 pub fn catalogue() -> Vec<Area> {
     vec![
         linear::area(),
+        linear::q8_area(),
         norm::area(),
         convolution::area(),
         positions::area(),

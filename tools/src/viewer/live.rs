@@ -159,7 +159,10 @@ impl Live<'_> {
         let tokens = self.grid().tokens();
         let first = self.first_precision();
         let others = Precision::ALL.into_iter().filter(|other| *other != first);
-        let known = others.filter(|other| Arithmetic::of(*other, self.device.limits()).is_some());
+        let known = others.filter(|other| {
+            let arithmetic = Arithmetic::of(*other, self.device.limits());
+            arithmetic.is_some_and(|arithmetic| self.checkpoint.suits(arithmetic).is_ok())
+        });
         let precisions = std::iter::once(first).chain(known).map(Precision::name).collect();
         Ratios { tokens, ratio: self.quality.ratio_of(self.images.len()), precisions }
     }

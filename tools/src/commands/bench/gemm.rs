@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
     gpu::{Device, Element, Recorder, Run},
-    ops::{Epilogue, Linear, LinearKernel, Rows, Units, pack_matrix},
+    ops::{Epilogue, Linear, LinearKernel, Rows, Units, Weights, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
@@ -138,13 +138,17 @@ fn larger_or_nan(most: f32, value: f32) -> f32 {
 fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKernel, Rate)>> {
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
-    let mut kernels = vec![("exact".to_owned(), LinearKernel::Panels(Element::F32), lanes.clone())];
+    let mut kernels = vec![("exact".to_owned(), LinearKernel::Panels(Element::F32, Weights::Factors), lanes.clone())];
     for element in Element::HALVES.into_iter().filter(|_| limits.half_storage) {
-        kernels.push((element.name().into(), LinearKernel::Panels(element), lanes.clone()));
+        kernels.push((element.name().into(), LinearKernel::Panels(element, Weights::Factors), lanes.clone()));
     }
     for units in Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, limits)) {
         let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;
-        kernels.push((format!("{} matrices", units.factor.name()), LinearKernel::Matrix(units), peak));
+        kernels.push((
+            format!("{} matrices", units.factor.name()),
+            LinearKernel::Matrix(units, Weights::Factors),
+            peak,
+        ));
     }
     Ok(kernels)
 }

@@ -153,15 +153,18 @@ fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> 
     let architecture = checkpoint.architecture();
     let json = json!({
         "source": checkpoint.provenance(), "architecture": architecture, "tensors": checkpoint.parameters().len(),
-        "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(),
+        "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(), "stored": checkpoint.stored(),
     });
+    let stored: Vec<_> =
+        checkpoint.stored().into_iter().map(|(kind, size)| format!("{kind} {}", bytes(size))).collect();
     let mut text = format!(
-        "{}: {}, {} parameters in {} tensors, {}\n",
+        "{}: {}, {} parameters in {} tensors, {} ({})\n",
         checkpoint.provenance(),
         architecture.name,
         HumanCount(architecture.parameter_count() as u64),
         checkpoint.parameters().len(),
-        bytes(checkpoint.bytes())
+        bytes(checkpoint.bytes()),
+        stored.join(", ")
     );
     let mut table = Table::new(2, &["architecture", ""]);
     if let serde_json::Value::Object(fields) = &json["architecture"] {

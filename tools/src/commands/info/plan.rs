@@ -55,7 +55,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         Some(device) => arithmetic.choose(session, device)?,
         None => arithmetic.planned(&limits),
     };
-    let network = Network::new(checkpoint.architecture(), &limits, arithmetic);
+    let network = Network::of(&checkpoint, &limits, arithmetic)?;
     let NetworkPlan { plan, tensors, layout } = network.plan(&limits, shape)?;
     let pictures =
         |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderRequest::default());

@@ -48,6 +48,12 @@ pub enum Fault {
     NoResidual,
     /// The scale is applied after the residual.
     ScaledResidual,
+    /// The integers of weights have no sign.
+    NoSign,
+    /// Groups of weights have the next group's scale, the last the first's.
+    NextScale,
+    /// Weights of four terms come in the opposite order.
+    TurnedTerms,
 }
 
 impl Problem {
@@ -80,6 +86,11 @@ impl Problem {
             Fault::NoBias => {
                 let bare = |(i, sum): (usize, &f64)| sum - f64::from(self.bias[i % columns]);
                 vec![self.finish(&truth.sums.iter().enumerate().map(bare).collect::<Vec<_>>())]
+            }
+            Fault::NoSign | Fault::NextScale | Fault::TurnedTerms => {
+                let mut held = Held::new(self, mode, f64::round_ties_even);
+                held.weight = self.wrongly_expanded(fault);
+                vec![self.finish(&self.sums(&held, |x| x, |_| true))]
             }
             Fault::HalfResult => vec![truth.values.iter().map(|&x| half(x)).collect()],
             _ => vec![self.wrongly_finished(truth, fault)],

@@ -1,7 +1,7 @@
 //! The factors of a linear layer as a device holds them.
 
 use super::{super::Mode, Problem};
-use zipsplat::gpu::Element;
+use zipsplat::{gpu::Element, ops::Weights};
 
 /// How near to a tie of rounding a scaled value has to be for a device to round it either way: a division and a product of
 /// values up to 127, `127 (2.5 + 0.5)` units.
@@ -26,6 +26,11 @@ impl Held {
         let stored = if factor == Element::I8 { Element::F16 } else { factor };
         let mut x = rounded(&problem.x, stored);
         let (mut weight, mut moves) = (rounded(&problem.weight, factor), vec![Vec::new(); problem.rows]);
+        if mode.weights == Weights::Q8 {
+            let (stored, mut values) = (problem.q8(), problem.weight.clone());
+            stored.values(&mut values);
+            weight = values.into_iter().map(f64::from).collect();
+        }
         if factor == Element::I8 {
             weight = integers(&problem.weight, problem.inner);
             for (row, moves) in x.chunks_mut(problem.inner).zip(&mut moves) {

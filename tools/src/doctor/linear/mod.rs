@@ -3,8 +3,10 @@
 mod cases;
 mod faults;
 mod held;
+mod q8;
 
 pub use cases::area;
+pub use q8::q8_area;
 
 use super::{
     Mode, Worst,
@@ -19,7 +21,7 @@ use rayon::prelude::*;
 use zipsplat::{
     Result,
     gpu::{Device, Element},
-    ops::{Activation, Epilogue, Linear, LinearKernel, Rows, pack_matrix},
+    ops::{Activation, Epilogue, Linear, LinearKernel, Rows, Weights, pack_matrix},
 };
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
@@ -82,8 +84,19 @@ impl Problem {
     /// As the engine chooses it.
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
         match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
-            Some(units) => LinearKernel::Matrix(units),
-            None => LinearKernel::Panels(self.factor(mode)),
+            Some(units) => LinearKernel::Matrix(units, mode.weights),
+            None => LinearKernel::Panels(self.factor(mode), mode.weights),
+        }
+    }
+
+    /// The most that the device moves a weight of 8 bits, relatively: on matrix units it becomes a factor, f16 by a conversion that
+    /// may round either way, bf16 by one to the nearest.
+    fn expanding(&self, mode: Mode) -> f64 {
+        let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.columns.is_multiple_of(8);
+        match mode.factor {
+            Element::F16 if becomes_factor => 2.0 * Element::F16.roundoff(),
+            Element::Bf16 if becomes_factor => Element::Bf16.roundoff(),
+            _ => 0.0,
         }
     }
 
@@ -112,7 +125,13 @@ impl Problem {
                 gamma(10) * (value.abs() + moved + bias.abs()) + moved
             }
             _ if self.whole => 0.0,
-            _ => mode.factors().sum(terms + 1) * (size + bias.abs()) + lost + (terms + 1) as f64 * TINY,
+            _ => {
+                let expanded = self.expanding(mode) * size;
+                mode.factors().sum(terms + 1) * (size + expanded + bias.abs())
+                    + expanded
+                    + lost
+                    + (terms + 1) as f64 * TINY
+            }
         };
         Sum { value: value + bias, error }
     }

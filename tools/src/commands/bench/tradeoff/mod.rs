@@ -26,6 +26,7 @@ use zipsplat::{
     reconstruct::{Ratio, Selection},
     tune::Chosen,
     types::write_atomic,
+    weights::Checkpoint,
 };
 
 /// What accuracy costs in time: a sweep over a capture, as a page with plots and pictures, and as a table
@@ -109,7 +110,7 @@ impl Tradeoff {
             })
             .collect::<Result<_>>()?;
         captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
-        let arithmetics = self.arithmetics(session, &device)?;
+        let arithmetics = self.arithmetics(session, &device, &checkpoint)?;
         let (sweep, stopped_of) = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
 
         outputs::make_folder(&self.output)?;
@@ -134,10 +135,16 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// The arithmetics asked for, or all that the device has; `exact` first, which the others are compared with.
-    fn arithmetics(&self, session: &mut Session<'_>, device: &Device) -> Result<Vec<(Precision, Arithmetic)>> {
+    /// The arithmetics asked for, or all that the device and the weights have; `exact` first, which the others are compared with.
+    fn arithmetics(
+        &self,
+        session: &mut Session<'_>,
+        device: &Device,
+        checkpoint: &Checkpoint,
+    ) -> Result<Vec<(Precision, Arithmetic)>> {
         let asked = self.precision.as_ref().map(|names| names.iter().map(|name| name.precision()).collect());
-        let has = |precision: &Precision| Arithmetic::of(*precision, device.limits()).is_some();
+        let suits = |arithmetic| checkpoint.suits(arithmetic).is_ok();
+        let has = |precision: &Precision| Arithmetic::of(*precision, device.limits()).is_some_and(suits);
         let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| Precision::ALL.into_iter().filter(has).collect());
         precisions.sort_by_key(|precision| *precision != Precision::Exact);
         precisions.dedup();

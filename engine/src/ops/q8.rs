@@ -1,0 +1,99 @@
+//! Weights of 8 bits, in groups that share a scale.
+
+use crate::kernels::limits::Q8_GROUP;
+use half::f16;
+use rayon::prelude::*;
+use std::ops::RangeInclusive;
+
+/// Values of a group.
+const GROUP: usize = Q8_GROUP as usize;
+
+/// Values in groups of [`Q8_GROUP`]: each is a whole number times its group's scale, which f32 holds exactly.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Q8 {
+    /// The whole numbers, -128 to 127.
+    pub integers: Vec<i8>,
+    /// The value of 1 in each group.
+    pub scales: Vec<f16>,
+}
+
+impl Q8 {
+    /// The scales of groups that are not zero: those by which f16 holds every value, and of which no device loses bits.
+    pub const SCALES: RangeInclusive<f32> = 1.0 / 16384.0..=511.0;
+
+    /// Values of a group.
+    pub const GROUP: usize = GROUP;
+
+    /// Scales of so many values.
+    pub fn scales_of(values: usize) -> usize {
+        values / GROUP
+    }
+
+    /// Whether rows of `width` values are whole groups.
+    pub fn fits(width: usize) -> bool {
+        width.is_multiple_of(GROUP)
+    }
+
+    /// Rounds values, whole groups of them, to the nearest of each group's 255: by half a scale at most. `None` where a scale would
+    /// be above [`Q8::SCALES`].
+    pub fn round(values: &[f32]) -> Option<Self> {
+        let scale = |group: &[f32]| match group.iter().fold(0f32, |most, x| most.max(x.abs())) {
+            0.0 => f16::ZERO,
+            largest => no_less((largest / 127.0).max(*Self::SCALES.start())),
+        };
+        let scales: Vec<f16> = values.par_chunks(GROUP).map(scale).collect();
+        let integer = |(i, x): (usize, &f32)| match scales[i / GROUP].to_f32() {
+            0.0 => 0,
+            scale => (x / scale).round_ties_even() as i8,
+        };
+        let integers = values.par_iter().enumerate().with_min_len(GROUP).map(integer).collect();
+        scales.iter().all(|scale| scale.to_f32() <= *Self::SCALES.end()).then_some(Self { integers, scales })
+    }
+
+    /// Writes the values.
+    ///
+    /// # Panics
+    /// Where there are not as many.
+    pub fn values(&self, out: &mut [f32]) {
+        assert_eq!(out.len(), self.integers.len(), "values of {} integers", self.integers.len());
+        let groups = self.integers.par_chunks(GROUP).zip(&self.scales);
+        out.par_chunks_mut(GROUP).zip(groups).for_each(|(out, (integers, scale))| {
+            out.iter_mut().zip(integers).for_each(|(out, &integer)| *out = f32::from(integer) * scale.to_f32());
+        });
+    }
+}
+
+/// The least f16 that is no less than a number from 0 on.
+fn no_less(x: f32) -> f16 {
+    let nearest = f16::from_f32(x);
+    if nearest.to_f32() < x { f16::from_bits(nearest.to_bits() + 1) } else { nearest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_by_half_a_scale_at_most() {
+        for size in [1e-7, 1e-4, 0.03, 1.0, 6e4] {
+            let values: Vec<f32> = (0..64).map(|i| size * ((i * 37 % 64) as f32 / 31.5 - 1.0)).collect();
+            let (rounded, mut found) = (Q8::round(&values).expect("small values"), vec![0.0; 64]);
+            rounded.values(&mut found);
+            for (i, (x, found)) in values.iter().zip(&found).enumerate() {
+                let scale = rounded.scales[i / GROUP].to_f32();
+                assert!((x - found).abs() <= 0.5001 * scale, "{x}: {found}");
+                assert!(126.0 * scale <= size || scale == *Q8::SCALES.start(), "{size}: {scale}");
+            }
+        }
+    }
+
+    #[test]
+    fn zeros_stay_and_what_f16_cannot_hold_is_refused() {
+        let mut values = [0.0; 64];
+        values[40] = -2.0;
+        let rounded = Q8::round(&values).expect("small values");
+        assert_eq!((rounded.scales[0].to_f32(), rounded.integers[40]), (0.0, -127));
+        values[3] = 7e4;
+        assert_eq!(Q8::round(&values), None);
+    }
+}
