@@ -16,7 +16,7 @@ use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 /// A safetensors file starts with the length of its header, a u64.
 const LENGTH_BYTES: usize = 8;
 
-/// Where goldens lie, nearest first: what ZIPSPLAT_GRADIENTS names, for more gradients, committed ones, then those beside the
+/// Where goldens lie, nearest first: what ZIPSPLAT_GRADIENTS names, for more of gradients and of depth networks, committed ones, then those beside the
 /// repository.
 fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -5,6 +5,7 @@ mod cameras;
 mod cancel;
 mod compare;
 mod convert;
+mod depth;
 mod errors;
 mod eval;
 mod heic;

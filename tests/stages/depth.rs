@@ -1,16 +1,18 @@
 //! Depth networks against the dumps of the PyTorch implementation, tap by tap.
 
 use serde_json::Value;
+use std::collections::BTreeSet;
 use zipsplat::Scene;
 use zipsplat::depth::{DepthModel, DepthRequest, DepthView, Depths, pixel_gaussians};
-use zipsplat::gpu::Run;
+use zipsplat::gpu::{Limits, Recorder, Run};
 use zipsplat::ops::Arithmetic;
-use zipsplat::types::{Camera, Intrinsics, Pose};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint, Ffn};
-use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::images;
+use zipsplat_tests::random::random;
 
 /// The network of a golden, from the configuration in its manifest.
 fn architecture(config: &str) -> DepthArchitecture {
@@ -264,6 +266,49 @@ fn check_all(config: &str) {
             check_gaussians(&golden, &observed);
         }
     }
+}
+
+/// Maps that are too long to be bound at once are worked on in parts, to the same bits.
+#[test]
+fn parts_of_maps_make_the_same_bits() {
+    let Some(golden) = Golden::open("da3_tiny.v1.safetensors") else { return };
+    let model = model(&golden);
+    let (width, height) = (196, 140);
+    let rgb = random(1, 3 * width * height).iter().map(|x| (127.0 + 127.0 * x) as u8).collect();
+    let images = [Image::new(width as u32, height as u32, rgb).unwrap()];
+    let request = DepthRequest::default();
+    let shape = model.shape(&images, &request).unwrap();
+    let logits = |max_binding_bytes: u64| {
+        let limits = device().limits();
+        let max_binding_bytes = limits.max_binding_bytes.min(max_binding_bytes);
+        let mut rec = Recorder::new(&Limits { max_binding_bytes, ..limits.clone() }).observing();
+        let tensors = model.network().record(&mut rec, shape);
+        let plan = rec.finish().unwrap();
+        let commands = plan.len();
+        let mut run = model.run(plan).unwrap();
+        model.write_inputs(&mut run, &tensors, shape, &images, &request).unwrap();
+        run.execute().unwrap();
+        let named = |name: &str| run.observed().iter().find(|(other, _)| other == name).expect("it is observed").1;
+        let read = |name: &str| run.read::<u32>(named(name)).unwrap();
+        (commands, ["head/fuse0", "head/up", "head/logits", "head/logits_aux"].map(read))
+    };
+    let ((few, whole), (more, parts)) = (logits(u64::MAX), logits(400 << 10));
+    assert!(more > few + 20, "{few} commands, {more} in parts");
+    for (parts, whole) in parts.iter().zip(&whole) {
+        assert_same("in parts", parts, whole);
+    }
+}
+
+/// Configurations that are always there, and files that hold no network's run.
+const KNOWN: [&str; 6] = ["da3_tiny", "da3_odd4", "da3_mono", "da3_rays", "da3_units", "da3_pre"];
+
+/// Those of other seeds, where a folder of goldens has them.
+#[test]
+fn other_configurations() {
+    let files = golden::list("da3_");
+    let configs = files.iter().filter_map(|file| Some(file.split_once('.')?.0));
+    let others: BTreeSet<&str> = configs.filter(|config| !KNOWN.contains(config)).collect();
+    others.into_iter().for_each(check_all);
 }
 
 #[test]

@@ -77,7 +77,7 @@ fn missing_and_foreign_tensors_are_named() {
         other => panic!("{other:?}"),
     }
     // A network of another size is none of those that are known.
-    let error = DepthCheckpoint::open(&path).unwrap_err().to_string();
+    let error = DepthCheckpoint::open(&path, false).unwrap_err().to_string();
     assert!(error.contains("width 128") && error.contains("da3-base"), "{error}");
 }
 
@@ -88,8 +88,10 @@ fn networks_are_told_by_their_shapes() {
     let path = folder.path().join("model.safetensors");
     let small = DepthArchitecture::named("da3-small").unwrap();
     write(&path, &small.parameters(), None);
-    let found = DepthCheckpoint::open(&path).unwrap();
+    let found = DepthCheckpoint::open(&path, false).unwrap();
     assert_eq!(*found.architecture(), small);
+    let error = DepthCheckpoint::open(&path, true).unwrap_err().to_string();
+    assert!(error.contains("da3-small") && error.contains("da3-giant"), "{error}");
     for name in DEPTH_MODELS {
         let architecture = DepthArchitecture::named(name).unwrap();
         architecture.validate().unwrap();

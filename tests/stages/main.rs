@@ -4,6 +4,7 @@ mod align;
 mod arena;
 mod cameras;
 mod depth;
+mod depth_flops;
 mod depth_units;
 mod depth_weights;
 mod flops;

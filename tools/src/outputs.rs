@@ -23,7 +23,7 @@ pub const LOG_START: &str = "zipsplat: what COLMAP said";
 const SEARCHED: u64 = 1 << 16;
 /// How files begin, and what stands in those that this program has written. A `.splat` has room for nothing and is not among
 /// them.
-const MARKS: [(&[u8], &[u8]); 18] = [
+const MARKS: [(&[u8], &[u8]); 19] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
@@ -36,6 +36,7 @@ const MARKS: [(&[u8], &[u8]); 18] = [
     (b"ZSSCENES", b"ZSSCENES"),
     (LOG_START.as_bytes(), b""),
     (b"", b"\"zipsplat.architecture\""),
+    (b"", b"\"zipsplat.photos\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
     (b"views,precision,ratio,select", b"views,"),
     (b"capture,error\n", b"capture,error"),
@@ -192,9 +193,14 @@ pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result
 
 /// Writes depth in world units as 16-bit grey, [`DEPTH_LEVELS`] a unit; what is farther than that holds is the brightest.
 pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
+    save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
+}
+
+/// As [`save_depth`], with other levels a unit.
+pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
     // Casting saturates; PNG is big endian.
-    let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * DEPTH_LEVELS).round() as u16).to_be_bytes()).collect();
-    save_png(path, [width, height], (ColorType::Grayscale, BitDepth::Sixteen), &levels)
+    let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
+    save_png(path, size, (ColorType::Grayscale, BitDepth::Sixteen), &levels)
 }
 
 /// Writes a PNG that says what made it, for [`is_own`].

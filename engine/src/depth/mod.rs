@@ -2,9 +2,11 @@
 
 mod gaussians;
 mod model;
+mod network;
 mod output;
 mod points;
 
 pub use gaussians::pixel_gaussians;
-pub use model::{DepthModel, DepthRequest, DepthShape, DepthTensors};
+pub use model::{DepthModel, DepthRequest};
+pub use network::{DepthNetwork, DepthShape, DepthTensors};
 pub use output::{DepthView, Depths};

@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use memmap2::Mmap;
 
 use super::contents::Contents;
+use super::source::Source;
 use super::tensor::Stored;
-use super::{Architecture, Dtype, inference, safetensors, seeded, torch};
+use super::{Architecture, Dtype, inference, safetensors, torch};
 use crate::ops::{Arithmetic, ParameterSource, Q8};
 use crate::types::{open_file, preprocess::DEFAULT_SIZE};
 use crate::{Error, Result};
@@ -35,18 +36,6 @@ const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/mod
 
 /// An architecture, and what was assumed to know it.
 type Known = (Architecture, Option<String>);
-
-#[derive(Debug)]
-enum Source {
-    /// A tensor for each parameter.
-    Stored {
-        file: Bytes,
-        tensors: Vec<Stored>,
-    },
-    Seeded {
-        key: String,
-    },
-}
 
 /// A file's contents.
 #[derive(Debug)]
@@ -211,20 +200,7 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for a value that is not finite.
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        let index = self.find(name)?;
-        let shape = &self.parameters[index].1;
-        let expected: usize = shape.iter().product();
-        if out.len() != expected {
-            return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
-        }
-        match &self.source {
-            Source::Stored { file, tensors } => tensors[index].read(file, out),
-            Source::Seeded { key } => seeded::fill(key, name, shape, out),
-        }
-        match out.iter().position(|value| !value.is_finite()) {
-            Some(i) => Err(self.malformed(name, format!("found {} as value {i}, expected finite values", out[i]))),
-            None => Ok(()),
-        }
+        self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
 
     /// Reads a matrix, whose rows are whole groups, in 8 bits: as it is stored, or rounded.

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::checkpoint::{Bytes, matching};
 use super::contents::Contents;
-use super::tensor::Stored;
-use super::{DEPTH_MODELS, DepthArchitecture, Ffn, safetensors, seeded};
+use super::source::Source;
+use super::{DEPTH_MODELS, DepthArchitecture, Ffn, safetensors};
 use crate::{Error, Result, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
@@ -20,41 +20,29 @@ pub struct DepthCheckpoint {
     provenance: String,
 }
 
-#[derive(Debug)]
-enum Source {
-    /// A tensor for each parameter.
-    Stored {
-        file: Bytes,
-        tensors: Vec<Stored>,
-    },
-    Seeded {
-        key: String,
-    },
-}
-
 impl DepthCheckpoint {
     /// `seeded:NAME`, of one of [`DEPTH_MODELS`], or the path of a file, as [`DepthCheckpoint::open`].
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`].
-    pub fn parse(text: &str) -> Result<Self> {
+    pub fn parse(text: &str, gaussians: bool) -> Result<Self> {
         match text.strip_prefix("seeded:") {
-            Some(name) => Self::seeded(DepthArchitecture::named(name)?, name),
-            None => Self::open(text),
+            Some(name) => Self::seeded(with_or_without(DepthArchitecture::named(name)?, gaussians)?, name),
+            None => Self::open(text, gaussians),
         }
     }
 
     /// Opens a released file, `model.safetensors`, of F32, F16, BF16, or F64 that is rounded to F32. Its tensors say which network it
-    /// is; those that depth does not need are not read.
+    /// is; those that are not needed are not read. The head for Gaussians is left out unless they are asked for.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a network that is none of [`DEPTH_MODELS`];
-    /// [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
-    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a network that is none of [`DEPTH_MODELS`], or has no
+    /// Gaussians where these are asked for; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
+    pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
         let contents = safetensors::contents(path, &file)?;
-        let architecture = Shapes(&contents).architecture(path)?;
+        let architecture = with_or_without(Shapes(&contents).architecture(path)?, gaussians)?;
         Self::of(path, file, contents, architecture)
     }
 
@@ -111,23 +99,20 @@ impl DepthCheckpoint {
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
         let index = self.parameters.iter().position(|(other, _)| other == name).ok_or_else(unknown)?;
-        let shape = &self.parameters[index].1;
-        let expected: usize = shape.iter().product();
-        if out.len() != expected {
-            return Err(Error::argument(format!("buffer for {name}"), out.len(), format!("{expected} values")));
-        }
-        match &self.source {
-            Source::Stored { file, tensors } => tensors[index].read(file, out),
-            Source::Seeded { key } => seeded::fill(key, name, shape, out),
-        }
-        match out.iter().position(|value| !value.is_finite()) {
-            Some(i) => {
-                let reason = format!("{name}: found {} as value {i}, expected finite values", out[i]);
-                Err(Error::format(&self.provenance, None, reason))
-            }
-            None => Ok(()),
-        }
+        self.source.read(&self.provenance, index, &self.parameters, out)
     }
+}
+
+/// A network with its head for Gaussians, or without.
+fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArchitecture> {
+    if gaussians && !known.gaussians {
+        return Err(Error::argument(
+            "network for Gaussians",
+            &known.name,
+            "da3-giant, which alone has a head for them",
+        ));
+    }
+    Ok(DepthArchitecture { gaussians, ..known })
 }
 
 /// Tensors of released files that depth does without: the head for Gaussians, and tails of the rays' head that lead nowhere.

@@ -12,6 +12,7 @@ mod inference;
 mod pickle;
 mod safetensors;
 mod seeded;
+mod source;
 mod tensor;
 mod tensors;
 mod torch;

@@ -5,6 +5,7 @@ mod bench;
 mod cameras;
 mod compare;
 mod convert;
+mod depth;
 mod doctor;
 mod eval;
 mod info;
@@ -25,6 +26,7 @@ use zipsplat::{Error, Result};
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),
     Cameras(cameras::Cameras),
+    Depth(depth::Depth),
     Refine(refine::Refine),
     Render(render::Render),
     View(view::View),
@@ -52,6 +54,7 @@ impl Command {
         match self {
             Command::Reconstruct(command) => command.run(session),
             Command::Cameras(command) => command.run(session),
+            Command::Depth(command) => command.run(session),
             Command::Refine(command) => command.run(session),
             Command::Render(command) => command.run(session),
             Command::View(command) => command.run(session),

@@ -12,6 +12,7 @@ mod bound;
 mod cameras;
 mod case;
 mod cluster;
+mod convolution;
 mod head;
 mod head_backward;
 mod linear;
@@ -199,6 +200,7 @@ pub fn catalogue() -> Vec<Area> {
         linear::area(),
         linear::q8_area(),
         norm::area(),
+        convolution::area(),
         positions::area(),
         attention::area(),
         cameras::area(),

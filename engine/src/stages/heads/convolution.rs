@@ -52,7 +52,9 @@ impl Convolution {
         let size = source.size().map(|length| (length + 2 * padding - side) / step + 1);
         let out = FeatureMap::scratch(rec, name, size, layer.columns);
         let across = layer.columns.div_ceil(4 * rec.limits().subgroup_size as usize);
-        for lines in row_chunks(rec, out.height, &[out.line_bytes(), (step + 2 * padding) * source.line_bytes()]) {
+        // Lines of the source for one, with room for those next to the part.
+        let seen = step + 2 * padding + 1;
+        for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * source.line_bytes()]) {
             let first = (lines.start * step).saturating_sub(padding);
             let (values, source_first) = source.seen(first..(lines.end - 1) * step + side - padding);
             let pixels = lines.len() * out.width;

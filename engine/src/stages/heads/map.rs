@@ -55,8 +55,9 @@ impl FeatureMap {
         let channels = self.channels();
         let out = Self::scratch(rec, name, size, channels);
         let table = positions.map(|positions| positions.table(rec, size, channels));
-        let share = self.height.div_ceil(out.height.max(1)).max(1);
-        for lines in row_chunks(rec, out.height, &[out.line_bytes(), share * self.line_bytes()]) {
+        // Lines of the source for one, with room for those next to the part.
+        let seen = self.height.div_ceil(out.height) + 1;
+        for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * self.line_bytes()]) {
             let place = |line: usize| line * (self.height - 1) / (out.height - 1).max(1);
             let (source, source_first) = self.seen(place(lines.start)..place(lines.end - 1) + 2);
             let count = lines.len() * out.width * channels;
