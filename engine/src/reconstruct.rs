@@ -9,6 +9,7 @@ pub use features::{Features, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
 pub use patches::Patches;
 pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
+pub(crate) use request::{check_cameras, grid, size_of};
 
 use crate::{
     Error, Result,
@@ -23,7 +24,6 @@ use crate::{
     weights::{Architecture, Checkpoint},
 };
 use network::{Choice, Inputs};
-use request::check_cameras;
 use std::{ops::ControlFlow, sync::Mutex};
 
 /// A scene and how it came about.
@@ -212,15 +212,7 @@ impl Model {
     /// # Errors
     /// [`Error::Argument`] for whatever cannot be used.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
-        let size = images.first().map_or([0; 2], |first| [first.width, first.height]);
-        for (i, image) in images.iter().enumerate() {
-            if [image.width, image.height] != size {
-                let found = format!("{} x {}", image.width, image.height);
-                let expected = format!("{} x {}, as view 0", size[0], size[1]);
-                return Err(Error::argument(format!("size of view {i}"), found, expected));
-            }
-            image.validate()?;
-        }
+        let size = size_of(images)?;
         // The scene is f32.
         if !(request.unit as f32).is_normal() || request.unit < 0.0 {
             return Err(Error::argument("unit", request.unit, "a length above 0"));
@@ -308,7 +300,7 @@ fn indices_for(shape: Shape, request: &Request) -> Vec<u32> {
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.
-fn planar(images: &[Image]) -> Vec<f32> {
+pub(crate) fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
     for image in images {
         for channel in 0..3 {

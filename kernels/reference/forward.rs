@@ -105,7 +105,7 @@ fn embed(model: &Model, images: &Images) -> Vec<f64> {
 fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<f64> {
     let Some(priors) = priors else {
         let learned = widen(model.scope("backbone.backbone").get("camera_token"));
-        return learned_camera_tokens(&learned, model.architecture.width, views);
+        return learned_camera_tokens(&learned, model.architecture.width, views, 0);
     };
     let (blocks, heads) = (model.architecture.camera_blocks, model.architecture.camera_heads);
     let encoded = camera_tokens(&model.scope("backbone.cam_enc"), priors, blocks, heads);

@@ -9,6 +9,7 @@ pub mod cluster;
 pub mod forward;
 pub mod fuse;
 pub mod gaussians;
+pub mod heads;
 pub mod loss;
 pub mod lpips;
 pub mod measure;

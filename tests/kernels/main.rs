@@ -10,6 +10,7 @@ mod backbone {
     mod average_halves;
     mod camera_token;
     mod patchify;
+    mod reference_view;
     mod tokens;
 }
 mod cluster {
@@ -21,6 +22,11 @@ mod cluster {
 mod gaussians {
     mod activate;
     mod activate_backward;
+}
+mod heads {
+    mod convolution;
+    mod pixel_shuffle;
+    mod resize;
 }
 mod loss {
     mod gradient;

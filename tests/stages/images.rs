@@ -10,6 +10,7 @@ use zipsplat::Error;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, square_count, squares};
+use zipsplat_cli::protocol::Filter;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::photos::with_orientation;
@@ -76,6 +77,47 @@ fn preprocessing_matches_every_golden() {
         let rect = crop_to_aspect(row[1] as u32, row[0] as u32, row[2]);
         let found = [rect.top, rect.left, rect.height, rect.width].map(f64::from);
         assert_eq!(found, row[3..7], "{row:?}");
+    }
+}
+
+/// The reference's evaluation; f32 weights in another order flip some values by one, as those of f64 do (FORMAT.md, 6).
+#[test]
+fn bilinear_matches_every_golden() {
+    let Some(truth) = Golden::open("preproc.safetensors") else { return };
+    for name in truth.stems("/splatfactory_u8") {
+        let photo = Image::open(golden::find(&format!("pre_{name}.png")).unwrap()).unwrap();
+        let View { image, map } = Filter::Bilinear.cropped(&photo, DEFAULT_SIZE, DEFAULT_SIZE).unwrap();
+        let expected = chw_to_hwc(&truth.u8(&format!("{name}/splatfactory_u8")));
+        let apart = image.rgb.iter().zip(&expected).map(|(a, b)| a.abs_diff(*b));
+        let (most, flips) = (apart.clone().max().unwrap(), apart.map(u64::from).sum::<u64>());
+        assert!(most <= 1 && flips * 100 < expected.len() as u64, "{name}: {most} at most, {flips} in all");
+        let transform = truth.f64(&format!("{name}/splatfactory_transform@f64"));
+        let found = [map.scale[0], map.offset[0], map.scale[1], map.offset[1]];
+        for (found, expected) in found.into_iter().zip([transform[0], transform[2], transform[4], transform[5]]) {
+            assert!((found - expected).abs() < 1e-12, "{name}: {found}, expected {expected}");
+        }
+    }
+}
+
+/// Weights that fall linearly to both sides, as wide as a pixel of the result, normalised.
+#[test]
+fn bilinear_is_that_of_f64() {
+    let photo = noise(38, 27);
+    let image = Filter::Bilinear.whole(&photo, 12, 8).unwrap().image;
+    assert_eq!((image.width, image.height), (12, 8));
+    let weights = |from: u32, to: u32, i: u32| -> Vec<f64> {
+        let scale = f64::from(from) / f64::from(to);
+        let centre = (f64::from(i) + 0.5) * scale;
+        let weights = (0..from).map(|j| (1.0 - (f64::from(j) + 0.5 - centre).abs() / scale).max(0.0));
+        let total: f64 = weights.clone().sum();
+        weights.map(|weight| weight / total).collect()
+    };
+    for (x, y, c) in (0..12).flat_map(|x| (0..8).flat_map(move |y| (0..3).map(move |c| (x, y, c)))) {
+        let (across, down) = (weights(38, 12, x), weights(27, 8, y));
+        let value = |(i, j): (usize, usize)| across[i] * down[j] * f64::from(photo.rgb[3 * (j * 38 + i) + c]);
+        let expected: f64 = (0..38).flat_map(|i| (0..27).map(move |j| (i, j))).map(value).sum();
+        let found = f64::from(image.rgb[3 * (y * 12 + x) as usize + c]);
+        assert!((found - expected + 0.5).abs() < 0.51, "{x} {y} {c}: {found}, expected {expected} rounded down");
     }
 }
 

@@ -3,6 +3,9 @@
 mod align;
 mod arena;
 mod cameras;
+mod depth;
+mod depth_units;
+mod depth_weights;
 mod flops;
 mod forward;
 mod found_cameras;
@@ -10,6 +13,7 @@ mod gradients;
 mod images;
 mod lpips;
 mod poses;
+mod ray_cameras;
 mod references;
 mod refine;
 mod scene_files;

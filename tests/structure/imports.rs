@@ -5,7 +5,7 @@ use crate::source::{Source, files, paths, tokens};
 
 /// The engine's layers, each of which uses only those before it; the first three are crates. `error` stands for `Error` and
 /// `Result`.
-const LAYERS: [&str; 13] = [
+const LAYERS: [&str; 14] = [
     "error",
     "gpu",
     "types",
@@ -17,6 +17,7 @@ const LAYERS: [&str; 13] = [
     "perceptual",
     "cameras",
     "reconstruct",
+    "depth",
     "refine",
     "ffi",
 ];

@@ -1,17 +1,20 @@
 #!/usr/bin/env bash
 # Tests the viewer's page in a real browser, headless, against pictures of `zipsplat render`. Needs Node 20 and Chromium: on Debian,
-# which CI may run, `apt-get install --no-install-recommends chromium nodejs npm`; without a browser it says so and tests nothing.
+# which CI may run, `apt-get install --no-install-recommends chromium nodejs npm`; without a browser, npm or what npm fetches it says so
+# and tests nothing.
 # usage: tests/viewer/run.sh [--test-name-pattern=WORDS] [page.test.mjs]
 #   CHROME    the browser; default chromium, google-chrome or chrome of the PATH
 #   ZIPSPLAT  the command; default the checkout's, which is built
 #   PICTURES  folder for screenshots; default none are kept
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+skip() { echo "skipped: the viewer's tests $1" >&2; exit 0; }
 CHROME=${CHROME:-$(command -v chromium || command -v google-chrome || command -v chrome)} ||
-  { echo "skipped: the viewer's tests found no browser; install chromium, or set CHROME" >&2; exit 0; }
+  skip "found no browser; install chromium, or set CHROME"
+command -v npm > /dev/null || skip "found no npm"
 export CHROME ZIPSPLAT=${ZIPSPLAT:-$here/../../tools/zipsplat}
 cd "$here"
-npm ci --silent --no-audit --no-fund
+npm ci --silent --no-audit --no-fund || skip "could not fetch their packages"
 files=(*.test.mjs)
 [[ ${*: -1} != *.mjs ]] || files=()
 exec node --test --test-concurrency=1 "$@" "${files[@]}"

@@ -70,7 +70,7 @@ def row(capture, folder, options):
     focal = np.median([focals[name] / given_focals[name] for name in common]) - 1
     psnr = []
     for source in [[capture], [photos, "--poses", out]] if options.refine else []:
-        scored = zipsplat("eval", *source, "--views", 8, "--refine", 100)
+        scored = zipsplat("eval", *source, "--views", 8, "--refine", 100, "--lpips", "none")
         psnr.append(f"{scored['mean']['psnr']:.2f} ({len(scored['views'])})")
     counts = f"{found['found']} of {found['photos']}" + (f", {found['mappings']} tries" if found["mappings"] > 1 else "")
     return [capture.name, counts, f"{turn:.2f}", f"{100 * away:.2f} %", f"{100 * focal:+.1f} %", f"{found['points']:,}", *psnr,

@@ -2,12 +2,12 @@
 
 use crate::{
     metrics::{mean_color, psnr, ssim, values},
-    options::Size,
     perceptual::distance,
     photos,
     refinement::placed,
     session::Stage,
-    views::{Fit, Views, seen_through},
+    stamp::{digest, stamp},
+    views::{Seeing, Views, seen_through},
 };
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -23,7 +23,6 @@ use zipsplat::{
     types::{
         Camera, Image, PointCloud, Pose,
         poses::{Frame, Poses, Unit, read_cloud, read_poses},
-        preprocess::{cropped, whole},
         resample::resize_lanczos,
     },
 };
@@ -33,19 +32,6 @@ pub struct Choice {
     poses: Poses,
     inputs: Vec<usize>,
     targets: Vec<usize>,
-}
-
-/// How photos are seen by the network and compared.
-#[derive(Clone, Copy)]
-pub struct Seeing {
-    /// The part of each photo that the network sees.
-    pub fit: Fit,
-    /// The size of the pictures that it sees.
-    pub size: Size,
-    /// Size at which photos are compared.
-    pub compared: Size,
-    /// Whether photos are compared as a whole, at the scale of `compared`, and not only what cropping to it leaves.
-    pub whole: bool,
 }
 
 /// A capture's photos as they are compared, and their cameras. The world is the first input's camera.
@@ -109,6 +95,21 @@ impl Choice {
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
     }
 
+    /// These frames of a scene; its name is for messages.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where one is not there or has no photo.
+    pub fn given(poses: Poses, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
+        let frame = |i: usize| poses.frames.get(i).and_then(|frame| frame.photo.as_ref());
+        if let Some(i) = inputs.iter().chain(&targets).find(|i| frame(**i).is_none()) {
+            let found =
+                poses.frames.get(*i).map_or("no such frame".to_owned(), |frame| format!("none at {}", frame.name));
+            let expected = format!("one, of {} frames counted from 0", poses.frames.len());
+            return Err(Error::argument(format!("photo of frame {i} of {scene}"), found, expected));
+        }
+        Ok(Self { poses, inputs, targets })
+    }
+
     /// Turns the cameras of all inputs but the first by an angle in degrees about any axes, and moves them by as many percent of the
     /// unit, in any directions.
     ///
@@ -139,6 +140,35 @@ impl Choice {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
+    /// The frames to reconstruct from, then those to compare with.
+    pub fn frames(&self) -> impl Iterator<Item = &Frame> {
+        self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
+    }
+
+    /// The frames to reconstruct from.
+    pub fn input_frames(&self) -> Vec<&Frame> {
+        self.inputs.iter().map(|i| &self.poses.frames[*i]).collect()
+    }
+
+    /// The frame of this name, chosen or not.
+    pub fn frame(&self, name: &str) -> Option<&Frame> {
+        self.poses.frames.iter().find(|frame| frame.name == name)
+    }
+
+    /// A short text for frames, photos and points: another one where any of them is another.
+    ///
+    /// # Errors
+    /// Where a file is not there.
+    pub fn digest(&self) -> Result<String> {
+        let mut parts = vec![self.inputs.len().to_string()];
+        for frame in self.frames() {
+            parts.push(format!("{frame:?}"));
+            parts.extend(frame.photo.as_deref().map(stamp).transpose()?);
+        }
+        parts.extend(self.poses.points.as_deref().map(stamp).transpose()?);
+        Ok(digest(&parts))
+    }
+
     /// Notes of the reader of the cameras.
     pub fn notes(&self) -> &[String] {
         &self.poses.notes
@@ -159,14 +189,14 @@ impl Choice {
     /// # Errors
     /// Where a photo or the point cloud cannot be read.
     pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
-        let frames: Vec<&Frame> = self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i]).collect();
+        let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
         let (world, count) = (frames[0].camera.pose, self.inputs.len());
         let read = photos::read(&paths, &frames, stage, |i, photo| {
             let label = format!("camera {i}");
             let compared = posed(frames[i], &photo, seeing, &world, &label)?;
             let seen = match i < count {
-                true => seeing.fit.views(&photo, Some(&frames[i].camera), seeing.size, &label)?,
+                true => seeing.views(&photo, &frames[i].camera, &label)?,
                 false => Vec::new(),
             };
             Ok((compared, [photo.width, photo.height], seen))
@@ -183,13 +213,6 @@ impl Choice {
         cameras.for_each(|camera| camera.pose.translation /= unit.length);
         let targets = inputs.split_off(count);
         Ok(Capture { views, inputs, targets, unit })
-    }
-}
-
-impl Seeing {
-    /// The middle of each photo, which is all that is compared.
-    pub fn cropped(size: Size) -> Self {
-        Self { fit: Fit::Crop, size, compared: size, whole: false }
     }
 }
 
@@ -281,7 +304,7 @@ impl Score {
 }
 
 /// The first point, then always the one that is farthest from all before; in ascending order.
-fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
+pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     let mut chosen = vec![0];
     let mut distances: Vec<f64> = points.iter().map(|point| point.distance(points[0])).collect();
     while chosen.len() < count {
@@ -309,8 +332,7 @@ pub fn spread(k: usize) -> DVec3 {
 
 /// A frame's photo as it is compared, in the world of a camera that stands at `world`.
 fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
-    let Size(width, height) = seeing.compared;
-    let view = if seeing.whole { whole(photo, width, height) } else { cropped(photo, width, height) }?;
+    let view = seeing.compare(photo)?;
     let camera = seen_through(&frame.camera, &view.map, label)?;
     let camera = Camera { pose: camera.pose.relative_to(world), ..camera };
     Ok(Posed { name: frame.name.clone(), image: view.image, camera })

@@ -89,7 +89,7 @@ pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<
 }
 
 /// Ratio, precision and selection of a reconstruction.
-#[derive(Args)]
+#[derive(Args, Debug)]
 pub struct Quality {
     /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
@@ -150,7 +150,7 @@ impl SceneInput {
 }
 
 /// In which arithmetic.
-#[derive(Args)]
+#[derive(Args, Debug)]
 pub struct ArithmeticOption {
     /// Arithmetic [default: fast on GPUs with matrix units, else exact]
     #[arg(long, value_enum)]

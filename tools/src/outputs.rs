@@ -23,7 +23,7 @@ pub const LOG_START: &str = "zipsplat: what COLMAP said";
 const SEARCHED: u64 = 1 << 16;
 /// How files begin, and what stands in those that this program has written. A `.splat` has room for nothing and is not among
 /// them.
-const MARKS: [(&[u8], &[u8]); 15] = [
+const MARKS: [(&[u8], &[u8]); 18] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
@@ -39,6 +39,9 @@ const MARKS: [(&[u8], &[u8]); 15] = [
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
     (b"views,precision,ratio,select", b"views,"),
     (b"capture,error\n", b"capture,error"),
+    (b"generator,protocol,method", b"zipsplat"),
+    (b"<!-- zipsplat -->", b"<!-- zipsplat"),
+    (b"Method,P,K", b"Method,P,K"),
 ];
 
 /// Whether to replace files of others.

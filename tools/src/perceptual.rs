@@ -4,7 +4,7 @@ use clap::{Args, ValueEnum};
 use zipsplat::{Device, Result, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
 /// The choice of the network.
-#[derive(Args)]
+#[derive(Args, Debug)]
 pub struct LpipsOption {
     /// Network of LPIPS; its weights are not ours to ship: `python3 tools/lpips.py` fetches them [default: vgg where its weights
     /// are, else none]

@@ -145,7 +145,7 @@ impl FromStr for Steps {
 }
 
 /// The choice of what moves beside the Gaussians that there are.
-#[derive(Args)]
+#[derive(Args, Debug)]
 pub struct Moved {
     /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
     #[arg(long)]

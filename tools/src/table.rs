@@ -15,6 +15,11 @@ impl Table {
         Self { left, rows: vec![headings.iter().map(ToString::to_string).collect()] }
     }
 
+    /// A table of lines as long as the headings.
+    pub fn of(left: usize, headings: &[String], lines: &[Vec<String>]) -> Self {
+        Self { left, rows: std::iter::once(headings.to_vec()).chain(lines.iter().cloned()).collect() }
+    }
+
     /// Adds a row with a cell for each heading.
     pub fn row<const N: usize>(&mut self, cells: [String; N]) {
         self.rows.push(cells.into());

@@ -1,6 +1,6 @@
 //! The parts of photos that the network sees: the middle of each, or all of it as squares side by side.
 
-use crate::{options::Size, photos, session::Stage, table::counted};
+use crate::{options::Size, photos, protocol::Filter, session::Stage, table::counted};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use zipsplat::{
@@ -9,13 +9,13 @@ use zipsplat::{
     types::{
         Camera, Image, Pose,
         poses::Frame,
-        preprocess::{PixelMap, fit},
+        preprocess::{PixelMap, View, fit},
         square_count, squares,
     },
 };
 
 /// How photos of another shape than the network's are fitted to it.
-#[derive(Args)]
+#[derive(Args, Debug)]
 pub struct FitOption {
     /// Part of a photo that the network sees where it is not as wide as high
     #[arg(long, value_enum, value_name = "HOW", default_value = "crop")]
@@ -30,6 +30,21 @@ pub enum Fit {
     /// The whole photo, as square views side by side, each with a camera turned to it: for known cameras. Twice the views of photos up
     /// to 2:1, and the time and memory of so many
     Squares,
+}
+
+/// How photos are seen by the network and compared.
+#[derive(Clone, Copy, Debug)]
+pub struct Seeing {
+    /// The part of each photo that the network sees.
+    pub fit: Fit,
+    /// The size of the pictures that it sees.
+    pub size: Size,
+    /// Size at which photos are compared.
+    pub compared: Size,
+    /// Whether photos are compared as a whole, at the scale of `compared`, and not only what cropping to it leaves.
+    pub whole: bool,
+    /// How photos become small.
+    pub filter: Filter,
 }
 
 /// The views of photos.
@@ -122,6 +137,36 @@ impl Fit {
             }
             _ => (cameras, None),
         }
+    }
+}
+
+impl Seeing {
+    /// The middle of each photo, which is all that is compared.
+    pub fn cropped(size: Size) -> Self {
+        Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
+    }
+
+    /// The pictures that the network sees of a photo.
+    ///
+    /// # Errors
+    /// As [`Fit::views`].
+    pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<Seen>> {
+        match (self.fit, self.filter) {
+            (Fit::Crop, Filter::Bilinear) => {
+                let View { image, map } = self.filter.cropped(photo, self.size.0, self.size.1)?;
+                Ok(vec![(image, Some(seen_through(camera, &map, label)?))])
+            }
+            _ => self.fit.views(photo, Some(camera), self.size, label),
+        }
+    }
+
+    /// A photo as it is compared.
+    ///
+    /// # Errors
+    /// As [`Filter::cropped`].
+    pub fn compare(self, photo: &Image) -> Result<View> {
+        let Size(width, height) = self.compared;
+        if self.whole { self.filter.whole(photo, width, height) } else { self.filter.cropped(photo, width, height) }
     }
 }
 

@@ -178,6 +178,25 @@ pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     cameras.iter().enumerate().map(encode).collect()
 }
 
+/// The input of Depth Anything 3's camera encoder, per view `[centre (3), quaternion xyzw (4), vfov, hfov]` of the camera-to-world
+/// pose, radians: poses relative to the first, centres divided by their median distance from it, which is taken as 0.1 at least.
+///
+/// # Errors
+/// [`Error::Argument`] naming the first camera that is not valid by its index.
+pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
+    cameras.iter().enumerate().try_for_each(|(i, camera)| camera.validate(&format!("camera {i}")))?;
+    let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();
+    let mut distances: Vec<f64> = poses.iter().map(|pose| pose.translation.length()).collect();
+    distances.sort_by(f64::total_cmp);
+    // Of an even number, the lower of the two in the middle.
+    let unit = distances.get(distances.len().saturating_sub(1) / 2).map_or(1.0, |median| median.max(0.1));
+    let encode = |(camera, pose): (&Camera, &Pose)| {
+        let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation / unit);
+        [t.x, t.y, t.z, x, y, z, w, camera.intrinsics.vfov(), camera.intrinsics.hfov()].map(|value| value as f32)
+    };
+    Ok(cameras.iter().zip(&poses).map(encode).collect())
+}
+
 /// Unit quaternion `wxyz` of a rotation, `w >= 0`. The component that is largest by magnitude is found from the
 /// diagonal and the others are divided by it, so nothing cancels near half turns.
 pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {

@@ -1,6 +1,7 @@
 //! Images, cameras and 3D Gaussian scenes, and the files that they come from. Nothing here needs a GPU.
 
 mod axes;
+mod bounded;
 mod camera;
 mod file;
 mod format;
@@ -22,8 +23,10 @@ mod squares;
 mod trajectory;
 mod world;
 
+pub use bounded::{DEFAULT_BOUND, bounded, bounded_views};
 pub use camera::{
-    Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, unit_quaternion,
+    Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, relative_encoding,
+    unit_quaternion,
 };
 pub use file::{Unfinished, open_file, write_atomic};
 pub use format::WriteOptions;
@@ -37,6 +40,7 @@ pub use scene_file::{
     SceneFormat, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked, read_world,
     write_scene, write_scene_in,
 };
+pub use sh_rotation::sh_rotation;
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use squares::{square_count, squares};

@@ -1,10 +1,18 @@
-//! Cameras from points of the world and the pixels in which they are seen: perspective-n-point.
+//! Cameras from points of the world and the pixels in which they are seen: perspective-n-point; from the rays of their pixels; and from
+//! what a network says of them.
 //!
 //! Three pairs give a camera (P3P), of many tries that is kept which most pairs agree with (LO-RANSAC: Chum, Matas, Kittler,
 //! Locally Optimized RANSAC, 2003), and all of those move it to where they see it best. Everything is f64 on the host.
 
 mod adjust;
+mod decoded;
 mod p3p;
+mod rays;
+mod scale;
+
+pub use decoded::decoded_camera;
+pub use rays::RayMap;
+pub use scale::scale_between;
 
 use crate::{
     Error, Result,
@@ -24,7 +32,7 @@ pub struct Pair {
     pub pixel: DVec2,
 }
 
-/// A camera that was found from pairs.
+/// A camera that was found from pairs, or from rays and their pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundCamera {
     /// The camera, in the world of the points.

@@ -19,9 +19,41 @@ pub(super) enum Packing {
     GatedVector,
     /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
     Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
-    /// An `[inner / taps, taps, columns]` matrix as if it were `[columns, taps, inner / taps]`, the taps from last to first, and
-    /// behind it, from a multiple of 256 bytes on, a bias `[columns]` of zeros.
-    Transposed { taps: usize, inner: usize, columns: usize, kernel: LinearKernel },
+    /// A matrix whose values the checkpoint has in another order, as [`LinearKernel`] wants it, and behind it, from a multiple of 256
+    /// bytes on, a bias `[columns]` of zeros.
+    Reordered { order: Order, inner: usize, columns: usize, kernel: LinearKernel },
+}
+
+/// The order of a checkpoint's values of a matrix `[columns, inner]`.
+#[derive(Clone, Copy)]
+pub(super) enum Order {
+    /// `[inner / taps, taps, columns]`, the taps from last to first: a convolution, for gradients.
+    Transposed { taps: usize },
+    /// `[columns, channels, taps]` for an inner `[taps, channels padded to whole vec4]`: a convolution of pictures whose channels run
+    /// fastest.
+    Planar { taps: usize, channels: usize },
+    /// `[inner, columns / taps, taps]` for columns `[taps, columns / taps]`: a transposed convolution whose kernels do not overlap.
+    Spread { taps: usize },
+}
+
+impl Order {
+    /// The place in the checkpoint of the value in a column; nothing for padding.
+    fn place(self, [inner, columns]: [usize; 2], column: usize, k: usize) -> Option<usize> {
+        match self {
+            Order::Transposed { taps } => {
+                let outputs = inner / taps;
+                Some((k % outputs * taps + taps - 1 - k / outputs) * columns + column)
+            }
+            Order::Planar { taps, channels } => {
+                let (tap, channel) = (k / (inner / taps), k % (inner / taps));
+                (channel < channels).then_some((column * channels + channel) * taps + tap)
+            }
+            Order::Spread { taps } => {
+                let outputs = columns / taps;
+                Some((k * outputs + column % outputs) * taps + column / outputs)
+            }
+        }
+    }
 }
 
 /// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
@@ -63,12 +95,10 @@ impl Packing {
                 let value = |column| source[source_row(column, source.len(), true)];
                 packed.extend((0..source.len()).flat_map(|column| value(column).to_ne_bytes()));
             }
-            Packing::Transposed { taps, inner, columns, kernel } => {
-                let outputs = inner / taps;
-                let place = |c: usize, k: usize| (k % outputs * taps + taps - 1 - k / outputs) * columns + c;
-                let turned: Vec<f32> =
-                    (0..columns).flat_map(|c| (0..inner).map(move |k| source[place(c, k)])).collect();
-                Packing::Matrix { inner, columns, gated: false, kernel }.pack(&turned, packed);
+            Packing::Reordered { order, inner, columns, kernel } => {
+                let value = |c, k| order.place([inner, columns], c, k).map_or(0.0, |place| source[place]);
+                let matrix: Vec<f32> = (0..columns).flat_map(|c| (0..inner).map(move |k| value(c, k))).collect();
+                Packing::Matrix { inner, columns, gated: false, kernel }.pack(&matrix, packed);
                 packed.resize(packed.len().next_multiple_of(256) + size_of::<f32>() * columns, 0);
             }
             Packing::Matrix { inner, columns, gated, kernel } => {

@@ -2,7 +2,7 @@
 
 use super::{
     Arithmetic, AttentionKernel, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
-    packing::{Packing, packed_bytes},
+    packing::{Order, Packing, packed_bytes},
 };
 use crate::{
     Error, Result,
@@ -163,10 +163,36 @@ impl ParameterLayout {
 
     /// The weight `NAME.weight` `[outputs, .., inputs]`, of so many taps, from outputs to inputs.
     fn transposed(&mut self, name: &str, shape: &[usize], taps: usize) -> Linear {
+        self.reordered(name, shape, [taps * shape[0], shape[shape.len() - 1]], Order::Transposed { taps })
+    }
+
+    /// `NAME.weight` `[outputs, inputs, side, side]` and, where `biased`, `NAME.bias` of a convolution whose rows are `[side, side,
+    /// inputs padded to whole vec4]`, in f32 whatever the arithmetic.
+    pub fn planar_convolution(
+        &mut self,
+        name: &str,
+        [inputs, outputs]: [usize; 2],
+        side: usize,
+        biased: bool,
+    ) -> Linear {
+        let taps = side * side;
+        let inner = taps * inputs.next_multiple_of(4);
+        let order = Order::Planar { taps, channels: inputs };
+        let layer = self.reordered(name, &[outputs, inputs, side, side], [inner, outputs], order);
+        if biased { Linear { bias: self.vector(&format!("{name}.bias"), &[outputs]), ..layer } } else { layer }
+    }
+
+    /// `NAME.weight` `[inputs, outputs, side, side]` of a transposed convolution whose kernels do not overlap: a layer to
+    /// `[side, side, outputs]` without bias, in f32 whatever the arithmetic.
+    pub fn spread_convolution(&mut self, name: &str, [inputs, outputs]: [usize; 2], side: usize) -> Linear {
+        let taps = side * side;
+        self.reordered(name, &[inputs, outputs, side, side], [inputs, taps * outputs], Order::Spread { taps })
+    }
+
+    fn reordered(&mut self, name: &str, shape: &[usize], [inner, columns]: [usize; 2], order: Order) -> Linear {
         let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
-        let (inner, columns) = (taps * shape[0], shape[shape.len() - 1]);
         let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
-        let packing = Packing::Transposed { taps, inner, columns, kernel };
+        let packing = Packing::Reordered { order, inner, columns, kernel };
         let both = self.add::<u8>(&format!("{name}.weight"), shape, bias_at + size_of::<f32>() * columns, packing);
         Linear {
             weight: both.slice::<u8>(0, bias_at),

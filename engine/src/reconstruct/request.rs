@@ -153,7 +153,8 @@ fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
     }
 }
 
-pub(super) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
+/// Checks that each image has a camera of its size.
+pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
     if cameras.len() != images.len() {
         return Err(Error::argument("cameras", cameras.len(), format!("{}, one a view", images.len())));
     }
@@ -168,7 +169,22 @@ pub(super) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
     Ok(())
 }
 
-fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
+/// Width and height of the images, which must be of one size.
+pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {
+    let size = images.first().map_or([0; 2], |first| [first.width, first.height]);
+    for (i, image) in images.iter().enumerate() {
+        if [image.width, image.height] != size {
+            let found = format!("{} x {}", image.width, image.height);
+            let expected = format!("{} x {}, as view 0", size[0], size[1]);
+            return Err(Error::argument(format!("size of view {i}"), found, expected));
+        }
+        image.validate()?;
+    }
+    Ok(size)
+}
+
+/// Views of pixels as patches.
+pub(crate) fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
     if !(1..=MAX_VIEWS).contains(&views) {
         return Err(Error::argument("views", views, format!("1 to {MAX_VIEWS}")));
     }

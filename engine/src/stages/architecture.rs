@@ -1,5 +1,11 @@
 //! The sizes of a ZipSplat network.
 
+mod backbone;
+mod depth;
+
+pub use backbone::{BackboneArchitecture, CameraEncoderArchitecture};
+pub use depth::{DEPTH_MODELS, DepthArchitecture};
+
 use super::Stages;
 use crate::{
     Error, Result,
@@ -129,14 +135,30 @@ impl Architecture {
         })
     }
 
-    /// Channels of one attention head of the backbone.
-    pub fn head_dim(&self) -> usize {
-        self.width / self.heads
-    }
-
-    /// Whether block `block` attends over the tokens of all views at once.
-    pub fn is_global(&self, block: usize) -> bool {
-        block >= self.alt_start && block % 2 == 1
+    /// The transformer of the network.
+    pub fn backbone(&self) -> BackboneArchitecture {
+        BackboneArchitecture {
+            root: "backbone.backbone".into(),
+            width: self.width,
+            depth: self.depth,
+            heads: self.heads,
+            ffn: self.ffn,
+            ffn_hidden: self.ffn_hidden,
+            patch: self.patch,
+            position_grid: self.position_grid,
+            alt_start: self.alt_start,
+            qk_norm_start: self.qk_norm_start,
+            rope_start: self.rope_start,
+            out_layers: self.out_layers.clone(),
+            final_eps: 1e-6,
+            camera: Some(CameraEncoderArchitecture {
+                root: "backbone.cam_enc".into(),
+                depth: self.camera_depth,
+                heads: self.camera_heads,
+                hidden: self.camera_hidden,
+                pose_hidden: self.camera_pose_hidden,
+            }),
+        }
     }
 
     /// Values of one packed Gaussian: mean 3, scale 3, quaternion 4, opacity 1, and 3 for each SH coefficient.

@@ -5,11 +5,14 @@ pub mod backbone;
 pub mod cluster;
 pub mod fuse;
 pub mod gaussians;
+pub mod heads;
 pub mod loss;
 pub mod lpips;
 pub mod render;
 
-pub use architecture::{Architecture, RECIPES, VARIANTS};
+pub use architecture::{
+    Architecture, BackboneArchitecture, CameraEncoderArchitecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS,
+};
 pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
 
 use crate::{
@@ -19,9 +22,10 @@ use crate::{
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
-use backbone::{Backbone, backbone};
+use backbone::{Backbone, DepthBackbone, backbone};
 use fuse::Fuse;
 use gaussians::Gaussians;
+use heads::DepthHeads;
 
 /// The stages that have parameters.
 pub struct Stages {
@@ -38,6 +42,40 @@ impl Stages {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self { backbone: backbone(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
+}
+
+/// The stages of a network that finds depth.
+pub struct DepthStages {
+    /// From pixels to features.
+    pub backbone: DepthBackbone,
+    /// From features to depth, rays and cameras.
+    pub heads: DepthHeads,
+}
+
+impl DepthStages {
+    /// Declares the parameters, by the names in released files.
+    pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
+        Self { backbone: DepthBackbone::new(p, &a.backbone), heads: DepthHeads::new(p, a) }
+    }
+}
+
+/// The tensors that the heads read, f32.
+#[derive(Clone, Debug)]
+pub struct DepthFeatures {
+    /// Four of the patches of all views, shallowest first: `[local | norm(global)]`, or `norm(x)` where views do not see each other.
+    pub layers: Vec<Rows>,
+    /// A row a view, where they do: `[local | global]` of its camera token behind the last out layer.
+    pub cameras: Option<Rows>,
+}
+
+/// The view whose camera the world is about, where no cameras are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reference {
+    /// The view with this index.
+    View(usize),
+    /// The network's own choice: the view that is nearest to the middle of what all are like. Of views within a thousandth of it the
+    /// first, so that rounding does not decide.
+    Balanced,
 }
 
 /// Shape of the input: `views` pictures of `rows` x `columns` patches.

@@ -50,7 +50,7 @@ enum Source {
 
 /// A file's contents.
 #[derive(Debug)]
-enum Bytes {
+pub(super) enum Bytes {
     Mapped(Mmap),
     Held(Cow<'static, [u8]>),
 }
@@ -63,6 +63,18 @@ impl Deref for Bytes {
             Self::Mapped(file) => file,
             Self::Held(bytes) => bytes,
         }
+    }
+}
+
+impl Bytes {
+    /// Maps a file.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = open_file(path)?;
+        // SAFETY: the map is only read, as bytes, for which every value is valid. As with every mapped file, whoever
+        // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
+        #[allow(unsafe_code)]
+        let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
+        Ok(Self::Mapped(file))
     }
 }
 
@@ -145,12 +157,7 @@ impl Checkpoint {
     }
 
     fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Known>) -> Result<Self> {
-        let file = open_file(path)?;
-        // SAFETY: the map is only read, as bytes, for which every value is valid. As with every mapped file, whoever
-        // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
-        #[allow(unsafe_code)]
-        let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
-        Self::from_file(path, Bytes::Mapped(file), architecture)
+        Self::from_file(path, Bytes::open(path)?, architecture)
     }
 
     /// `path` only names the file in messages.

@@ -7,6 +7,7 @@
 
 mod checkpoint;
 mod contents;
+mod depth;
 mod inference;
 mod pickle;
 mod safetensors;
@@ -19,13 +20,14 @@ mod variant;
 use std::path::Path;
 
 pub use checkpoint::Checkpoint;
+pub use depth::DepthCheckpoint;
 pub use tensor::Dtype;
 pub use tensors::Tensors;
 
 use crate::Result;
 pub use crate::{
     ops::{Ffn, Q8},
-    stages::{Architecture, RECIPES, VARIANTS},
+    stages::{Architecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS},
 };
 
 /// Writes the checkpoint `input` (PyTorch or safetensors) as safetensors of one type with its architecture as metadata.

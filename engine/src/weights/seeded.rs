@@ -47,18 +47,25 @@ fn value(byte: u8, name: &str, shape: &[usize]) -> f32 {
         Some("gamma") => (52 + ((integer * 204) >> 8)) as f32 / 256.0,
         Some("cls_token" | "camera_token") => centred,
         Some("pos_embed") => centred / 2.0,
+        // A field of view near a right angle.
+        Some("bias") if name.ends_with("fc_fov.0.bias") => 1.0 + centred / 8.0,
         Some("bias") => centred / 8.0,
         _ if shape.len() == 1 => (64 + integer / 2) as f32 / 128.0,
         _ => centred * matrix_scale(name, shape),
     }
 }
 
-/// The power of two next to sqrt(3 / fan-in) from below; twice that for the layer that gives the Gaussians.
+/// Heads whose matrices are twice as large, so that depth, cameras and Gaussians vary.
+const HEADS: [&str; 4] = ["gaussian_head.gaussian_head.1.weight", "model.head.", "model.gs_head.", "model.cam_dec."];
+
+/// The power of two next to sqrt(3 / fan-in) from below; twice that in heads, but for the fusion of their levels.
 fn matrix_scale(name: &str, shape: &[usize]) -> f32 {
-    let fan_in: usize = shape.iter().skip(1).product();
+    // Kernels of the transposed convolutions do not overlap: each result has one value of every input.
+    let spread = ["resize_layers.0.weight", "resize_layers.1.weight"].iter().any(|layer| name.ends_with(layer));
+    let fan_in: usize = if spread { shape[0] } else { shape.iter().skip(1).product() };
     let halvings = (0..30).find(|&e| 3usize << (2 * e) >= fan_in).unwrap_or(30);
-    let gain = if name == "gaussian_head.gaussian_head.1.weight" { 2.0 } else { 1.0 };
-    gain * 0.5f32.powi(halvings)
+    let head = HEADS.iter().any(|head| name.starts_with(head)) && !name.contains(".refinenet");
+    (if head { 2.0 } else { 1.0 }) * 0.5f32.powi(halvings)
 }
 
 fn fnv1a64(text: &str) -> u64 {

@@ -7,8 +7,8 @@ pub fn insert_camera_tokens(x: &mut [f64], tokens: usize, cameras: &[f64], width
     }
 }
 
-/// One row a view of the learned camera tokens `[2, width]`: the reference view's, the first, and that of all others.
-pub fn learned_camera_tokens(learned: &[f64], width: usize, views: usize) -> Vec<f64> {
-    let (reference, other) = learned.split_at(width);
-    [reference, &other.repeat(views - 1)].concat()
+/// One row a view of the learned camera tokens `[2, width]`: the reference view's, and that of all others.
+pub fn learned_camera_tokens(learned: &[f64], width: usize, views: usize, reference: usize) -> Vec<f64> {
+    let (of_reference, of_others) = learned.split_at(width);
+    (0..views).flat_map(|view| if view == reference { of_reference } else { of_others }).copied().collect()
 }

@@ -8,5 +8,6 @@ pub mod features;
 pub mod patch_embed;
 pub mod patchify;
 pub mod positions;
+pub mod reference_view;
 pub mod rope;
 pub mod tokens;

@@ -12,29 +12,34 @@ use zipsplat_tests::reference::{
 fn equals_the_reference() {
     // The last takes more than 65,535 workgroups.
     for (views, tokens, width) in [(0, 3, 4), (1, 1, 1), (1, 5, 63), (2, 4, 64), (3, 2, 65), (65_537, 1, 65)] {
-        for encoded in [false, true] {
+        for (encoded, chosen) in [(false, false), (false, true), (true, false)] {
+            let reference = views / 2;
             let x = random(1, views * tokens * width);
             let camera_tokens = random(2, if encoded { views } else { 2 } * width);
             let mut case = Case::new();
             let out = case.input(&x);
             let kernel = CameraToken {
                 camera_tokens: case.input(&camera_tokens),
+                chosen: case.input(&[reference as u32]),
                 out,
                 views: views as u32,
                 tokens: tokens as u32,
                 width: width as u32,
+                // Not what is chosen.
+                reference: if chosen { 0 } else { reference as u32 },
                 encoded,
+                on_device: chosen,
             };
             case.rec.dispatch(kernel, views * width);
             case.rec.output(out);
 
             let mut truth = widen(&x);
             let mut cameras = widen(&camera_tokens);
-            if !encoded && views > 0 {
-                cameras = learned_camera_tokens(&cameras, width, views);
+            if !encoded {
+                cameras = learned_camera_tokens(&cameras, width, views, reference);
             }
             insert_camera_tokens(&mut truth, tokens, &cameras, width);
-            let name = format!("{views} views of {tokens} x {width}, encoded {encoded}");
+            let name = format!("{views} views of {tokens} x {width}, encoded {encoded}, chosen {chosen}");
             assert_same(&name, &case.result::<f32>(out), &rounded(&truth));
         }
     }

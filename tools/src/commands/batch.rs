@@ -5,18 +5,18 @@ use crate::{
     outputs::{self, Overwrite},
     photos,
     session::{Session, Stage},
+    stamp::{digest, stamp},
     table::{counted, time},
     views::{FitOption, Views},
 };
 use clap::Args;
 use serde::Serialize;
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 use std::{
     collections::HashMap,
     path::{Path, PathBuf},
     sync::{Mutex, mpsc::sync_channel},
-    time::{Duration, Instant, SystemTime},
+    time::{Duration, Instant},
 };
 use zipsplat::{
     Error, Result,
@@ -330,16 +330,15 @@ impl Runner<'_> {
 
     /// The inputs and options that a scene is made of.
     fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
-        let mut hash = Sha256::new();
-        hash.update(&self.made_with);
+        let mut parts = vec![self.made_with.clone()];
         for photo in photos {
-            hash.update(stamp(photo)?);
+            parts.push(stamp(photo)?);
         }
         if let Some(poses) = poses {
-            hash.update(format!("{:?}", poses.frames));
-            hash.update(poses.points.as_deref().map(stamp).transpose()?.unwrap_or_default());
+            parts.push(format!("{:?}", poses.frames));
+            parts.push(poses.points.as_deref().map(stamp).transpose()?.unwrap_or_default());
         }
-        Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+        Ok(digest(&parts))
     }
 
     /// Keeps a capture that failed, in the file at once.
@@ -385,14 +384,6 @@ fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
     let photos = photos::directly_in(folder)?;
     let below = folder.join("images");
     if photos.is_empty() && below.is_dir() { photos::directly_in(&below) } else { Ok(photos) }
-}
-
-/// A file's name, size and time.
-fn stamp(path: &Path) -> Result<String> {
-    let failed = |error| Error::io(path, error);
-    let found = path.metadata().map_err(failed)?;
-    let time = found.modified().map_err(failed)?.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
 fn lock(tally: &Mutex<Tally>) -> std::sync::MutexGuard<'_, Tally> {

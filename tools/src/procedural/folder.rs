@@ -7,7 +7,10 @@ use zipsplat::types::{poses::write_transforms, write_atomic, write_points};
 use zipsplat::{Error, Result};
 
 use super::{Capture, Crop, VERSION};
-use crate::outputs::{MADE_BY, is_own, remove_stale, save_picture};
+use crate::{
+    npy,
+    outputs::{MADE_BY, is_own, remove_stale, save_picture},
+};
 
 /// Pixels between those that become points of the cloud, along x and y.
 const POINT_STEP: usize = 8;
@@ -46,7 +49,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     let names: Vec<String> = (0..count).map(photo).collect();
     for (i, (image, values)) in capture.images.iter().zip(&capture.depths).enumerate() {
         save_picture(&folder.join(&names[i]), image)?;
-        write_atomic(&folder.join(depth(i)), |out| out.write_all(&npy([image.height, image.width], values)))?;
+        write_atomic(&folder.join(depth(i)), |out| out.write_all(&npy::encode([image.height, image.width], values)))?;
     }
     let ours = is_own(&folder.join(SCENE));
     remove_stale(&folder.join("images"), count, is_own)?;
@@ -82,13 +85,4 @@ fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {
         }
     }
     points
-}
-
-/// NumPy's format 1.0: a header padded to 128 bytes, then little-endian values.
-fn npy([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}), }}");
-    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
-    bytes.extend(format!("{header:<117}\n").bytes());
-    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-    bytes
 }

@@ -25,7 +25,8 @@ impl Capture {
     }
 }
 
-fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
+/// Adds one round Gaussian for every pixel of a photo whose depth is above 0.
+pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
     let i = camera.intrinsics;
     for (at, (z, rgb)) in depth.iter().zip(image.rgb.as_chunks::<3>().0).enumerate().filter(|(_, (z, _))| **z > 0.0) {
         let z = f64::from(*z);

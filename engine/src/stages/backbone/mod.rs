@@ -3,7 +3,7 @@
 
 mod da3;
 
-pub use da3::{interpolate_positions, rotary_tables};
+pub use da3::{DepthBackbone, interpolate_positions, rotary_tables};
 
 use super::{Architecture, ViewGrid};
 use crate::{

@@ -1,6 +1,6 @@
-//! The report of `eval --pose-free` on pictures whose cameras were aligned.
+//! The report of `eval` on pictures whose cameras were aligned.
 
-use super::{cells, cells_of};
+use super::one::{cells, cells_of};
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
     capture::{Capture, Score},

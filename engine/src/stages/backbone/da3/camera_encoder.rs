@@ -3,11 +3,11 @@
 use crate::{
     gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
-    stages::Architecture,
+    stages::CameraEncoderArchitecture,
 };
 
-/// Values of a pose encoding (`types::prior_encoding`): translation 3, quaternion 4, vertical and horizontal field of view.
-const POSE_ENCODING: usize = 9;
+/// Values of a pose encoding: translation 3, quaternion 4, vertical and horizontal field of view.
+pub(super) const POSE_ENCODING: usize = 9;
 
 /// Values of a pose encoding, padded with zeros to whole vec4.
 pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
@@ -23,19 +23,19 @@ pub(super) struct CameraEncoder {
 }
 
 impl CameraEncoder {
-    pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        let root = "backbone.cam_enc";
-        let heads = Heads::new(a.camera_heads, a.width);
+    pub fn new(p: &mut ParameterLayout, a: &CameraEncoderArchitecture, width: usize) -> Self {
+        let root = &a.root;
+        let heads = Heads::new(a.heads, width);
         let block = |p: &mut ParameterLayout, i| {
-            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.camera_hidden), EPS)
+            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.hidden), EPS)
         };
         Self {
-            trunk: (0..a.camera_depth).map(|i| block(p, i)).collect(),
-            token_norm: p.norm(&format!("{root}.token_norm"), a.width, EPS),
-            trunk_norm: p.norm(&format!("{root}.trunk_norm"), a.width, EPS),
+            trunk: (0..a.depth).map(|i| block(p, i)).collect(),
+            token_norm: p.norm(&format!("{root}.token_norm"), width, EPS),
+            trunk_norm: p.norm(&format!("{root}.trunk_norm"), width, EPS),
             // Poses are geometry, which stays in f32.
-            fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), POSE_ENCODING, a.camera_pose_hidden),
-            fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.camera_pose_hidden, a.width),
+            fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), POSE_ENCODING, a.pose_hidden),
+            fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.pose_hidden, width),
         }
     }
 

@@ -26,6 +26,11 @@ impl Features {
         }
     }
 
+    /// Features.
+    pub fn layers(&self) -> usize {
+        self.downscales.len()
+    }
+
     /// Prepares feature `j` (0 is the deepest) from the residual stream after its block, `global`, and after the newest
     /// local block: W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)). Camera tokens
     /// are left out.
@@ -33,8 +38,7 @@ impl Features {
         &self,
         rec: &mut Recorder,
         j: usize,
-        local: Rows,
-        global: Rows,
+        [local, global]: [Rows; 2],
         final_norm: Norm,
         grid: ViewGrid,
     ) -> Rows {

@@ -10,11 +10,12 @@ mod truth;
 
 use super::timed_device;
 use crate::{
-    capture::{Capture, Choice, Seeing},
+    capture::{Capture, Choice},
     options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
     refinement::Steps,
     session::Session,
+    views::Seeing,
 };
 use clap::Args;
 use std::path::PathBuf;

@@ -7,21 +7,15 @@ use super::{
 };
 use crate::{
     capture::Capture,
+    html::{self, escape},
     table::{bytes, counted, time},
 };
-use base64::{Engine, engine::general_purpose::STANDARD};
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use std::time::Duration;
-use zipsplat::{
-    Error, Result,
-    types::{Image, resample::resize_lanczos},
-};
+use zipsplat::Result;
 
-const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
-/// Pixels of a picture's longer side, at most, and JPEG's quality of it.
+/// Pixels of a picture's longer side, at most.
 const PICTURE: u32 = 252;
-const QUALITY: u8 = 85;
 
 const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstructions of at most 20 GFLOP from the most photos. All \
     precisions take the tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. \
@@ -33,12 +27,11 @@ const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstruction
 /// Where a picture cannot be encoded.
 pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
     let points = &sweep.points;
-    let pictures: Vec<String> = sweep.pictures.iter().map(data).collect::<Result<_>>()?;
-    let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
-         <meta name=viewport content=\"width=device-width,initial-scale=1\"><meta name=generator content=zipsplat>\
-         <title>What accuracy costs in time</title><style>{STYLE}</style><h1>What accuracy costs in time</h1>\
-         <p>{} on {}, weights: {}. {} points; times of reconstructions are medians of {}, a refinement runs once.</p>",
+    let pictures: Vec<String> =
+        sweep.pictures.iter().map(|picture| html::picture(picture, PICTURE)).collect::<Result<_>>()?;
+    let mut html = html::begin("What accuracy costs in time");
+    html += &format!(
+        "<p>{} on {}, weights: {}. {} points; times of reconstructions are medians of {}, a refinement runs once.</p>",
         escape(&args.folder.display().to_string()),
         escape(device),
         escape(weights),
@@ -49,8 +42,8 @@ pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], 
     html += "<h2>Settings to begin with</h2><div class=\"cards\">";
     if let Some(capture) = captures.iter().max_by_key(|capture| capture.inputs.len()) {
         let target = &capture.targets[0];
-        html += &card("the photo", &data(&target.image)?, "<p>held out: no setting has seen it</p>");
-        html += &card("the nearest photo given", &data(&capture.nearest(target).image)?, "");
+        html += &card("the photo", &html::picture(&target.image, PICTURE)?, "<p>held out: no setting has seen it</p>");
+        html += &card("the nearest photo given", &html::picture(&capture.nearest(target).image, PICTURE)?, "");
     }
     for (name, i) in &chosen {
         html += &card(name, &pictures[*i], &about(&points[*i]));
@@ -139,22 +132,6 @@ fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) 
 
 fn decibels(psnr: Option<f64>) -> String {
     psnr.map_or_else(String::new, |psnr| format!("{psnr:.1}"))
-}
-
-/// A picture as an address that holds it.
-fn data(image: &Image) -> Result<String> {
-    let scale = (f64::from(PICTURE) / f64::from(image.width.max(image.height))).min(1.0);
-    let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
-    let small = resize_lanczos(image, width, height)?;
-    let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-        .write_image(&small.rgb, width, height, ExtendedColorType::Rgb8)
-        .map_err(|error| Error::io("a picture of the report", std::io::Error::other(error)))?;
-    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

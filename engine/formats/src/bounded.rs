@@ -1,0 +1,105 @@
+//! Photos to the size that Depth Anything 3 sees them in, as OpenCV scales them: whole, the longest side bounded.
+
+use rayon::prelude::*;
+
+use super::{
+    Image,
+    preprocess::{PATCH, PixelMap, View},
+};
+use crate::{Error, Result};
+
+/// Longest side of the pictures that Depth Anything 3 is used with, in pixels.
+pub const DEFAULT_BOUND: u32 = 504;
+
+/// Kernel of the cubic interpolation.
+const A: f64 = -0.75;
+/// Fraction bits of its weights.
+const BITS: i32 = 11;
+
+/// Whole photos of which the longest side becomes `bound` and then each side the nearest multiple of [`PATCH`]; where sizes differ, the
+/// middles that all have.
+///
+/// # Errors
+/// [`Error::Argument`] where the bound is less than a patch or a photo's fields disagree.
+pub fn bounded_views(photos: &[Image], bound: u32) -> Result<Vec<View>> {
+    let scaled = photos.par_iter().map(|photo| bounded(photo, bound)).collect::<Result<Vec<_>>>()?;
+    let least = |side: fn(&Image) -> u32| scaled.iter().map(side).min().unwrap_or_default();
+    let (width, height) = (least(|image| image.width), least(|image| image.height));
+    let view = |(photo, whole): (&Image, Image)| {
+        let mut map = PixelMap::resized(photo, whole.width, whole.height);
+        let (left, top) = ((whole.width - width) / 2, (whole.height - height) / 2);
+        (map.to, map.offset) = ([width, height], [-f64::from(left), -f64::from(top)]);
+        Ok(View { image: whole.crop(left, top, width, height)?, map })
+    };
+    photos.iter().zip(scaled).map(view).collect()
+}
+
+/// A whole photo of which the longest side becomes `bound` and then each side the nearest multiple of [`PATCH`], the larger where two are
+/// as near.
+///
+/// # Errors
+/// [`Error::Argument`] where the bound is less than a patch or the photo's fields disagree.
+pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
+    photo.validate()?;
+    if !(PATCH..=8192).contains(&bound) {
+        return Err(Error::argument("longest side", bound, format!("{PATCH} to 8192 pixels")));
+    }
+    let longest = photo.width.max(photo.height);
+    let scale = f64::from(bound) / f64::from(longest);
+    let scaled = |side: u32| ((f64::from(side) * scale).round_ties_even() as u32).max(1);
+    let first = resized(photo, [scaled(photo.width), scaled(photo.height)], bound > longest)?;
+    let nearest = |side: u32| ((side + PATCH / 2) / PATCH * PATCH).max(PATCH);
+    let size = [nearest(first.width), nearest(first.height)];
+    let grows = size[0] > first.width || size[1] > first.height;
+    resized(&first, size, grows)
+}
+
+/// A photo at another size: by cubic interpolation, or the mean over the area of each pixel. First across, then down, with the roundings of
+/// OpenCV: means in f32, interpolation in fixed point, which f64 holds exactly.
+fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Image> {
+    if [photo.width, photo.height] == [width, height] {
+        return Ok(photo.clone());
+    }
+    let taps = if cubic { cubic_taps } else { area_taps };
+    let kept = |x: f64| if cubic { x } else { f64::from(x as f32) };
+    let sum = |taps: &[(usize, f64)], value: &dyn Fn(usize) -> f64| {
+        taps.iter().fold(0.0, |sum, (at, weight)| kept(sum + kept(weight * value(*at))))
+    };
+    let (xs, ys) = (taps(photo.width, width), taps(photo.height, height));
+    let across = |line: &[u8]| -> Vec<f64> {
+        xs.iter().flat_map(|x| [0, 1, 2].map(|c| sum(x, &|at| f64::from(line[3 * at + c])))).collect()
+    };
+    let lines: Vec<Vec<f64>> = photo.rgb.par_chunks(3 * photo.width as usize).map(across).collect();
+    let round = |x: f64| if cubic { (x + 0.5).floor() } else { x.round_ties_even() }.clamp(0.0, 255.0) as u8;
+    let down = |y: &Vec<(usize, f64)>| (0..3 * xs.len()).map(|i| round(sum(y, &|at| lines[at][i]))).collect::<Vec<_>>();
+    Image::new(width, height, ys.par_iter().flat_map_iter(down).collect())
+}
+
+/// For each output the inputs under it and their shares of it.
+fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
+    let scale = f64::from(inputs) / f64::from(outputs);
+    let tap = |i: u32| {
+        let (start, end) = (f64::from(i) * scale, (f64::from(i + 1) * scale).min(f64::from(inputs)));
+        let covered = |at: usize| ((at as f64 + 1.0).min(end) - (at as f64).max(start)) / (end - start);
+        let places = start as usize..(end.ceil() as usize).min(inputs as usize);
+        // OpenCV leaves out slivers.
+        places.map(|at| (at, f64::from(covered(at) as f32))).filter(|(_, share)| share * (end - start) > 1e-3).collect()
+    };
+    (0..outputs).map(tap).collect()
+}
+
+/// For each output four inputs, edges repeated, and their weights of [`BITS`] bits.
+fn cubic_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
+    let scale = f64::from(inputs) / f64::from(outputs);
+    let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
+    let far = |u: f64| ((A * u - 5.0 * A) * u + 8.0 * A) * u - 4.0 * A;
+    let unit = f64::from(1 << BITS);
+    let tap = |i: u32| {
+        let place = (f64::from(i) + 0.5) * scale - 0.5;
+        let t = place - place.floor();
+        let weights = [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)];
+        let at = |k: usize| (place.floor() as i64 - 1 + k as i64).clamp(0, i64::from(inputs) - 1) as usize;
+        (0..4).map(|k| (at(k), (weights[k] * unit).round_ties_even() / unit)).collect()
+    };
+    (0..outputs).map(tap).collect()
+}

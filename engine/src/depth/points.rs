@@ -1,0 +1,44 @@
+//! Points of all views from their depths.
+
+use super::Depths;
+use crate::types::{Camera, Image};
+use glam::DVec3;
+
+/// The confidence that a point must have, within the range that these shares of all have: so that neither none nor all are left.
+const CONFIDENT: f32 = 1.05;
+const SHARES: [f64; 2] = [0.4, 0.9];
+
+impl Depths {
+    /// The world's points that pixels show, with their colours in `images`, of those pixels that the network is confident of; at most
+    /// `most`, evenly spread. Cameras and images are those of the views.
+    pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
+        let least = self.least_confidence();
+        let mut kept = Vec::new();
+        for (view, depths) in self.views.iter().enumerate() {
+            let confident = |i: usize| depths.confidence.as_ref().is_none_or(|confidence| confidence[i] >= least);
+            let usable = |i: &usize| confident(*i) && depths.depth[*i].is_finite() && depths.depth[*i] > 0.0;
+            kept.extend((0..depths.depth.len()).filter(usable).map(|i| (view, i)));
+        }
+        let step = kept.len().div_ceil(most.max(1)).max(1);
+        let point = |&(view, i): &(usize, usize)| {
+            let (Camera { intrinsics: lens, pose }, width) = (&cameras[view], self.width as usize);
+            let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            let ray = DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0);
+            let at = pose.transform(ray * f64::from(self.views[view].depth[i])).as_vec3().to_array();
+            (at, std::array::from_fn(|c| images[view].rgb[3 * i + c]))
+        };
+        kept.iter().step_by(step).map(point).collect()
+    }
+
+    /// The confidence from which pixels count.
+    fn least_confidence(&self) -> f32 {
+        let mut all: Vec<f32> =
+            self.views.iter().filter_map(|view| view.confidence.as_ref()).flatten().copied().collect();
+        if all.is_empty() {
+            return CONFIDENT;
+        }
+        all.sort_by(f32::total_cmp);
+        let [low, high] = SHARES.map(|share| all[(share * (all.len() - 1) as f64) as usize]);
+        CONFIDENT.clamp(low, high)
+    }
+}

@@ -1,0 +1,137 @@
+//! The sizes of a Depth Anything 3 network.
+
+use super::{BackboneArchitecture, CameraEncoderArchitecture, MAX_DEPTH, MAX_SIZE};
+use crate::{
+    Error, Result,
+    gpu::Limits,
+    ops::{Arithmetic, Ffn, ParameterLayout},
+    stages::DepthStages,
+};
+
+/// The released networks by their names.
+pub const DEPTH_MODELS: [&str; 6] =
+    ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large"];
+
+/// Everything that a forward pass to depth needs to know about a network besides its weights. Source: Depth Anything 3.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthArchitecture {
+    /// The network's name in messages; one of [`DEPTH_MODELS`] where it is that network.
+    pub name: String,
+    /// The transformer, of four out layers. One that alternates sees all views at once and knows their cameras; else each view is
+    /// by itself.
+    pub backbone: BackboneArchitecture,
+    /// F, channels of the heads' feature maps.
+    pub features: usize,
+    /// Channels of the four levels before these.
+    pub channels: [usize; 4],
+    /// Whether there is a head for pixel-aligned Gaussians.
+    pub gaussians: bool,
+}
+
+impl DepthArchitecture {
+    /// A network of this transformer's width and depth with a feed-forward network of the usual size: patches of 14 pixels, a
+    /// 37 x 37 position grid, heads of 64 channels, and, where `alt_start` is a block, q/k norm, rotary embedding and cameras from
+    /// there on.
+    pub fn new(
+        name: &str,
+        [width, depth, alt_start]: [usize; 3],
+        ffn: Ffn,
+        out_layers: [usize; 4],
+        (features, channels): (usize, [usize; 4]),
+    ) -> Self {
+        let gated = (4 * width * 2 / 3).next_multiple_of(8);
+        let camera = CameraEncoderArchitecture {
+            root: "model.cam_enc".into(),
+            depth: 4,
+            heads: 16,
+            hidden: 4 * width,
+            pose_hidden: width / 2,
+        };
+        let backbone = BackboneArchitecture {
+            root: "model.backbone.pretrained".into(),
+            width,
+            depth,
+            heads: width / 64,
+            ffn,
+            ffn_hidden: if ffn == Ffn::Gelu { 4 * width } else { gated },
+            patch: 14,
+            position_grid: 37,
+            alt_start,
+            qk_norm_start: alt_start,
+            rope_start: alt_start,
+            out_layers: out_layers.into(),
+            final_eps: 1e-5,
+            camera: (alt_start < depth).then_some(camera),
+        };
+        Self { name: name.into(), backbone, features, channels, gaussians: false }
+    }
+
+    /// One of [`DEPTH_MODELS`]; any other name is an [`Error::Argument`].
+    pub fn named(name: &str) -> Result<Self> {
+        let large = (256, [256, 512, 1024, 1024]);
+        Ok(match name {
+            "da3-small" => Self::new(name, [384, 12, 4], Ffn::Gelu, [5, 7, 9, 11], (64, [48, 96, 192, 384])),
+            "da3-base" => Self::new(name, [768, 12, 4], Ffn::Gelu, [5, 7, 9, 11], (128, [96, 192, 384, 768])),
+            "da3-large" => Self::new(name, [1024, 24, 8], Ffn::Gelu, [11, 15, 19, 23], large),
+            "da3-giant" => {
+                let giant = Self::new(name, [1536, 40, 13], Ffn::SwiGlu, [19, 27, 33, 39], large);
+                Self { gaussians: true, ..giant }
+            }
+            "da3mono-large" | "da3metric-large" => Self::new(name, [1024, 24, 24], Ffn::Gelu, [4, 11, 17, 23], large),
+            _ => return Err(Error::argument("depth network", name, format!("one of {}", DEPTH_MODELS.join(", ")))),
+        })
+    }
+
+    /// Whether the views are seen at once, with rays and cameras, or each by itself, with its sky.
+    pub fn multi_view(&self) -> bool {
+        self.backbone.alternates()
+    }
+
+    /// Channels of a feature: `[local | global]`, or those of a token where views do not see each other.
+    pub fn feature_width(&self) -> usize {
+        self.backbone.width * if self.multi_view() { 2 } else { 1 }
+    }
+
+    /// Checks that the numbers make a network; [`Error::Argument`] names the first field that does not.
+    pub fn validate(&self) -> Result<()> {
+        let expect = |holds: bool, field: &str, found: String, expected: &str| {
+            if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
+        };
+        let b = &self.backbone;
+        let whole = b.width.is_multiple_of(64) && (64..=MAX_SIZE).contains(&b.width);
+        expect(whole, "width", b.width.to_string(), "a multiple of 64 up to 65536")?;
+        expect((1..=MAX_DEPTH).contains(&b.depth), "depth", b.depth.to_string(), "1 to 256")?;
+        let heads = b.heads > 0 && b.width.is_multiple_of(b.heads) && b.head_dim().is_multiple_of(4);
+        expect(heads, "heads", b.heads.to_string(), "a divisor of the width into heads of whole quads")?;
+        let sizes = [("ffn_hidden", b.ffn_hidden, MAX_SIZE), ("position_grid", b.position_grid, 1024)];
+        for (field, found, most) in sizes {
+            expect((1..=most).contains(&found), field, found.to_string(), &format!("1 to {most}"))?;
+        }
+        expect(
+            b.patch.is_multiple_of(2) && (2..=256).contains(&b.patch),
+            "patch",
+            b.patch.to_string(),
+            "2 to 256, even",
+        )?;
+        expect(
+            b.alt_start > 0,
+            "alt_start",
+            "0".into(),
+            "1 or more: the reference view is chosen by the block before",
+        )?;
+        let layers = b.out_layers.len() == 4 && b.out_layers.is_sorted_by(|a, b| a < b) && b.out_layers[3] < b.depth;
+        expect(layers, "out_layers", format!("{:?}", b.out_layers), "four ascending blocks below the depth")?;
+        let quads = |size: usize, of: usize| size.is_multiple_of(of) && (of..=MAX_SIZE).contains(&size);
+        let of = if self.gaussians { 32 } else { 8 };
+        expect(quads(self.features, of), "features", self.features.to_string(), &format!("a multiple of {of}"))?;
+        let channels = self.channels.iter().all(|&channels| quads(channels, 4));
+        expect(channels, "channels", format!("{:?}", self.channels), "multiples of 4")
+    }
+
+    /// Names and shapes of the parameters that depth needs, as the stages declare them.
+    pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
+        let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
+        DepthStages::new(&mut declared, self);
+        declared.names_and_shapes()
+    }
+}

@@ -1,0 +1,106 @@
+//! The backbone as Depth Anything 3's own heads use it.
+
+use super::transformer::{OutLayer, Transformer};
+use crate::{
+    Result,
+    gpu::{Element, Recorder, Run, Tensor},
+    kernels::ops::PlaceColumns,
+    ops::{ParameterLayout, Parameters, Rows},
+    stages::{BackboneArchitecture, DepthFeatures, Reference, ViewGrid},
+    types::{Camera, relative_encoding},
+};
+
+/// The backbone's parameters.
+pub struct DepthBackbone {
+    transformer: Transformer,
+    /// Views see each other.
+    alternates: bool,
+}
+
+impl DepthBackbone {
+    /// Declares the parameters.
+    pub fn new(p: &mut ParameterLayout, a: &BackboneArchitecture) -> Self {
+        Self { transformer: Transformer::new(p, a), alternates: a.alternates() }
+    }
+
+    /// The tensors that the host writes beside the pixels.
+    pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
+        self.transformer.inputs(rec, grid, cameras)
+    }
+
+    /// Records the backbone for `images` `[views, 3, height, width]` f32, normalised.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        images: Tensor,
+        inputs: &[Tensor],
+        grid: ViewGrid,
+        reference: Reference,
+    ) -> DepthFeatures {
+        let (mut layers, mut last) = (Vec::new(), None);
+        self.transformer.record(rec, images, inputs, (grid, reference), |rec, layer, out| {
+            layers.push(self.feature(rec, layer, out, grid));
+            last = Some(out);
+        });
+        let cameras = last.filter(|_| self.alternates).map(|last| camera_features(rec, last, grid));
+        DepthFeatures { layers, cameras }
+    }
+
+    /// The feature of an out layer, without camera tokens.
+    fn feature(&self, rec: &mut Recorder, layer: usize, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
+        let (width, patches) = (global.width, grid.patches());
+        let halves = if self.alternates { 2 } else { 1 };
+        let out = Rows::scratch(rec, "feature", grid.tokens(), halves * width, Element::F32);
+        let normed = out.columns((halves - 1) * width, width);
+        self.transformer.final_norm.record(rec, global, None, normed, patches);
+        for view in (0..grid.views).filter(|_| self.alternates) {
+            let first = view * (1 + patches) + 1;
+            place(rec, local.part(first..first + patches), out.part(view * patches..(view + 1) * patches), 0);
+        }
+        rec.observe(&format!("bb/feat{layer}"), out.tensor);
+        out
+    }
+
+    /// Writes the inputs of a run.
+    ///
+    /// # Errors
+    /// A transfer that fails, or a camera that cannot be used.
+    pub fn write(
+        &self,
+        run: &mut Run,
+        inputs: &[Tensor],
+        grid: ViewGrid,
+        cameras: Option<&[Camera]>,
+        parameters: &Parameters,
+    ) -> Result<()> {
+        let poses = cameras.map(relative_encoding).transpose()?;
+        self.transformer.write(run, inputs, grid, poses.as_deref(), parameters)
+    }
+}
+
+/// `[views, 2 width]`: both halves of every camera token.
+fn camera_features(rec: &mut Recorder, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
+    let out = Rows::scratch(rec, "cameras", grid.views, 2 * global.width, Element::F32);
+    for view in 0..grid.views {
+        let token = view * (1 + grid.patches());
+        for (half, rows) in [local, global].into_iter().enumerate() {
+            place(rec, rows.part(token..token + 1), out.part(view..view + 1), half * global.width);
+        }
+    }
+    rec.observe("bb/cam_feat", out.tensor);
+    out
+}
+
+/// Writes rows into columns of others.
+fn place(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
+    let kernel = PlaceColumns {
+        source: source.tensor,
+        out: out.tensor,
+        count: source.values() as u32,
+        width: source.width as u32,
+        out_width: out.width as u32,
+        out_column: column as u32,
+        output: out.element,
+    };
+    rec.dispatch(kernel, source.values());
+}

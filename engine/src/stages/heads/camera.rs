@@ -1,0 +1,61 @@
+//! The camera decoder: a view's camera token becomes its pose and fields of view.
+
+use super::{
+    convolution::{Convolution, How},
+    map::FeatureMap,
+};
+use crate::{
+    gpu::{Recorder, Tensor},
+    ops::{ParameterLayout, Rows},
+};
+
+/// The decoder's parameters. Its layers are convolutions of one tap, over views.
+pub(super) struct CameraDecoder {
+    trunk: [Convolution; 2],
+    translation: Convolution,
+    quaternion: Convolution,
+    fov: Convolution,
+}
+
+/// The tensors of the cameras that the host reads, f32.
+#[derive(Clone, Copy, Debug)]
+pub struct CameraTensors {
+    /// `[views, 3]`: camera centres.
+    pub translations: Tensor,
+    /// `[views, 4]`: camera-to-world quaternions xyzw of any length.
+    pub quaternions: Tensor,
+    /// `[views, 2]`: vertical and horizontal field of view in radians, 0 where they are below that.
+    pub fovs: Tensor,
+}
+
+impl CameraDecoder {
+    /// Declares the parameters for tokens of `width` channels.
+    pub fn new(p: &mut ParameterLayout, width: usize) -> Self {
+        let root = "model.cam_dec";
+        let mut layer = |name: &str, outputs| Convolution::linear(p, &format!("{root}.{name}"), [width, outputs]);
+        Self {
+            trunk: ["backbone.0", "backbone.2"].map(|name| layer(name, width)),
+            translation: layer("fc_t", 3),
+            quaternion: layer("fc_qvec", 4),
+            fov: layer("fc_fov.0", 2),
+        }
+    }
+
+    /// Records the decoder for `tokens` `[views, width]` f32.
+    pub fn record(&self, rec: &mut Recorder, tokens: Rows) -> CameraTensors {
+        let rectified = How { rectified: true, ..How::default() };
+        let x = FeatureMap::new(tokens, [1, tokens.count]);
+        let x = self.trunk[0].record(rec, "hidden", x, How::default());
+        let x = self.trunk[1].record(rec, "trunk", x, rectified);
+        let mut out = |name, layer: &Convolution| {
+            let tensor = layer.record(rec, name, x, rectified).rows.tensor;
+            rec.output(tensor);
+            tensor
+        };
+        CameraTensors {
+            translations: out("translations", &self.translation),
+            quaternions: out("quaternions", &self.quaternion),
+            fovs: out("fovs", &self.fov),
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! The dense heads: depth with its confidence and rays with theirs, or depth and sky of views by themselves.
+
+use super::{
+    convolution::{Convolution, How},
+    fusion::Fusion,
+    levels::Levels,
+    position::Positions,
+    rays::RayHead,
+    tail::Tail,
+};
+use crate::{
+    gpu::{Recorder, Tensor},
+    ops::{ParameterLayout, Rows},
+    stages::{DepthArchitecture, ViewGrid},
+};
+
+/// The parameters of the head `model.head`.
+pub(super) struct Dpt {
+    levels: Levels,
+    fusion: Fusion,
+    neck: Convolution,
+    depth: Tail,
+    /// Of views that see each other.
+    rays: Option<RayHead>,
+    /// Of views by themselves.
+    sky: Option<Tail>,
+    placed: bool,
+}
+
+/// The tensors of a view that the host reads, f32.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewTensors {
+    /// `[height, width, 2]`: logarithms of depth and of its confidence less 1; without the latter where views are by themselves.
+    pub depth: Tensor,
+    /// `[8 rows, 8 columns, 7]`: direction and origin of the ray of a pixel, and the logarithm of its confidence less 1.
+    pub rays: Option<Tensor>,
+    /// `[height, width]`: sky, from 0 on where it is above that.
+    pub sky: Option<Tensor>,
+}
+
+impl Dpt {
+    /// Declares the parameters.
+    pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
+        let (root, f, multi) = ("model.head", a.features, a.multi_view());
+        let name = |part: &str| format!("{root}.scratch.{part}");
+        let tail = |p: &mut ParameterLayout, part: &str, outputs| Tail::new(p, &name(part), f / 2, outputs);
+        Self {
+            levels: Levels::new(p, a, root, multi, multi),
+            fusion: Fusion::new(p, root, "", f),
+            neck: Convolution::new(p, &name("output_conv1"), [f, f / 2], 3),
+            depth: tail(p, "output_conv2", if multi { 2 } else { 1 }),
+            rays: multi.then(|| RayHead::new(p, root, f)),
+            sky: (!multi).then(|| tail(p, "sky_output_conv2", 1)),
+            placed: multi,
+        }
+    }
+
+    /// Records the head for a view's features, shallowest first.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        features: &[Rows],
+        grid: ViewGrid,
+        positions: &mut Positions,
+    ) -> ViewTensors {
+        let tap = "head";
+        let size = [grid.rows, grid.columns];
+        let levels = rec.scope("levels", |rec| self.levels.record(rec, tap, features, size, positions));
+        let (depth, sky) = rec.scope("depth", |rec| {
+            let fused = self.fusion.record(rec, tap, &levels);
+            let neck = self.neck.record(rec, "neck", fused, How::default());
+            rec.observe("head/neck", neck.rows.tensor);
+            let full = size.map(|count| count * grid.patch);
+            let up = neck.resized(rec, "up", full, self.placed.then_some(&mut *positions));
+            rec.observe("head/up", up.rows.tensor);
+            let depth = self.depth.record(rec, "head/logits", up);
+            let sky = self.sky.as_ref().map(|tail| tail.record(rec, "head/logits_sky", up));
+            (depth, sky)
+        });
+        let rays = self.rays.as_ref();
+        let rays = rays.map(|head| rec.scope("rays", |rec| head.record(rec, &levels, positions)));
+        ViewTensors { depth, rays, sky }
+    }
+}

@@ -1,0 +1,74 @@
+//! Levels fused from the deepest to the shallowest.
+
+use super::{
+    convolution::{Convolution, How},
+    map::FeatureMap,
+};
+use crate::{
+    gpu::Recorder,
+    ops::{ParameterLayout, add},
+};
+
+/// The fusions of four levels, the shallowest first.
+pub(super) struct Fusion {
+    steps: [Step; 4],
+    /// What the names of taps end with.
+    suffix: &'static str,
+}
+
+struct Step {
+    /// Of the level, where there is something to add it to.
+    level: Option<Residual>,
+    sum: Residual,
+    out: Convolution,
+}
+
+/// x + convolution(relu(convolution(relu(x)))).
+struct Residual([Convolution; 2]);
+
+impl Residual {
+    fn new(p: &mut ParameterLayout, name: &str, channels: usize) -> Self {
+        Self([1, 2].map(|i| Convolution::new(p, &format!("{name}.conv{i}"), [channels; 2], 3)))
+    }
+
+    fn record(&self, rec: &mut Recorder, x: FeatureMap) -> FeatureMap {
+        let rectified = How { rectified: true, ..How::default() };
+        let hidden = self.0[0].record(rec, "hidden", x, rectified);
+        self.0[1].record(rec, "residual", hidden, How { residual: Some(x), ..rectified })
+    }
+}
+
+impl Fusion {
+    /// Declares the parameters `ROOT.scratch.refinenetI` with a suffix.
+    pub fn new(p: &mut ParameterLayout, root: &str, suffix: &'static str, channels: usize) -> Self {
+        let step = |j: usize| {
+            let name = format!("{root}.scratch.refinenet{}{suffix}", j + 1);
+            Step {
+                level: (j < 3).then(|| Residual::new(p, &format!("{name}.resConfUnit1"), channels)),
+                sum: Residual::new(p, &format!("{name}.resConfUnit2"), channels),
+                out: Convolution::new(p, &format!("{name}.out_conv"), [channels; 2], 1),
+            }
+        };
+        Self { steps: [0, 1, 2, 3].map(step), suffix }
+    }
+
+    /// The map of all levels, of twice the size of the shallowest.
+    pub fn record(&self, rec: &mut Recorder, tap: &str, levels: &[FeatureMap; 4]) -> FeatureMap {
+        let mut below: Option<FeatureMap> = None;
+        for (j, step) in self.steps.iter().enumerate().rev() {
+            let mut x = levels[j];
+            if let (Some(level), Some(below)) = (&step.level, below) {
+                x = level.record(rec, x);
+                add(rec, x.rows, below.rows);
+            }
+            let x = step.sum.record(rec, x);
+            // Before the map is enlarged: the weights of its pixels add up to 1, so it is the same, for a fourth of the work.
+            let x = step.out.record(rec, "mixed", x, How::default());
+            let size = if j > 0 { levels[j - 1].size() } else { x.size().map(|length| 2 * length) };
+            let x = x.resized(rec, "fused", size, None);
+            rec.observe(&format!("{tap}/fuse{j}{}", self.suffix), x.rows.tensor);
+            below = Some(x);
+        }
+        below.expect("four steps")
+    }
+}

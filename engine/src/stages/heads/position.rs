@@ -1,0 +1,60 @@
+//! Where pixels lie, added to feature maps: sines and cosines, small and needed once a shape, so made on the host in f64.
+
+use crate::{
+    Result,
+    gpu::{Recorder, Run, Tensor},
+    stages::ViewGrid,
+};
+
+/// Frequencies fall from 1 to 1 / BASE.
+const BASE: f64 = 100.0;
+/// Share of an embedding that is added.
+const SHARE: f64 = 0.1;
+
+/// The tables of the sizes that a plan needs.
+pub(super) struct Positions {
+    /// Width over height of the pictures.
+    aspect: f64,
+    /// Height, width, channels.
+    tables: Vec<([usize; 3], Tensor)>,
+}
+
+impl Positions {
+    pub fn new(grid: ViewGrid) -> Self {
+        Self { aspect: grid.columns as f64 / grid.rows as f64, tables: Vec::new() }
+    }
+
+    /// `[width + height, channels / 2]` f32, as of [`position_table`].
+    pub fn table(&mut self, rec: &mut Recorder, [height, width]: [usize; 2], channels: usize) -> Tensor {
+        let shape = [height, width, channels];
+        if let Some((_, tensor)) = self.tables.iter().find(|(other, _)| *other == shape) {
+            return *tensor;
+        }
+        let tensor = rec.input::<f32>("positions", (height + width) * channels / 2);
+        self.tables.push((shape, tensor));
+        tensor
+    }
+
+    pub fn write(&self, run: &mut Run) -> Result<()> {
+        self.tables.iter().try_for_each(|(shape, tensor)| run.write(*tensor, &position_table(self.aspect, *shape)))
+    }
+}
+
+/// What is added to the first half of a pixel's channels for each column, then to the second for each line: `[width + height, channels /
+/// 2]` of `[height, width, channels]` over a picture of this width over height.
+///
+/// Pixels lie on a rectangle of the picture's shape whose half diagonal is 1.
+pub fn position_table(aspect: f64, [height, width, channels]: [usize; 3]) -> Vec<f32> {
+    let diagonal = aspect.hypot(1.0);
+    let axes = [(width, aspect / diagonal), (height, 1.0 / diagonal)];
+    let mut table = Vec::with_capacity((height + width) * channels / 2);
+    for (count, half) in axes {
+        for i in 0..count {
+            let place = half * (2.0 * i as f64 + 1.0 - count as f64) / count as f64;
+            let angles = (0..channels / 4).map(|k| place * BASE.powf(-4.0 * k as f64 / channels as f64));
+            table.extend(angles.clone().map(|angle| (SHARE * angle.sin()) as f32));
+            table.extend(angles.map(|angle| (SHARE * angle.cos()) as f32));
+        }
+    }
+    table
+}

@@ -1,0 +1,59 @@
+//! The second branch of the dense head: a ray for each pixel of a coarser grid, with its confidence.
+
+use super::{
+    convolution::{Convolution, How},
+    fusion::Fusion,
+    map::FeatureMap,
+    position::Positions,
+};
+use crate::{
+    gpu::{Element, Recorder, Tensor},
+    ops::{Norm, ParameterLayout},
+};
+
+/// Channels of the last layer but one.
+const HIDDEN: usize = 32;
+/// Values of a ray: direction, origin, and the logarithm of its confidence less 1.
+const VALUES: usize = 7;
+const EPS: f32 = 1e-5;
+
+/// The branch's parameters.
+pub(super) struct RayHead {
+    fusion: Fusion,
+    neck: [Convolution; 5],
+    hidden: Convolution,
+    norm: Norm,
+    out: Convolution,
+}
+
+impl RayHead {
+    /// Declares the parameters of the head `root` with maps of `f` channels. Files hold a norm that four tails share at the first of
+    /// them; the first three tails, which lead nowhere, are not read.
+    pub fn new(p: &mut ParameterLayout, root: &str, f: usize) -> Self {
+        let name = |part: String| format!("{root}.scratch.{part}");
+        let neck = |i: usize| if i.is_multiple_of(2) { [f, f / 2] } else { [f / 2, f] };
+        Self {
+            fusion: Fusion::new(p, root, "_aux", f),
+            neck: [0, 1, 2, 3, 4].map(|i| Convolution::new(p, &name(format!("output_conv1_aux.3.{i}")), neck(i), 3)),
+            hidden: Convolution::new(p, &name("output_conv2_aux.3.0".into()), [f / 2, HIDDEN], 3),
+            norm: p.norm(&name("output_conv2_aux.0.2".into()), HIDDEN, EPS),
+            out: Convolution::new(p, &name("output_conv2_aux.3.5".into()), [HIDDEN, VALUES], 1),
+        }
+    }
+
+    /// Records the branch for the levels of a view, for the host to read.
+    pub fn record(&self, rec: &mut Recorder, levels: &[FeatureMap; 4], positions: &mut Positions) -> Tensor {
+        let mut x = self.fusion.record(rec, "head", levels);
+        for (i, layer) in self.neck.iter().enumerate() {
+            x = layer.record(rec, "neck", x, How::default());
+            rec.observe(&format!("head/neck_aux{i}"), x.rows.tensor);
+        }
+        let placed = x.resized(rec, "placed", x.size(), Some(positions));
+        let hidden = self.hidden.record(rec, "hidden", placed, How::default());
+        let normed = FeatureMap::new(self.norm.apply(rec, hidden.rows, Element::F32), hidden.size());
+        let logits = self.out.record(rec, "logits", normed, How { rectified: true, ..How::default() }).rows.tensor;
+        rec.observe("head/logits_aux", logits);
+        rec.output(logits);
+        logits
+    }
+}

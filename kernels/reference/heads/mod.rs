@@ -1,0 +1,5 @@
+//! Parts of the heads of Depth Anything 3.
+
+pub mod convolution;
+pub mod pixel_shuffle;
+pub mod resize;

@@ -1,0 +1,277 @@
+//! `zipsplat eval --protocol`: one place in the layout of each data set, and what a series of scenes leaves.
+
+use crate::Folder;
+use glam::{DMat3, DVec3};
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use zipsplat::types::{
+    Pose,
+    poses::{Frame, read_poses},
+    quaternion_from_matrix, read_ply, write_ply,
+};
+
+/// How many times smaller photos are than their cameras say, as in images_4.
+const SMALLER: u32 = 4;
+/// Coefficients with which a fisheye lens is a pinhole, nearly: those of the tangent.
+const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
+const OPTIONS: &str = "--weights @/micro.safetensors --size 28x28 --lpips none";
+
+/// A place of 12 photos of 84x56 in `@/place`, and its frames.
+fn place(folder: &Folder, seed: u32) -> Vec<Frame> {
+    folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
+    read_poses(folder.path("place")).expect("cameras").frames
+}
+
+/// Makes a folder and copies the place's photos there under other names.
+fn copy(folder: &Folder, to: &str, frames: &[Frame], name: impl Fn(usize) -> String) {
+    std::fs::create_dir_all(folder.path(to)).expect("a folder");
+    for (i, frame) in frames.iter().enumerate() {
+        let photo = frame.photo.as_ref().expect("a photo");
+        std::fs::copy(photo, folder.path(to).join(name(i))).expect("copied");
+    }
+}
+
+fn write(folder: &Folder, to: &str, text: &str) {
+    let path = folder.path(to);
+    std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+    std::fs::write(path, text).expect("written");
+}
+
+/// DL3DV: intrinsics at full resolution at the top, OpenGL axes, names in images/ but photos in images_4/.
+fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
+    copy(folder, &format!("{scene}/images_4"), frames, |i| format!("frame_{i:05}.png"));
+    let lens = frames[0].camera.intrinsics;
+    let times = f64::from(SMALLER);
+    let rows = |Pose { rotation: r, translation: t }: Pose| {
+        [0, 1, 2].map(|i| json!([r.x_axis[i], -r.y_axis[i], -r.z_axis[i], t[i]]))
+    };
+    let frame = |(i, frame): (usize, &Frame)| {
+        let [a, b, c] = rows(frame.camera.pose);
+        json!({"file_path": format!("images/frame_{i:05}.png"), "transform_matrix": [a, b, c, [0.0, 0.0, 0.0, 1.0]], "colmap_im_id": i})
+    };
+    let cameras = json!({
+        "w": lens.width * SMALLER, "h": lens.height * SMALLER, "fl_x": lens.fx * times, "fl_y": lens.fy * times,
+        "cx": lens.cx * times, "cy": lens.cy * times, "k1": k1, "k2": 0.0, "p1": 0.0, "p2": 0.0, "camera_model": "OPENCV",
+        "frames": frames.iter().enumerate().map(frame).collect::<Vec<_>>(),
+    });
+    write(folder, &format!("{scene}/transforms.json"), &cameras.to_string());
+}
+
+/// RealEstate10K: an address, then microseconds, shares of the picture's sides, two zeros and world-to-camera a line.
+fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
+    copy(folder, scene, frames, |i| format!("{}.png", 33_367 * (i + 1)));
+    let mut text = "https://www.youtube.com/watch?v=none\n".to_owned();
+    for (i, Frame { camera, .. }) in frames.iter().enumerate() {
+        let (lens, pose) = (camera.intrinsics, camera.pose.inverse());
+        let [w, h] = [lens.width, lens.height].map(f64::from);
+        text += &format!("{} {} {} {} {} 0 0", 33_367 * (i + 1), lens.fx / w, lens.fy / h, lens.cx / w, lens.cy / h);
+        let (r, t) = (pose.rotation, pose.translation);
+        (0..3).for_each(|k| text += &format!(" {} {} {} {}", r.x_axis[k], r.y_axis[k], r.z_axis[k], t[k]));
+        text += "\n";
+    }
+    write(folder, &format!("{scene}.txt"), &text);
+}
+
+/// A COLMAP model as text with this camera.
+fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: impl Fn(usize) -> String) {
+    write(folder, &format!("{model}/cameras.txt"), &format!("# one\n1 {camera}\n"));
+    let mut images = String::new();
+    for (i, frame) in frames.iter().enumerate() {
+        let pose = frame.camera.pose.inverse();
+        let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation);
+        images += &format!("{} {w} {x} {y} {z} {} {} {} 1 {}\n\n", i + 1, t.x, t.y, t.z, name(i));
+    }
+    write(folder, &format!("{model}/images.txt"), &images);
+}
+
+/// Mip-NeRF 360: a pinhole at full resolution, photos in images_4/.
+fn mipnerf360(folder: &Folder, scene: &str, frames: &[Frame]) {
+    let name = |i: usize| format!("_DSC{:04}.JPG", 8000 + i);
+    copy(folder, &format!("{scene}/images_4"), frames, name);
+    let lens = frames[0].camera.intrinsics;
+    let [fx, fy, cx, cy] = [lens.fx, lens.fy, lens.cx, lens.cy].map(|value| value * f64::from(SMALLER));
+    let camera = format!("PINHOLE {} {} {fx} {fy} {cx} {cy}", lens.width * SMALLER, lens.height * SMALLER);
+    colmap(folder, &format!("{scene}/sparse/0"), frames, &camera, name);
+}
+
+/// ScanNet++: a fisheye lens, photos in dslr/resized_images/.
+fn scannetpp(folder: &Folder, scene: &str, frames: &[Frame], [k1, k2, k3, k4]: [f64; 4]) {
+    let name = |i: usize| format!("DSC{i:05}.JPG");
+    copy(folder, &format!("{scene}/dslr/resized_images"), frames, name);
+    let lens = frames[0].camera.intrinsics;
+    let size = format!("{} {} {} {} {} {}", lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy);
+    let camera = format!("OPENCV_FISHEYE {size} {k1} {k2} {k3} {k4}");
+    colmap(folder, &format!("{scene}/dslr/colmap"), frames, &camera, name);
+}
+
+/// PSNR, SSIM and Gaussians of the only scene.
+fn figures(json: &Value) -> [f64; 3] {
+    let [row] = &json["scenes"].as_array().expect("rows")[..] else { panic!("not one row: {json}") };
+    assert_eq!(row["scene"], "one");
+    ["psnr", "ssim", "gaussians"].map(|name| row[name].as_f64().expect("a number"))
+}
+
+#[test]
+fn every_layout_gives_the_same_figures() {
+    let folder = Folder::new();
+    let frames = place(&folder, 5);
+    dl3dv(&folder, "dl3dv/one", &frames, 0.0);
+    dl3dv(&folder, "bent/one", &frames, 0.3);
+    re10k(&folder, "re10k/one", &frames);
+    mipnerf360(&folder, "mipnerf360/one", &frames);
+    scannetpp(&folder, "scannetpp/one", &frames, STRAIGHT);
+    scannetpp(&folder, "fisheye/one", &frames, [0.0; 4]);
+    write(
+        &folder,
+        "frames.json",
+        r#"{"one": {"context": [1, 4, 9], "target": [0, 2, 9], "overlap": 0.5}, "two": null}"#,
+    );
+    let run = |protocol: &str, data: &str, options: &str| {
+        let out = format!("out-{data}-{}", options.len());
+        let line = format!("eval @/{data} --protocol {protocol} {OPTIONS} {options} --align none -o @/{out} --json");
+        figures(&folder.run(&line).json())
+    };
+    for options in
+        ["--indices @/frames.json", "--views 3 --gap 8 --targets 4", "--indices @/frames.json --filter lanczos"]
+    {
+        let [psnr, ssim, gaussians] = run("dl3dv", "dl3dv", options);
+        for protocol in ["re10k", "mipnerf360", "scannetpp"] {
+            let found = run(protocol, protocol, options);
+            let same = (found[0] - psnr).abs() < 2e-3 && (found[1] - ssim).abs() < 2e-4 && found[2] == gaussians;
+            assert!(same, "{protocol} {options}: {found:?}, as DL3DV {:?}", [psnr, ssim, gaussians]);
+        }
+    }
+    // Lenses are undone, and where they are not, photos are as they were.
+    let options = "--indices @/frames.json";
+    let [straight, bent, kept, fisheye] = [
+        run("dl3dv", "dl3dv", options),
+        run("dl3dv", "bent", options),
+        run("dl3dv", "bent", &format!("{options} --keep-distortion")),
+        run("scannetpp", "fisheye", options),
+    ]
+    .map(|[psnr, ..]| psnr);
+    assert!((straight - bent).abs() > 1e-2 && (straight - fisheye).abs() > 1e-2, "{straight}, {bent}, {fisheye} dB");
+    assert!((straight - kept).abs() < 2e-3, "{straight} and {kept} dB");
+    let line = format!("eval @/fisheye --protocol scannetpp {OPTIONS} {options} --keep-distortion -o @/x");
+    let outcome = folder.run(&line);
+    assert!(outcome.code == 1 && outcome.err.contains("almost pinholes"), "{}", outcome.err);
+}
+
+/// Two scenes of 12 photos in `@/data`, as DL3DV has them.
+fn two_scenes(folder: &Folder) {
+    for (scene, seed) in [("data/one", 5), ("data/two", 6)] {
+        dl3dv(folder, scene, &place(folder, seed), 0.0);
+    }
+}
+
+const SERIES: &str = "eval @/data --protocol dl3dv --views 2,3 --gap 6,8 --targets 2 --align none -o @/out";
+
+#[test]
+fn a_series_keeps_what_was_done() {
+    let folder = Folder::new();
+    two_scenes(&folder);
+    let line = format!("{SERIES} {OPTIONS}");
+    let first = folder.run(&format!("{line} --limit 3 --json")).json();
+    assert_eq!((&first["judged"], &first["unchanged"]), (&json!(3), &json!(0)));
+    let all = folder.run(&format!("{line} --json")).json();
+    assert_eq!((&all["judged"], &all["unchanged"]), (&json!(1), &json!(3)));
+    // Means are those of the rows, in the columns of the paper.
+    let rows = all["scenes"].as_array().expect("rows");
+    assert_eq!(rows.len(), 4);
+    let of =
+        |views: u64| rows.iter().filter(move |row| row["views"] == views).map(|row| row["psnr"].as_f64().expect("dB"));
+    let headings = "| Method | P | K | 2v scenes | 2v #Gs | 2v PSNR | 2v SSIM | 2v LPIPS | 3v scenes | 3v #Gs | 3v PSNR | 3v SSIM | 3v LPIPS |";
+    let table = std::fs::read_to_string(folder.path("out/table.md")).expect("a table");
+    let lines: Vec<&str> = table.lines().collect();
+    assert_eq!((lines[2], lines[3], lines.len()), ("", headings, 6), "{table}");
+    let cells: Vec<&str> = lines[5].trim_matches('|').split('|').map(str::trim).collect();
+    let mean = |views| of(views).sum::<f64>() / 2.0;
+    let [two, three] = [mean(2), mean(3)].map(|psnr| format!("{psnr:.2}"));
+    // 2x2 patches of 14 pixels, 4 Gaussians each.
+    assert_eq!(cells[..6], ["micro", "✓", "✓", "2", "32", &two], "{table}");
+    assert_eq!(cells[8..11], ["2", "48", &three], "{table}");
+    let csv = std::fs::read_to_string(folder.path("out/table.csv")).expect("a table");
+    assert!(csv.starts_with("Method,P,K,2v scenes,2v #Gs") && csv.contains(&format!("2,32,{two}")), "{csv}");
+    let scenes = std::fs::read_to_string(folder.path("out/scenes.csv")).expect("rows");
+    assert_eq!(scenes.lines().count(), 5, "{scenes}");
+    let page = std::fs::read_to_string(folder.path("out/page.html")).expect("a page");
+    assert!(page.matches("src=\"data:image/jpeg;base64,").count() == 4 && !page.contains("http"), "no picture a row");
+    // Another way to judge has a line of its own; a photo that changed is judged again.
+    let free = folder.run(&format!("{line} --pose-free --name A|B --json")).json();
+    assert_eq!((&free["judged"], free["means"].as_array().map(Vec::len)), (&json!(4), Some(2)));
+    let photo = folder.path("data/two/images_4/frame_00000.png");
+    std::fs::copy(folder.path("data/two/images_4/frame_00001.png"), &photo).expect("copied");
+    let again = folder.run(&format!("{line} --json")).json();
+    assert_eq!((&again["judged"], &again["unchanged"]), (&json!(2), &json!(2)));
+}
+
+/// Cameras are aligned as the paper's authors do, where nobody says otherwise; scenes of another system are found by name.
+#[test]
+fn a_protocol_aligns_cameras() {
+    let folder = Folder::new();
+    folder.run("scene --seed 9 --views 12 --size 84x56 --splats -o @/place").success();
+    dl3dv(&folder, "data/one", &read_poses(folder.path("place")).expect("cameras").frames, 0.0);
+    let mut scene = read_ply(folder.path("place/splats.ply")).expect("a scene");
+    scene.place(1.0, &Pose { rotation: DMat3::from_rotation_y(0.03), translation: DVec3::new(0.02, 0.0, 0.01) });
+    std::fs::create_dir(folder.path("scenes")).expect("a folder");
+    write_ply(&scene, folder.path("scenes/one.ply")).expect("written");
+    let line = format!("eval @/data --protocol dl3dv --scene @/scenes --views 2 --gap 4 --targets 1 {OPTIONS} --json");
+    let figure = |options: &str, out: &str| figures(&folder.run(&format!("{line} {options} -o @/{out}")).json())[0];
+    let [usual, adam, none] = [figure("", "a"), figure("--align adam", "b"), figure("--align none", "c")];
+    assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
+    folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
+    std::fs::rename(folder.path("scenes/one.ply"), folder.path("scenes/two.ply")).expect("renamed");
+    let outcome = folder.run(&format!("{line} -o @/d"));
+    assert!(outcome.code == 1 && outcome.err.contains("one.ply"), "{}", outcome.err);
+}
+
+#[test]
+fn scenes_that_fail_are_listed() {
+    let folder = Folder::new();
+    two_scenes(&folder);
+    std::fs::remove_file(folder.path("data/one/images_4/frame_00000.png")).expect("removed");
+    write(
+        &folder,
+        "frames.json",
+        r#"{"one": {"context": [0, 3], "target": [1]}, "two": {"context": [0, 3], "target": [1]}}"#,
+    );
+    let line = format!("eval @/data --protocol dl3dv {OPTIONS} --align none --indices @/frames.json -o @/out");
+    let outcome = folder.run(&format!("{line} --json"));
+    assert!(outcome.code == 1 && outcome.err.contains("photo of frame 0 of one"), "{}", outcome.err);
+    let failures = std::fs::read_to_string(folder.path("out/failures.csv")).expect("failures");
+    assert!(failures.lines().count() == 2 && failures.contains("one"), "{failures}");
+    let table = std::fs::read_to_string(folder.path("out/table.csv")).expect("a table");
+    assert!(table.lines().count() == 2, "the other scene counts: {table}");
+
+    let refuses = |text: &str, words: &[&str]| {
+        write(&folder, "frames.json", text);
+        folder.run(&line).fails(3, words);
+    };
+    refuses("[]", &["frames.json", "map"]);
+    refuses("{}", &["frames.json", "no scene"]);
+    refuses(r#"{"one": {"context": [], "target": [1]}}"#, &["one", "0 of context"]);
+    let uneven = r#"{"one": {"context": [0], "target": [1]}, "two": {"context": [0, 1], "target": [2]}}"#;
+    refuses(uneven, &["two", "found 2 of context, expected 1"]);
+    refuses(r#"{"three": {"context": [0], "target": [1]}}"#, &["--indices", "none of the scenes"]);
+    folder.run("eval @/photos --protocol re10k -o @/out2").fails(3, &["scene of RealEstate10K", "camera file"]);
+    folder.run("eval @/data @/data/one --protocol dl3dv -o @/out2").fails(3, &["scene one", "one of this name"]);
+    folder.run("eval @/data --protocol dl3dv").fails_usage();
+    folder.run("eval @/data --gap 50").fails_usage();
+    folder.run("eval @/data @/photos").fails(3, &["folders", "one capture"]);
+    folder.run("eval @/data/one --views 2,3").fails(3, &["--views", "one number"]);
+    assert!(!folder.path("out2").exists());
+}
+
+/// Pictures of the place: a file at each path.
+#[test]
+fn other_folders_of_photos_are_taken_where_asked() {
+    let folder = Folder::new();
+    let frames = place(&folder, 5);
+    mipnerf360(&folder, "mip/one", &frames);
+    let [from, to]: [PathBuf; 2] = ["mip/one/images_4", "mip/one/small"].map(|path| folder.path(path));
+    std::fs::rename(from, to).expect("renamed");
+    let line = format!("eval @/mip/one --protocol mipnerf360 --views 2 --targets 1 {OPTIONS} --align none -o @/out");
+    let outcome = folder.run(&line);
+    assert!(outcome.code == 1 && outcome.err.contains("frames of one"), "{}", outcome.err);
+    folder.run(&format!("{line} --images small")).success();
+}

@@ -1,0 +1,87 @@
+//! Convolutions against sums over all taps: sides, steps, borders, widths that fill no panel, and every part of the epilogue.
+
+use crate::case::{Case, random};
+use zipsplat::{
+    gpu::Element,
+    kernels::{heads::Convolution, limits::LINEAR_ROWS},
+    ops::{LinearKernel, Weights, pack_matrix},
+};
+use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::device::device;
+use zipsplat_tests::reference::{heads::convolution::convolution, ops::activation, widen};
+
+/// What is done to the values on their way.
+#[derive(Clone, Copy, Debug, Default)]
+struct How {
+    rectified: bool,
+    gelu: bool,
+    add: bool,
+}
+
+/// All pixels, or those from line `lines.0` on of lines of the source from `lines.1` on.
+fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [usize; 2], how: How, lines: [usize; 2]) {
+    let ([side, step], padding) = (shape, shape[0] / 2);
+    let inner = side * side * channels;
+    let (source, bias) = (random(1, height * width * channels), random(3, columns));
+    let weight = random(2, columns * inner);
+    let [out_height, out_width] = [height, width].map(|length| (length + 2 * padding - side) / step + 1);
+    let first = lines[0] * out_width;
+    let pixels = (out_height - lines[0]) * out_width;
+    let residual = random(4, pixels * columns);
+
+    let taps = side * side;
+    let turned: Vec<f32> = (0..columns * inner)
+        .map(|i| weight[i / inner * inner + i % inner % channels * taps + i % inner / channels])
+        .collect();
+    let mut case = Case::new();
+    let out = case.output::<f32>(pixels * columns);
+    let kernel = Convolution {
+        source: case.input(&source[lines[1] * width * channels..]),
+        weight: case.input(&pack_matrix(LinearKernel::Panels(Element::F32, Weights::Factors), &turned, inner, columns)),
+        bias: case.input(&bias),
+        residual: case.input(&residual),
+        out,
+        pixels: pixels as u32,
+        first: first as u32,
+        out_width: out_width as u32,
+        columns: columns as u32,
+        channels: channels as u32,
+        width: width as u32,
+        height: height as u32,
+        source_first: lines[1] as u32,
+        side: side as u32,
+        step: step as u32,
+        padding: padding as u32,
+        rectified: how.rectified,
+        gelu: how.gelu,
+        add: how.add,
+    };
+    let across = columns.div_ceil(4 * device().limits().subgroup_size as usize);
+    case.rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across);
+
+    let seen: Vec<f64> = widen(&source).into_iter().map(|x| if how.rectified { x.max(0.0) } else { x }).collect();
+    let whole = convolution(&seen, [width, channels], shape, &weight, &bias);
+    let active = whole[first * columns..].iter().map(|&x| if how.gelu { activation::gelu(x) } else { x });
+    let truth: Vec<f64> =
+        if how.add { active.zip(&residual).map(|(x, &r)| x + f64::from(r)).collect() } else { active.collect() };
+    let name = format!("{shape:?} of {height} x {width} x {channels} to {columns} from {lines:?} on, {how:?}");
+    assert_close(&name, &case.result::<f32>(out), &truth, Tolerance::sum_of(inner));
+}
+
+#[test]
+fn equals_the_reference() {
+    let plain = How::default();
+    check([7, 9], [4, 5], [3, 1], plain, [0, 0]);
+    check([5, 4], [64, 70], [3, 1], How { rectified: true, add: true, ..plain }, [0, 0]);
+    check([7, 6], [12, 24], [3, 2], plain, [0, 0]);
+    check([6, 5], [8, 16], [3, 2], How { rectified: true, ..plain }, [0, 0]);
+    check([3, 11], [32, 2], [1, 1], How { rectified: true, ..plain }, [0, 0]);
+    check([4, 4], [4, 8], [3, 1], How { gelu: true, ..plain }, [0, 0]);
+    check([1, 1], [4, 1], [3, 2], plain, [0, 0]);
+}
+
+#[test]
+fn lines_before_the_bound_ones_count() {
+    check([8, 5], [4, 6], [3, 1], How { add: true, ..How::default() }, [3, 2]);
+    check([9, 5], [4, 6], [3, 2], How::default(), [2, 3]);
+}

@@ -1,0 +1,120 @@
+//! Files of depth networks, by the names of released ones.
+
+use safetensors::{Dtype, tensor::TensorView};
+use std::path::Path;
+use tempfile::TempDir;
+use zipsplat::Error;
+use zipsplat::ops::Ffn;
+use zipsplat::weights::{DEPTH_MODELS, DepthArchitecture, DepthCheckpoint};
+use zipsplat_tests::golden;
+
+fn tiny() -> DepthArchitecture {
+    let maps = (32, [16, 24, 32, 48]);
+    let tiny = DepthArchitecture::new("da3_tiny", [128, 6, 2], Ffn::Gelu, [2, 3, 4, 5], maps);
+    DepthArchitecture { gaussians: true, ..tiny }
+}
+
+/// The names and shapes of a released network's layout at a tiny size.
+fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
+    let manifest = golden::json(&format!("{config}.manifest.json"))?;
+    let parameters = manifest["params"].as_object().expect("parameters");
+    let shape = |shape: &serde_json::Value| serde_json::from_value(shape.clone()).expect("a shape");
+    Some(parameters.iter().map(|(name, of)| (name.clone(), shape(of))).collect())
+}
+
+/// A file with these tensors of f32, which hold the values of `of` where that has them.
+fn write(path: &Path, tensors: &[(String, Vec<usize>)], of: Option<&DepthCheckpoint>) {
+    let values = |(name, shape): &(String, Vec<usize>)| {
+        let mut values = vec![0.0; shape.iter().product()];
+        of.into_iter().for_each(|checkpoint| drop(checkpoint.read_f32(name, &mut values)));
+        values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>()
+    };
+    let bytes: Vec<Vec<u8>> = tensors.iter().map(values).collect();
+    let views = tensors.iter().zip(&bytes).map(|((name, shape), bytes)| {
+        (name.clone(), TensorView::new(Dtype::F32, shape.clone(), bytes).expect("as many bytes as the shape has"))
+    });
+    safetensors::serialize_to_file(views, None, path).expect("a file");
+}
+
+/// A released layout is read whole: what depth needs has the shapes that the stages declare, and nothing is missing.
+#[test]
+fn released_layouts_are_read() {
+    let Some(tensors) = manifest("da3_tiny") else { return };
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.safetensors");
+    let seeded = DepthCheckpoint::seeded(tiny(), "da3_tiny").unwrap();
+    write(&path, &tensors, Some(&seeded));
+    let read = DepthCheckpoint::open_architecture(&path, tiny()).unwrap();
+    assert_eq!(read.parameters(), seeded.parameters());
+    for (name, shape) in seeded.parameters() {
+        let values = |checkpoint: &DepthCheckpoint| {
+            let mut values = vec![f32::NAN; shape.iter().product()];
+            checkpoint.read_f32(name, &mut values).unwrap();
+            values
+        };
+        assert!(values(&read) == values(&seeded), "{name}");
+    }
+    // Nothing of the file is left over but what leads nowhere.
+    let known = |name: &str| seeded.parameters().iter().any(|(other, _)| other == name);
+    let unread: Vec<&String> = tensors.iter().map(|(name, _)| name).filter(|name| !known(name)).collect();
+    assert!(unread.iter().all(|name| name.contains("_aux.")), "{unread:?}");
+}
+
+#[test]
+fn missing_and_foreign_tensors_are_named() {
+    let Some(mut tensors) = manifest("da3_tiny") else { return };
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.safetensors");
+    let lost = tensors.iter().position(|(name, _)| name == "model.head.projects.2.bias").unwrap();
+    tensors[lost].0 = "model.head.projects.7.bias".into();
+    write(&path, &tensors, None);
+    match DepthCheckpoint::open_architecture(&path, tiny()) {
+        Err(Error::Weights { missing, unexpected, misshapen, .. }) => {
+            assert_eq!(missing, ["model.head.projects.2.bias"]);
+            assert_eq!(unexpected, ["model.head.projects.7.bias"]);
+            assert!(misshapen.is_empty());
+        }
+        other => panic!("{other:?}"),
+    }
+    // A network of another size is none of those that are known.
+    let error = DepthCheckpoint::open(&path).unwrap_err().to_string();
+    assert!(error.contains("width 128") && error.contains("da3-base"), "{error}");
+}
+
+/// Files say by their shapes which network they are of; two networks have one layout.
+#[test]
+fn networks_are_told_by_their_shapes() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.safetensors");
+    let small = DepthArchitecture::named("da3-small").unwrap();
+    write(&path, &small.parameters(), None);
+    let found = DepthCheckpoint::open(&path).unwrap();
+    assert_eq!(*found.architecture(), small);
+    for name in DEPTH_MODELS {
+        let architecture = DepthArchitecture::named(name).unwrap();
+        architecture.validate().unwrap();
+        assert!(architecture.parameters().len() > 150, "{name}");
+    }
+}
+
+/// The numbers of parameters that the networks are known by, in millions.
+#[test]
+fn networks_are_as_large_as_released() {
+    let released = [
+        ("da3-small", 34.0),
+        ("da3-base", 135.0),
+        ("da3-large", 411.0),
+        ("da3-giant", 1356.0),
+        ("da3mono-large", 334.0),
+    ];
+    for (name, millions) in released {
+        let parameters = DepthArchitecture::named(name).unwrap().parameters();
+        let count: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+        let found = count as f64 / 1e6;
+        // Released files also have what leads nowhere.
+        assert!(
+            found <= 1.02 * millions && found > 0.9 * millions,
+            "{name}: {found} M parameters, released {millions} M"
+        );
+    }
+}

@@ -1,0 +1,190 @@
+//! What judges a capture: a model, a renderer and LPIPS, on one device for all captures of a run.
+
+use super::{Eval, alignment::Alignment};
+use crate::{
+    capture::{Capture, Choice, Posed, Score, draw},
+    refinement::{self, Refinable, Start, Steps},
+    session::Session,
+    views::Seeing,
+};
+use std::time::Duration;
+use zipsplat::{
+    Error, Result,
+    gpu::{Arena, Device},
+    ops::{Arithmetic, Precision},
+    perceptual::Perceptual,
+    reconstruct::{Model, Request},
+    refine::{FrozenHead, Refine, Refined, Stopped},
+    stages::render::Renderer,
+    types::Scene,
+    weights::Checkpoint,
+};
+
+/// The judge of captures.
+pub struct Judge<'a> {
+    eval: &'a Eval,
+    checkpoint: &'a Checkpoint,
+    seeing: Seeing,
+    device: Device,
+    pub precision: Precision,
+    arithmetic: Arithmetic,
+    /// Loaded where the first capture is reconstructed.
+    model: Option<Model>,
+    renderer: Renderer,
+    lpips: Option<Perceptual>,
+}
+
+/// A capture's scene and how it was judged.
+pub struct Judged {
+    pub capture: Capture,
+    pub made: Made,
+    /// The pictures in the targets' places, `[height][width][rgb]` in 0..1.
+    pub drawn: Vec<Vec<f32>>,
+    pub scores: Vec<Score>,
+    /// Where cameras were searched for.
+    pub alignment: Option<Alignment>,
+}
+
+/// A scene and how it was made. Its world is the first input's camera, its unit the network's.
+pub struct Made {
+    pub scene: Scene,
+    /// None of a scene that was not reconstructed here.
+    pub network: Option<Network>,
+    pub refined: Option<Refined>,
+    /// What the refinement started from.
+    pub started: &'static str,
+}
+
+/// What the network did.
+pub struct Network {
+    pub tokens: usize,
+    pub peak_bytes: u64,
+    pub took: Duration,
+}
+
+impl Made {
+    /// A scene that was not made here.
+    pub fn given(scene: Scene) -> Self {
+        Self { scene, network: None, refined: None, started: "" }
+    }
+}
+
+impl<'a> Judge<'a> {
+    /// Opens the device.
+    pub fn new(eval: &'a Eval, checkpoint: &'a Checkpoint, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
+        let device = session.device()?;
+        let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
+        let lpips = eval.lpips.open(&device, gradients)?;
+        let (precision, arithmetic) = eval.quality.arithmetic.choose(session, &device)?;
+        let renderer = Renderer::new(&device);
+        Ok(Self { eval, checkpoint, seeing, device, precision, arithmetic, model: None, renderer, lpips })
+    }
+
+    /// Reconstructs a capture from the frames chosen, or reads a scene of it, and compares it with the others. `name` is the capture's in
+    /// a data set.
+    pub fn judge(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Judged> {
+        let (eval, seeing) = (self.eval, self.seeing);
+        let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
+        capture.notes().for_each(|note| session.note(note));
+        let made = match eval.theirs.make(session, name, choice, &capture)? {
+            Some(made) => {
+                self.renderer.load(&made.scene)?;
+                made
+            }
+            None => self.reconstruct(session, choice, &capture)?,
+        };
+        let (drawn, mut alignment) = self.draw(session, &capture)?;
+        let mut scores = capture.scores(&drawn);
+        if let Some(lpips) = &mut self.lpips {
+            session.stage("compare", |_| capture.look(&mut scores, &drawn, lpips))?;
+            let rows = alignment.iter_mut().flat_map(|alignment| &mut alignment.rows);
+            rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
+        }
+        Ok(Judged { capture, made, drawn, scores, alignment })
+    }
+
+    /// Makes the scene of a capture, which the renderer then holds.
+    fn reconstruct(&mut self, session: &mut Session<'_>, choice: &Choice, capture: &Capture) -> Result<Made> {
+        let (eval, checkpoint) = (self.eval, self.checkpoint);
+        if self.model.is_none() {
+            self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
+        }
+        let model = self.model.as_ref().expect("it was loaded");
+        let images = capture.images();
+        let (cameras, world) = self.seeing.fit.told(capture.cameras());
+        let request = Request {
+            ratio: eval.quality.ratio,
+            selection: eval.quality.select.clone(),
+            cameras: (!eval.pose_free).then_some(cameras),
+            unit: 1.0,
+        };
+        let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);
+        let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
+        let mut scene = result.scene()?;
+        eval.quality.prune(&mut scene, checkpoint.architecture());
+        world.iter().for_each(|world| scene.place(1.0, world));
+        let mut started = refinement::TOKENS;
+        let refined = match (eval.refine, &tokens) {
+            (Some(Steps { count, .. }), Some(tokens)) => {
+                let head = FrozenHead::load(&self.device, checkpoint)?;
+                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, count)?)
+            }
+            (Some(Steps { count, .. }), None) => {
+                let cloud = choice.points(&capture.unit)?;
+                let start = Start::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
+                started = start.name();
+                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &capture.learnt().1)?;
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&start), capture, count)?)
+            }
+            (None, _) => None,
+        };
+        if let Some(refined) = &refined {
+            scene = refined.scene.clone();
+        }
+        match &world {
+            // Nothing was changed on the host.
+            None if refined.is_none() && scene.len() == result.gaussians.len() => {
+                self.renderer.show(&result.gaussians)?;
+            }
+            _ => self.renderer.load(&scene)?,
+        }
+        let network = Some(Network { tokens: result.tokens, peak_bytes: result.peak_bytes, took });
+        Ok(Made { scene, network, refined, started })
+    }
+
+    /// The pictures of what the renderer holds, with the cameras given or with aligned ones.
+    fn draw(&mut self, session: &Session<'_>, capture: &Capture) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
+        let Self { renderer, lpips, .. } = self;
+        let targets = &capture.targets;
+        let Some(method) = self.eval.aligning() else {
+            let picture = |view: &Posed| draw(renderer, &view.camera);
+            return Ok((session.stage("compare", |stage| stage.each(targets, picture))?.0, None));
+        };
+        let (found, _) = session.stage("align", |stage| {
+            let found =
+                |view: &Posed| method.align(renderer, &view.image, &view.camera, lpips.as_mut(), &|| stage.check());
+            stage.each(targets, found)
+        })?;
+        let alignment = Alignment::new(capture, &found);
+        Ok((found.into_iter().map(|found| found.drawn).collect(), Some(alignment)))
+    }
+}
+
+/// Refines a scene against the inputs as they are compared.
+fn refine(
+    eval: &Eval,
+    session: &mut Session<'_>,
+    arena: &Arena,
+    from: Refinable<'_>,
+    capture: &Capture,
+    steps: usize,
+) -> Result<Refined> {
+    let (photos, cameras) = capture.learnt();
+    let request = eval.moved.request(Refine { steps, hold_out: eval.hold_out, ..Refine::default() });
+    let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
+    refinement::doubt(&refined).iter().for_each(|note| session.note(note));
+    match refined.stopped {
+        Some(Stopped::Cancelled) => Err(Error::Cancelled),
+        _ => Ok(refined),
+    }
+}

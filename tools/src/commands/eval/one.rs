@@ -1,0 +1,139 @@
+//! One capture, photo by photo.
+
+use super::{
+    Eval, VIEWS,
+    alignment::Alignment,
+    judge::{Judge, Judged},
+};
+use crate::{
+    capture::{Capture, Choice, Score},
+    outputs, refinement,
+    session::Session,
+    table::Table,
+};
+use std::path::Path;
+use zipsplat::{
+    Error, Result,
+    types::{Image, World, WriteOptions, contact_sheet},
+};
+
+/// Files of the folder.
+const SCENE: &str = "scene.ply";
+const COMPARISON: &str = "comparison.png";
+/// Held-out photos in the picture.
+const SHOWN: usize = 12;
+
+pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
+    eval.csv.as_deref().map_or(Ok(()), |file| eval.overwrite.check_file(file))?;
+    if let Some(folder) = &eval.output {
+        outputs::check_folder(folder)?;
+        eval.overwrite.check_replaced([SCENE, COMPARISON].map(|name| folder.join(name)))?;
+    }
+    let [folder] = &eval.folders[..] else {
+        return Err(Error::argument("folders", eval.folders.len(), "one capture, or scenes of a --protocol"));
+    };
+    let views = match eval.views[..] {
+        [] => VIEWS,
+        [views] => views,
+        _ => return Err(Error::argument("--views", "a list", "one number, or a --protocol")),
+    } as usize;
+    let (checkpoint, seeing) = eval.begin(session)?;
+    let targets = eval.targets.map(|targets| targets as usize);
+    let known = eval.known(folder, session)?;
+    let mut choice = match &known {
+        Some(known) => Choice::of(known.poses.clone(), folder, views, targets)?,
+        None => Choice::new(folder, views, targets)?,
+    };
+    choice.notes().iter().for_each(|note| session.note(note));
+    choice.disturb(eval.disturb, eval.unit)?;
+    let shape = match eval.theirs.given() {
+        Some(_) => None,
+        None => Some(eval.shape(&checkpoint, seeing, &choice)?),
+    };
+    let mut judge = Judge::new(eval, &checkpoint, seeing, session)?;
+    let judged = judge.judge(session, &choice, None)?;
+
+    match (&eval.csv, &judged.alignment) {
+        (Some(path), Some(alignment)) => outputs::save_csv(path, &alignment.rows)?,
+        (Some(path), None) => outputs::save_csv(path, &judged.scores)?,
+        (None, _) => {}
+    }
+    save(eval, &judged)?;
+    let Judged { capture, made, scores, alignment, .. } = &judged;
+    let mean = Score::mean(scores);
+    let table = alignment.as_ref().map_or_else(|| table(scores, &mean), |alignment| alignment.table(&mean));
+    alignment.iter().filter_map(Alignment::doubts).for_each(|note| session.note(note));
+    let refined = made.refined.as_ref();
+    let network = made.network.as_ref();
+    let how = match (network, eval.theirs.given()) {
+        (Some(network), _) => format!("of {} tokens in {:.2} s", network.tokens, network.took.as_secs_f64()),
+        (None, file) => format!("of {}", file.unwrap_or(Path::new("")).display()),
+    };
+    let text = format!(
+        "{table}{} of {} from {} of its photos, {} Gaussians {how}; {}",
+        folder.display(),
+        seeing.size,
+        capture.inputs.len(),
+        made.scene.len(),
+        capture.unit
+    ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
+        + &refined.map_or_else(String::new, |refined| {
+            format!("\n{}", refinement::summary(refined, made.started, &capture.learnt().1))
+        });
+    let json = serde_json::json!({
+        "folder": folder, "weights": checkpoint.provenance(), "precision": judge.precision.name(),
+        "width": seeing.size.0, "height": seeing.size.1, "score_width": seeing.compared.0, "score_height": seeing.compared.1,
+        "refined": refined.map(|refined| refinement::as_json(refined, made.started, &capture.learnt().1)),
+        "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
+        "tokens": network.map(|network| network.tokens), "all_tokens": shape.map(|shape| shape.grid.tokens()),
+        "gaussians": made.scene.len(), "scene": eval.theirs.given(), "peak_bytes": network.map(|network| network.peak_bytes),
+        "seconds": network.map(|network| network.took.as_secs_f64()),
+        "mean": mean, "aligned": alignment, "views": scores,
+    });
+    session.report(&json, text)
+}
+
+/// Writes the scene and the comparison, where they were asked for.
+fn save(eval: &Eval, judged: &Judged) -> Result<()> {
+    let Some(folder) = &eval.output else { return Ok(()) };
+    let Judged { capture, made, drawn, .. } = judged;
+    outputs::make_folder(folder)?;
+    let mut scene = made.scene.clone();
+    // Drawn and compared in the network's unit, kept in that of the cameras that it was given.
+    if !eval.pose_free {
+        scene.scale(capture.unit.length as f32);
+    }
+    let world = (!eval.pose_free).then(|| World::Photo(capture.inputs[0].name.clone()));
+    outputs::save_scene(&folder.join(SCENE), &scene, &WriteOptions::default(), world.as_ref())?;
+    outputs::save_picture(&folder.join(COMPARISON), &comparison(capture, drawn)?)
+}
+
+fn table(scores: &[Score], mean: &Score) -> Table {
+    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour"]);
+    scores.iter().chain([mean]).for_each(|score| table.row(cells_of(score)));
+    table
+}
+
+pub fn cells_of(score: &Score) -> [String; 6] {
+    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
+}
+
+/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
+pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
+    let db = |value: f64| format!("{value:.2} dB");
+    let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
+    [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
+}
+
+/// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.
+fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
+    let targets = &capture.targets;
+    let shown = targets.len().min(SHOWN);
+    let mut images = Vec::new();
+    for i in (0..shown).map(|i| i * targets.len() / shown) {
+        let Image { width, height, .. } = targets[i].image;
+        let drawn = Image::from_rgb_f32(width, height, &drawn[i])?;
+        images.extend([targets[i].image.clone(), drawn, capture.nearest(&targets[i]).image.clone()]);
+    }
+    contact_sheet(&images, 6)
+}

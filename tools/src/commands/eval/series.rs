@@ -1,0 +1,287 @@
+//! Scenes of a data set, judged by a protocol, in a folder that keeps what was done.
+
+use super::{
+    Eval, TARGETS,
+    judge::{Judge, Judged},
+    page,
+    rows::{self, Means, Row},
+};
+use crate::{
+    capture::Score,
+    outputs::{self, MADE_BY},
+    protocol::{Place, Protocol, Setting},
+    session::Session,
+    stamp::{digest, stamp},
+    table::{Table, counted},
+    views::Seeing,
+};
+use clap::Args;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Error, Result,
+    types::{Image, contact_sheet, write_atomic},
+    weights::Checkpoint,
+};
+
+/// Files of the folder.
+const SCENES: &str = "scenes.csv";
+const TABLES: [&str; 2] = ["table.md", "table.csv"];
+const PAGE: &str = "page.html";
+const FAILURES: &str = "failures.csv";
+/// Photos in the picture of a scene.
+const SHOWN: usize = 4;
+
+/// What a protocol leaves open.
+#[derive(Args)]
+pub struct Options {
+    /// Judge scenes of a data set as the paper does
+    #[arg(long, value_enum, value_name = "DATA", conflicts_with = "poses")]
+    pub protocol: Option<Protocol>,
+    /// Take inputs and the photos to compare with from so many first frames: one number, or one for each of --views [default: of dl3dv
+    /// 50, 100 and 150 for 6, 12 and 24 inputs; else all]
+    #[arg(long, value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
+    gap: Vec<usize>,
+    /// Take the frames that files say, one file for each number of inputs: {"SCENE": {"context": [0, 19, ..], "target": [1, 6, ..]}},
+    /// counted from 0 in the order of the camera file. Scenes that are not in them are left out
+    #[arg(long, value_name = "FILE", value_delimiter = ',', requires = "protocol",
+        conflicts_with_all = ["gap", "views", "targets"])]
+    indices: Vec<PathBuf>,
+    /// Folder of the photos within a scene [default: the data set's, such as images_4]
+    #[arg(long, value_name = "NAME", requires = "protocol")]
+    images: Option<PathBuf>,
+    /// Leave the distortion of lenses in the photos, as the paper's authors do with DL3DV
+    #[arg(long, requires = "protocol")]
+    keep_distortion: bool,
+    /// Name of the method in the tables [default: that of the weights]
+    #[arg(long, value_name = "NAME", requires = "protocol")]
+    name: Option<String>,
+    /// Judge at most so many scenes in this run
+    #[arg(long, value_name = "N", requires = "protocol")]
+    limit: Option<usize>,
+}
+
+/// What is the same for all scenes of a run.
+struct Series<'a> {
+    eval: &'a Eval,
+    protocol: Protocol,
+    method: String,
+    /// The folder of this way to judge.
+    folder: PathBuf,
+}
+
+/// What became of a scene.
+enum Outcome {
+    Judged,
+    Unchanged,
+    /// It is not in the file of indices.
+    Unknown,
+}
+
+/// A row of failures.csv.
+#[derive(Serialize)]
+struct Failure {
+    capture: String,
+    error: String,
+}
+
+/// The scenes so far by their outcome.
+#[derive(Default)]
+struct Tally {
+    judged: usize,
+    unchanged: usize,
+    unknown: usize,
+    failures: Vec<Failure>,
+}
+
+pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result<()> {
+    let out = eval.output.as_deref().expect("clap requires it with --protocol");
+    outputs::check_folder(out)?;
+    let files = [SCENES, PAGE, FAILURES].into_iter().chain(TABLES).map(|name| out.join(name));
+    eval.overwrite.check_replaced(files)?;
+    let options = &eval.series;
+    let settings = protocol.settings(&eval.views, &options.gap, &options.indices)?;
+    let places = protocol.places(&eval.folders, options.images.as_deref())?;
+    let (checkpoint, seeing) = eval.begin(session)?;
+    outputs::make_folder(out)?;
+    let mut judge = Judge::new(eval, &checkpoint, seeing, session)?;
+    let method = options.name.clone().unwrap_or_else(|| method_of(&checkpoint, eval));
+    let way = digest(&[eval.made_with(&checkpoint, seeing, judge.precision.name())?]);
+    let posed = if eval.pose_free { "free" } else { "posed" };
+    let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
+    let series = Series { eval, protocol, method, folder };
+
+    // A list of an earlier run says nothing of this one.
+    std::fs::remove_file(out.join(FAILURES)).ok();
+    let mut tally = Tally::default();
+    let ended = series.run(&places, &settings, &mut judge, &mut tally, session);
+    let rows = rows::read_all(out, protocol)?;
+    let means = Means::of(protocol, &rows);
+    outputs::save_csv(&out.join(SCENES), &rows)?;
+    for (name, text) in TABLES.into_iter().zip([means.markdown(), means.csv()]) {
+        write_atomic(&out.join(name), |file| file.write_all(text.as_bytes()))?;
+    }
+    let page = page::page(&means, &rows)?;
+    write_atomic(&out.join(PAGE), |file| file.write_all(page.as_bytes()))?;
+    if !tally.failures.is_empty() {
+        outputs::save_csv(&out.join(FAILURES), &tally.failures)?;
+        let failed = counted(tally.failures.len(), "scene");
+        session.note(format!("{}: {failed}", out.join(FAILURES).display()));
+        session.end_with(1);
+    }
+    ended?;
+    series.report(session, out, &rows, &means, &tally)
+}
+
+impl Series<'_> {
+    /// Judges scenes until one ends all, or the limit is reached.
+    fn run(
+        &self,
+        places: &[Place],
+        settings: &[Setting],
+        judge: &mut Judge<'_>,
+        tally: &mut Tally,
+        session: &mut Session<'_>,
+    ) -> Result<()> {
+        let limit = self.eval.series.limit.unwrap_or(usize::MAX);
+        let all = places.len() * settings.len();
+        for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
+            if tally.judged + tally.failures.len() >= limit {
+                break;
+            }
+            let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
+            match self.judge(place, setting, judge, &scene, session) {
+                Ok(Outcome::Judged) => tally.judged += 1,
+                Ok(Outcome::Unchanged) => tally.unchanged += 1,
+                Ok(Outcome::Unknown) => tally.unknown += 1,
+                // Nothing that follows would do better.
+                Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
+                Err(error) => {
+                    session.note(format!("{scene}: {error}"));
+                    tally.failures.push(Failure { capture: scene, error: error.to_string() });
+                }
+            }
+        }
+        if tally.unknown == all {
+            let expected = format!("names of scenes among {}", self.eval.folders[0].display());
+            return Err(Error::argument("--indices", "none of the scenes", expected));
+        }
+        Ok(())
+    }
+
+    fn judge(
+        &self,
+        place: &Place,
+        setting: &Setting,
+        judge: &mut Judge<'_>,
+        label: &str,
+        session: &mut Session<'_>,
+    ) -> Result<Outcome> {
+        let eval = self.eval;
+        let targets = eval.targets.map_or(TARGETS, |targets| targets as usize);
+        let poses = place.read(eval.series.keep_distortion)?;
+        let Some(mut choice) = setting.choose(&place.name, poses, targets)? else { return Ok(Outcome::Unknown) };
+        let theirs = eval.theirs.file(Some(&place.name))?;
+        let hash = digest(&[choice.digest()?, theirs.as_deref().map(stamp).transpose()?.unwrap_or_default()]);
+        let folder = self.folder.join(format!("{}-{}", setting.name(), setting.rule()));
+        let file = Row::file(&folder, &place.name);
+        if Row::read(&file).is_some_and(|row| row.hash == hash) {
+            return Ok(Outcome::Unchanged);
+        }
+        choice.disturb(eval.disturb, eval.unit)?;
+        let judged = judge.judge(session, &choice, Some(&place.name))?;
+        let mean = Score::mean(&judged.scores);
+        let row = Row {
+            generator: MADE_BY.into(),
+            protocol: rows::name_of(self.protocol),
+            method: self.method.clone(),
+            posed: !eval.pose_free,
+            scene: place.name.clone(),
+            views: setting.views,
+            rule: setting.rule(),
+            hash,
+            targets: judged.scores.len(),
+            gaussians: judged.made.scene.len(),
+            psnr: mean.psnr,
+            ssim: mean.ssim,
+            lpips: mean.lpips,
+            seconds: judged.made.network.as_ref().map(|network| network.took.as_secs_f64()),
+            place: folder.clone(),
+        };
+        outputs::make_folder(&folder)?;
+        outputs::save_picture(&file.with_extension("png"), &pictures(&judged)?)?;
+        row.write(&file)?;
+        session.note(format!("{label}: {:.2} dB", row.psnr));
+        Ok(Outcome::Judged)
+    }
+
+    fn report(
+        &self,
+        session: &mut Session<'_>,
+        out: &Path,
+        rows: &[Row],
+        means: &Means,
+        Tally { judged, unchanged, unknown, failures }: &Tally,
+    ) -> Result<()> {
+        let table = Table::of(3, &means.headings, &means.lines);
+        let mut text = format!("{table}{}: {} of {} judged", out.display(), counted(*judged, "scene"), means.title);
+        let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
+        others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+        let json = serde_json::json!({
+            "output": out, "protocol": rows::name_of(self.protocol), "judged": judged, "unchanged": unchanged, "unknown": unknown,
+            "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
+        });
+        session.report(&json, text)
+    }
+}
+
+impl Eval {
+    /// Whatever figures depend on but a scene and its frames.
+    fn made_with(&self, checkpoint: &Checkpoint, seeing: Seeing, precision: &str) -> Result<String> {
+        let weights = checkpoint.provenance();
+        let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
+        let version = env!("CARGO_PKG_VERSION");
+        let Self { quality, refine, start, hold_out, moved, disturb, unit, lpips, .. } = self;
+        Ok(format!(
+            "{version} {weights} {of_file} {precision} {quality:?} {seeing:?} {:?} {refine:?} {start:?} {hold_out:?} {moved:?} \
+             {disturb} {unit:?} {lpips:?} {} {}",
+            self.aligning(),
+            self.series.keep_distortion,
+            self.theirs.told()
+        ))
+    }
+}
+
+/// The name of a method in tables, where the user has none.
+fn method_of(checkpoint: &Checkpoint, eval: &Eval) -> String {
+    if let Some(folder) = eval.theirs.given() {
+        return folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    }
+    let weights = Path::new(checkpoint.provenance());
+    let name = if weights.is_file() { weights.file_stem() } else { weights.file_name() };
+    let name = name.unwrap_or_default().to_string_lossy();
+    match eval.refine {
+        Some(steps) if steps.tokens => format!("{name} + TTO"),
+        Some(_) => format!("{name} + refinement"),
+        None => name.into_owned(),
+    }
+}
+
+/// A name as that of a folder.
+fn slug(name: &str) -> String {
+    let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' });
+    letters.collect()
+}
+
+/// Some of the photos, evenly spread, and below them what was drawn in their place.
+fn pictures(judged: &Judged) -> Result<Image> {
+    let targets = &judged.capture.targets;
+    let shown = targets.len().min(SHOWN);
+    let chosen: Vec<usize> = (0..shown).map(|i| i * targets.len() / shown).collect();
+    let mut images: Vec<Image> = chosen.iter().map(|i| targets[*i].image.clone()).collect();
+    for i in chosen {
+        let Image { width, height, .. } = targets[i].image;
+        images.push(Image::from_rgb_f32(width, height, &judged.drawn[i])?);
+    }
+    contact_sheet(&images, shown)
+}

@@ -1,0 +1,288 @@
+//! Scenes that other systems made of the input photos.
+
+use super::{depth, judge::Made};
+use crate::{
+    capture::{Capture, Choice},
+    options::{SceneInput, parse_length},
+    session::Session,
+};
+use clap::{Args, ValueEnum};
+use glam::{DMat3, DQuat, DVec3, DVec4};
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Error, Result,
+    types::{
+        Camera, Pose, Scene, SceneFormat, World,
+        poses::{Frame, Poses, read_poses},
+        read_world,
+    },
+};
+
+/// Share of their spread that cameras may be apart after an alignment before a note says so.
+const APART: f64 = 0.05;
+
+/// The scene that is judged, where it is not one that is reconstructed.
+#[derive(Args)]
+pub struct Theirs {
+    /// Judge this scene, which another system made of the input photos: PLY, SPZ, .splat or glTF; with --protocol a folder of NAME.ply
+    /// and the like for each scene. Nothing is reconstructed
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "keep", "disturb", "fit"])]
+    scene: Option<PathBuf>,
+    /// Judge a scene of one Gaussian for each pixel that a network would see of the input photos, as pixel-aligned methods make it, here at
+    /// the exact depth: FOLDER/NAME.npy beside each photo NAME, f32 [height, width], z in the cameras' unit, 0 where there is none, as
+    /// `scene` writes it; with --protocol FOLDER/SCENE/NAME.npy. Nothing is reconstructed
+    #[arg(long, value_name = "FOLDER",
+        conflicts_with_all = ["scene", "refine", "ratio", "keep", "disturb", "fit", "pose_free"])]
+    from_depth: Option<PathBuf>,
+    /// World of that scene [default: aligned with --scene-cameras, else what its file says, else first]
+    #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
+    world: Option<Whose>,
+    /// Cameras of the input photos in the scene's world, for --world aligned: what `--poses` reads; with --protocol a folder of NAME.json,
+    /// or of COLMAP models NAME/
+    #[arg(long, value_name = "PATH", requires = "scene")]
+    scene_cameras: Option<PathBuf>,
+    /// Length in the cameras' unit that is 1 in the scene; with --world aligned it follows from the cameras [default: 1]
+    #[arg(long, value_name = "LENGTH", requires = "scene", value_parser = parse_length)]
+    scene_unit: Option<f64>,
+    /// How the scene's file has opacities: as logits, as 3DGS has them, or plain, from 0 to 1
+    #[arg(long, value_enum, value_name = "HOW", default_value = "logit", requires = "scene")]
+    opacities: Opacities,
+    #[command(flatten)]
+    input: SceneInput,
+}
+
+/// The world of another system's scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Whose {
+    /// The first input photo's camera: pose-free systems, ours
+    First,
+    /// The cameras' origin, but the axes of the first input photo's camera: DepthSplat
+    Turned,
+    /// The world of the cameras: 3DGS, brush
+    Cameras,
+    /// Any: the similarity between its cameras and those given brings it here
+    Aligned,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Opacities {
+    Logit,
+    Plain,
+}
+
+/// A similarity: a point x of another world stands at `pose(scale x)`.
+struct Similarity {
+    scale: f64,
+    pose: Pose,
+}
+
+impl Theirs {
+    /// Whether something is said of how a scene is read.
+    pub fn says(&self) -> bool {
+        self.input.is_given()
+    }
+
+    /// The scene's file or the folder of depth; none where a scene is reconstructed.
+    pub fn given(&self) -> Option<&Path> {
+        self.scene.as_deref().or(self.from_depth.as_deref())
+    }
+
+    /// The options as figures depend on them.
+    pub fn told(&self) -> String {
+        let Self { scene, from_depth, world, scene_cameras, scene_unit, opacities, .. } = self;
+        format!("{scene:?} {from_depth:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
+    }
+
+    /// The scene of a capture, in its world and unit, where it is not to be reconstructed. `name` is the capture's in a data set.
+    ///
+    /// # Errors
+    /// Where a file cannot be read, or the scene's world cannot be told.
+    pub fn make(
+        &self,
+        session: &mut Session<'_>,
+        name: Option<&str>,
+        choice: &Choice,
+        capture: &Capture,
+    ) -> Result<Option<Made>> {
+        match (&self.from_depth, self.file(name)?) {
+            (Some(folder), _) => {
+                let folder = name.map_or_else(|| folder.clone(), |name| folder.join(name));
+                depth::scene(&folder, choice, capture).map(|scene| Some(Made::given(scene)))
+            }
+            (None, Some(file)) => self.read(session, &file, name, choice, capture).map(Some),
+            (None, None) => Ok(None),
+        }
+    }
+
+    /// The file of the scene, of the one of a protocol with this name; none where ours is judged.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where a folder has no scene of that name.
+    pub fn file(&self, name: Option<&str>) -> Result<Option<PathBuf>> {
+        let (Some(path), Some(name)) = (&self.scene, name) else { return Ok(self.scene.clone()) };
+        let files = SceneFormat::ALL.iter().map(|format| path.join(format!("{name}{}", format.extension())));
+        let found = files.into_iter().find(|file| file.is_file());
+        let expected = format!("{name}.ply, or with the extension of another format");
+        found.map(Some).ok_or_else(|| Error::argument("--scene", path.display(), expected))
+    }
+
+    /// Reads the scene and brings it to the world and unit of a capture.
+    ///
+    /// # Errors
+    /// Where it or its cameras cannot be read, or its world cannot be told.
+    fn read(
+        &self,
+        session: &mut Session<'_>,
+        file: &Path,
+        name: Option<&str>,
+        choice: &Choice,
+        capture: &Capture,
+    ) -> Result<Made> {
+        let (mut scene, _) = self.input.read(session, file)?;
+        match self.opacities {
+            Opacities::Plain => take_plain(&mut scene, file)?,
+            Opacities::Logit if are_plain(&scene) => session.note(format!(
+                "{}: the logits of all opacities lie between 0 and 1: they may be plain opacities, which --opacities plain takes",
+                file.display()
+            )),
+            Opacities::Logit => {}
+        }
+        let inputs = choice.input_frames();
+        let first = inputs[0].camera.pose;
+        let unit = self.scene_unit.unwrap_or(1.0);
+        let placed = |pose: Pose| Similarity { scale: unit, pose };
+        let to_cameras = match (self.world, &self.scene_cameras, read_world(file)?) {
+            (Some(Whose::Aligned), Some(path), _) | (None, Some(path), _) => {
+                let (found, apart) = aligned(&read_poses(self.cameras(path, name)?)?, &inputs)?;
+                if apart > APART {
+                    let share = 100.0 * apart;
+                    session.note(format!(
+                        "{}: its cameras are {share:.0} % of their spread from those given",
+                        path.display()
+                    ));
+                }
+                found
+            }
+            (Some(Whose::Aligned), None, _) => {
+                return Err(Error::argument("--scene-cameras", "nothing", "the scene's cameras, for --world aligned"));
+            }
+            (Some(_), Some(path), _) => {
+                let expected = "no --scene-cameras, which are for --world aligned";
+                return Err(Error::argument("--world", path.display(), expected));
+            }
+            (Some(Whose::Cameras), ..) | (None, None, Some(World::Cameras(_))) => placed(Pose::IDENTITY),
+            (Some(Whose::Turned), ..) => placed(Pose { translation: DVec3::ZERO, ..first }),
+            (None, None, Some(World::Photo(photo))) => {
+                placed(choice.frame(&photo).map_or(first, |frame| frame.camera.pose))
+            }
+            (Some(Whose::First) | None, None, _) => placed(first),
+        };
+        // The capture's world is the first input's camera, in its own unit.
+        let pose = first.inverse().compose(&to_cameras.pose);
+        let pose = Pose { translation: pose.translation / capture.unit.length, ..pose };
+        scene.place(to_cameras.scale / capture.unit.length, &pose);
+        Ok(Made::given(scene))
+    }
+
+    /// The file of the scene's cameras.
+    fn cameras(&self, path: &Path, name: Option<&str>) -> Result<PathBuf> {
+        let Some(name) = name else { return Ok(path.to_owned()) };
+        let places = [path.join(format!("{name}.json")), path.join(name)];
+        let found = places.into_iter().find(|place| place.exists());
+        found.ok_or_else(|| {
+            let expected = format!("{name}.json, or a COLMAP model {name}/");
+            Error::argument("--scene-cameras", path.display(), expected)
+        })
+    }
+}
+
+/// Whether what was read as logits may be plain opacities.
+fn are_plain(scene: &Scene) -> bool {
+    // The logistic function of 0 and of 1.
+    !scene.is_empty() && scene.opacities.iter().all(|opacity| (0.5..=0.731_06).contains(opacity))
+}
+
+/// Undoes the logistic function that was taken of plain opacities.
+fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
+    for (i, opacity) in scene.opacities.iter_mut().enumerate() {
+        let plain = (f64::from(*opacity) / (1.0 - f64::from(*opacity))).ln();
+        if !(-1e-3..=1.001).contains(&plain) {
+            let reason = format!("Gaussian {i}: found {plain} as its opacity, expected 0 to 1; --opacities logit");
+            return Err(Error::format(file, None, reason));
+        }
+        *opacity = plain.clamp(0.0, 1.0) as f32;
+    }
+    Ok(())
+}
+
+/// The similarity from the world of a scene's cameras to that of the same photos' frames, and how far cameras then are apart, as a
+/// share of their spread. Turns are averaged; length and place are those of least squares.
+fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
+    let mut pairs = Vec::new();
+    for frame in frames {
+        let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
+        pairs.extend(theirs.frame_of(photo)?.map(|other| (other.camera, frame.camera)));
+    }
+    let centre = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
+    let (from, to) = (centre(|(theirs, _)| theirs.pose.translation), centre(|(_, ours)| ours.pose.translation));
+    let rotation = mean_turn(pairs.iter().map(|(theirs, ours)| ours.pose.rotation * theirs.pose.rotation.transpose()));
+    let arms: Vec<[DVec3; 2]> = (pairs.iter())
+        .map(|(theirs, ours)| [rotation * (theirs.pose.translation - from), ours.pose.translation - to])
+        .collect();
+    let [reach, spread] = [0, 1].map(|k| arms.iter().map(|arm| arm[k].length_squared()).sum::<f64>());
+    let scale = arms.iter().map(|[theirs, ours]| theirs.dot(*ours)).sum::<f64>() / reach;
+    if pairs.len() < 2 || !(scale.is_finite() && scale > 0.0) {
+        let found = format!("{} of the {} input photos, of which no length follows", pairs.len(), frames.len());
+        let expected = "at least 2 input photos, by file name, taken at different places as in the capture";
+        return Err(Error::argument("--scene-cameras", found, expected));
+    }
+    let apart = arms.iter().map(|[theirs, ours]| (scale * *theirs - *ours).length_squared()).sum::<f64>();
+    let pose = Pose { rotation, translation: to - rotation * (scale * from) };
+    Ok((Similarity { scale, pose }, (apart / spread).sqrt()))
+}
+
+/// The mean of turns that are nearly one: of their quaternions on one side.
+fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
+    let mut sum = DVec4::ZERO;
+    for turn in turns {
+        let quat = DVec4::from(DQuat::from_mat3(&turn));
+        sum += if quat.dot(sum) < 0.0 { -quat } else { quat };
+    }
+    DMat3::from_quat(DQuat::from_vec4(sum).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zipsplat::types::Intrinsics;
+
+    #[test]
+    fn cameras_of_another_world_are_aligned() {
+        let intrinsics = Intrinsics::from_fov(8, 8, 1.0, 1.0);
+        let truth = Similarity {
+            scale: 2.5,
+            pose: Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(1.0, -2.0, 3.0) },
+        };
+        let theirs = [0.0, 0.4, 1.1].map(|k: f64| Pose {
+            rotation: DMat3::from_rotation_x(k) * DMat3::from_rotation_z(3.0 * k),
+            translation: DVec3::new(k, 0.0, 0.0),
+        });
+        let frame = |(i, pose): (usize, &Pose)| Frame {
+            name: format!("{i}.png"),
+            photo: None,
+            camera: Camera { intrinsics, pose: *pose },
+            lens: None,
+        };
+        let poses = Poses { frames: theirs.iter().enumerate().map(frame).collect(), ..Poses::default() };
+        let moved = theirs.map(|pose| Pose {
+            rotation: truth.pose.rotation * pose.rotation,
+            translation: truth.pose.transform(truth.scale * pose.translation),
+        });
+        let frames: Vec<Frame> = moved.iter().enumerate().map(frame).collect();
+        let (found, apart) = aligned(&poses, &frames.iter().collect::<Vec<_>>()).expect("aligned");
+        assert!((found.scale - truth.scale).abs() < 1e-12 && apart < 1e-12, "{} {apart}", found.scale);
+        assert!(found.pose.translation.distance(truth.pose.translation) < 1e-12);
+        assert!(found.pose.rotation.abs_diff_eq(truth.pose.rotation, 1e-12));
+        assert!(aligned(&poses, &[&frames[0]]).is_err(), "one camera has no length");
+    }
+}

@@ -1,0 +1,42 @@
+//! Pieces of reports: HTML files that need no other.
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
+use zipsplat::{
+    Error, Result,
+    types::{Image, resample::resize_lanczos},
+};
+
+const STYLE: &str = include_str!("report.css");
+/// JPEG's quality of a picture.
+const QUALITY: u8 = 85;
+
+/// The beginning of a page, up to its heading.
+pub fn begin(title: &str) -> String {
+    let title = escape(title);
+    format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
+         <meta name=viewport content=\"width=device-width,initial-scale=1\"><meta name=generator content=zipsplat>\
+         <title>{title}</title><style>{STYLE}</style><h1>{title}</h1>"
+    )
+}
+
+/// A picture as an address that holds it, its longer side of at most `most` pixels.
+///
+/// # Errors
+/// Where it cannot be encoded.
+pub fn picture(image: &Image, most: u32) -> Result<String> {
+    let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
+    let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+    let small = resize_lanczos(image, width, height)?;
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+        .write_image(&small.rgb, width, height, ExtendedColorType::Rgb8)
+        .map_err(|error| Error::io("a picture of the report", std::io::Error::other(error)))?;
+    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
+}
+
+/// Text as a page can hold it, also between quotes.
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,58 @@
+//! The protocols by which papers judge: where data sets keep photos and cameras, which frames a network is given and which it
+//! is compared with, and how photos are brought to a size.
+
+mod choice;
+mod filter;
+mod indices;
+mod places;
+
+pub use choice::Setting;
+pub use filter::Filter;
+pub use indices::Indices;
+pub use places::Place;
+
+use clap::ValueEnum;
+
+/// A data set and the way in which it is judged by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Protocol {
+    /// DL3DV: transforms.json and images_4; 6, 12 and 24 of the first 50, 100 and 150 frames
+    Dl3dv,
+    /// RealEstate10K: camera files NAME.txt, frames in NAME/; 6 frames, evenly spread
+    Re10k,
+    /// Mip-NeRF 360: a COLMAP model and images_4; 32, 64 and 128 photos
+    Mipnerf360,
+    /// ScanNet++: dslr/colmap and dslr/resized_images, fisheye undone; 32, 64 and 128 photos
+    Scannetpp,
+}
+
+impl Protocol {
+    /// The data set's name as its authors write it.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Dl3dv => "DL3DV",
+            Self::Re10k => "RealEstate10K",
+            Self::Mipnerf360 => "Mip-NeRF 360",
+            Self::Scannetpp => "ScanNet++",
+        }
+    }
+
+    /// Numbers of input photos in the paper's tables 1 to 3.
+    fn views(self) -> &'static [u32] {
+        match self {
+            Self::Dl3dv => &[6, 12, 24],
+            Self::Re10k => &[6],
+            Self::Mipnerf360 | Self::Scannetpp => &[32, 64, 128],
+        }
+    }
+
+    /// The frames from which so many inputs are taken: the paper's gaps for DL3DV, else all.
+    fn gap(self, views: u32) -> Option<usize> {
+        match (self, views) {
+            (Self::Dl3dv, 6) => Some(50),
+            (Self::Dl3dv, 12) => Some(100),
+            (Self::Dl3dv, 24) => Some(150),
+            _ => None,
+        }
+    }
+}

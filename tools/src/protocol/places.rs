@@ -1,0 +1,142 @@
+//! Scenes of data sets in folders as their authors lay them out.
+
+use super::Protocol;
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
+use zipsplat::{
+    Error, Result,
+    types::{
+        Distortion,
+        poses::{Poses, read_poses},
+    },
+};
+
+/// One scene of a data set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Place {
+    /// As files of indices name it.
+    pub name: String,
+    /// The file or folder of its cameras.
+    cameras: PathBuf,
+    /// Folders where its photos may be, the best first; where there are none, the cameras' file knows.
+    photos: Vec<PathBuf>,
+}
+
+impl Protocol {
+    /// The scenes of folders, each a scene or a folder of scenes, by name. `images` is the folder of the photos within a scene, where it
+    /// is not that of the data set.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where a folder has none, or two have one name; [`Error::Io`] where it cannot be read.
+    pub fn places(self, folders: &[PathBuf], images: Option<&Path>) -> Result<Vec<Place>> {
+        let mut places: Vec<Place> = Vec::new();
+        for folder in folders {
+            let mut found: Vec<Place> = self.at(folder, images)?.into_iter().collect();
+            if found.is_empty() && folder.is_dir() {
+                for entry in entries(folder)? {
+                    found.extend(self.at(&entry, images)?);
+                }
+            }
+            if found.is_empty() {
+                let expected = format!("{}, or a folder of such", self.layout());
+                return Err(Error::argument(format!("scene of {}", self.title()), folder.display(), expected));
+            }
+            places.extend(found);
+        }
+        places.sort_by(|a, b| a.name.cmp(&b.name));
+        if let Some([a, b]) = places.windows(2).find(|pair| pair[0].name == pair[1].name) {
+            let found = format!("{} and {}", a.cameras.display(), b.cameras.display());
+            return Err(Error::argument(format!("scene {}", a.name), found, "one of this name"));
+        }
+        Ok(places)
+    }
+
+    /// A scene's files, for messages.
+    fn layout(self) -> &'static str {
+        match self {
+            Self::Dl3dv => "a folder with a transforms.json, directly or in nerfstudio/",
+            Self::Re10k => "a camera file NAME.txt that begins with an address",
+            Self::Mipnerf360 => "a folder with a COLMAP model in sparse/0",
+            Self::Scannetpp => "a folder with a COLMAP model in dslr/colmap",
+        }
+    }
+
+    /// The scene that a path is, if it is one.
+    fn at(self, path: &Path, images: Option<&Path>) -> Result<Option<Place>> {
+        let place = |cameras: PathBuf, base: &Path, usual: &[&str]| {
+            let whole = path.canonicalize().map_err(|error| Error::io(path, error))?;
+            let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
+            let photos = match images {
+                Some(images) => vec![base.join(images)],
+                None => usual.iter().map(|folder| base.join(folder)).collect(),
+            };
+            Ok(Some(Place { name: name.unwrap_or_default().to_string_lossy().into_owned(), cameras, photos }))
+        };
+        let model =
+            |folder: &Path| ["bin", "txt"].iter().any(|end| folder.join("cameras").with_extension(end).is_file());
+        match self {
+            Self::Dl3dv => {
+                let folders = [path.to_owned(), path.join("nerfstudio")];
+                match folders.iter().find(|folder| folder.join("transforms.json").is_file()) {
+                    Some(base) => {
+                        place(base.join("transforms.json"), base, &["images_4", "images_2", "images_8", "images"])
+                    }
+                    None => Ok(None),
+                }
+            }
+            Self::Re10k if is_addressed(path) => place(path.to_owned(), &path.with_extension(""), &[]),
+            Self::Mipnerf360 if model(&path.join("sparse/0")) => {
+                place(path.join("sparse/0"), path, &["images_4", "images"])
+            }
+            Self::Scannetpp => {
+                let bases = [path.join("dslr"), path.to_owned()];
+                match bases.iter().find(|base| model(&base.join("colmap"))) {
+                    Some(base) => place(base.join("colmap"), base, &["resized_images", "images"]),
+                    None => Ok(None),
+                }
+            }
+            _ => Ok(None),
+        }
+    }
+}
+
+impl Place {
+    /// The scene's cameras with its photos. With `distorted` photos stay as they are, and what their lenses bend is ignored.
+    ///
+    /// # Errors
+    /// As [`read_poses`], and [`Error::Argument`] for a fisheye lens whose distortion is to be ignored.
+    pub fn read(&self, distorted: bool) -> Result<Poses> {
+        let mut poses = read_poses(&self.cameras)?;
+        for frame in &mut poses.frames {
+            let name = Path::new(&frame.name).file_name().unwrap_or_default();
+            let found = self.photos.iter().map(|folder| folder.join(name)).find(|photo| photo.is_file());
+            frame.photo = found.or(frame.photo.take());
+            match frame.lens.filter(|_| distorted) {
+                Some(lens) if matches!(lens.distortion, Distortion::Fisheye(_)) => {
+                    let found = format!("the fisheye lens of {}", frame.name);
+                    return Err(Error::argument("--keep-distortion", found, "lenses that are almost pinholes"));
+                }
+                Some(lens) => (frame.camera.intrinsics, frame.lens) = (lens.intrinsics, None),
+                None => {}
+            }
+        }
+        Ok(poses)
+    }
+}
+
+/// Whether a file is text that begins with an address, as RealEstate10K's do.
+fn is_addressed(path: &Path) -> bool {
+    let mut start = [0; 4];
+    path.extension().is_some_and(|extension| extension == "txt")
+        && File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok_and(|()| start == *b"http")
+}
+
+/// The files and folders in a folder.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let failed = |error| Error::io(folder, error);
+    let entries = folder.read_dir().map_err(failed)?;
+    entries.map(|entry| Ok(entry.map_err(failed)?.path())).collect()
+}

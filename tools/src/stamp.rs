@@ -1,0 +1,23 @@
+//! What results were made of, so that a command that is run again knows what it has done.
+
+use sha2::{Digest, Sha256};
+use std::{path::Path, time::SystemTime};
+use zipsplat::{Error, Result};
+
+/// A file's name, size and time.
+///
+/// # Errors
+/// Where it is not there.
+pub fn stamp(path: &Path) -> Result<String> {
+    let failed = |error| Error::io(path, error);
+    let found = path.metadata().map_err(failed)?;
+    let time = found.modified().map_err(failed)?.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
+}
+
+/// One short text for many, in hexadecimal digits.
+pub fn digest(parts: &[String]) -> String {
+    let mut hash = Sha256::new();
+    parts.iter().for_each(|part| hash.update(part));
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
