@@ -2,6 +2,7 @@
 
 use std::{
     fs,
+    ops::ControlFlow,
     path::{Path, PathBuf},
     time::{Duration, SystemTime},
 };
@@ -16,7 +17,7 @@ use zipsplat_tests::device::device;
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
 /// A process that computes in f16, with this cache folder; that must have `passed`, with kernels `noted` that did not, or be
-/// `refused`.
+/// `refused`; or one that is `stopped` meanwhile.
 fn process(cache: &Path, expected: &str) -> std::process::Command {
     let mut command = child("cache::computes_in_f16", Path::new(expected), "");
     // What is tested is not the kernels.
@@ -28,6 +29,10 @@ fn process(cache: &Path, expected: &str) -> std::process::Command {
 #[ignore = "child of the other tests"]
 fn computes_in_f16() {
     let Some(expected) = target() else { return };
+    if expected == Path::new("stopped") {
+        let stopped = Chosen::of_with(device(), Some(Precision::Fast), |_, _| ControlFlow::Break(()));
+        return assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+    }
     match Chosen::of(device(), Some(Precision::Fast)) {
         Ok(chosen) => {
             assert_eq!(chosen.arithmetic.element, Element::F16);
@@ -82,22 +87,40 @@ fn a_damaged_result_is_found_anew() {
 
 #[test]
 fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
-    if !device().limits().half_storage {
+    if !device().limits().half_storage || device().limits().matrices.f16.is_none() {
         return;
     }
     let (folder, file, good) = cache();
     let all = parsed(&good);
-    // As if the last of the first two kernels, of bf16, had lost it: `fast` does without.
+    assert!(
+        all.deviations.keys().all(|kernel| !kernel.contains("bf16") && !kernel.contains("i8")),
+        "only what is used"
+    );
+    // As if the first of two kernels of a group had lost it, on matrix units: `fast` does without.
     let mut begun = all.clone();
     begun.deviations.retain(|kernel, _| kernel == "ops/linear_f16_f32");
-    begun.deviations.insert("ops/linear_bf16_f32".into(), None);
-    let known = serde_json::json!({ "begun": 0, "result": begun, "whole": false });
+    begun.deviations.insert("ops/linear_matrix_f16_f32".into(), None);
+    let known = serde_json::json!({ "begun": 0, "result": begun });
     fs::write(&file, known.to_string()).unwrap();
     // It is named.
     assert_succeeds(process(folder.path(), "noted"));
     let mut expected = all;
-    expected.deviations.insert("ops/linear_bf16_f32".into(), None);
+    expected.deviations.insert("ops/linear_matrix_f16_f32".into(), None);
     assert_eq!(parsed(&fs::read(&file).unwrap()), expected, "all others are tested, and it is not tried again");
+}
+
+#[test]
+fn a_test_that_is_stopped_was_not_begun() {
+    if !device().limits().half_storage {
+        return;
+    }
+    let (folder, file, good) = cache();
+    fs::remove_file(&file).unwrap();
+    for _ in 0..3 {
+        assert_succeeds(process(folder.path(), "stopped"));
+    }
+    assert_succeeds(process(folder.path(), "passed"));
+    assert_eq!(parsed(&fs::read(&file).unwrap()), parsed(&good));
 }
 
 #[test]

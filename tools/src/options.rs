@@ -237,7 +237,7 @@ impl PrecisionName {
 impl ArithmeticOption {
     /// The precision asked for, or the device's best, and its arithmetic there; kernels that failed their test are noted.
     pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
-        let Chosen { precision, arithmetic, notes } = Chosen::of(device, self.asked())?;
+        let Chosen { precision, arithmetic, notes } = session.choose(device, self.asked())?;
         notes.iter().for_each(|note| session.note(note));
         Ok((precision, arithmetic))
     }

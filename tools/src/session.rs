@@ -16,8 +16,9 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions, Progress},
-    ops::Arithmetic,
+    ops::{Arithmetic, Precision},
     reconstruct::{Model, Reconstruction, Request, SceneTokens},
+    tune::Chosen,
     types::Image,
     weights::Checkpoint,
 };
@@ -138,6 +139,21 @@ impl<'a> Session<'a> {
         let value = result?;
         stage.check()?;
         Ok((value, start.elapsed()))
+    }
+
+    /// The arithmetic of a precision, or of the device's best. Where the precision is used there for the first time, the bar tells of
+    /// the kernels that are tested.
+    ///
+    /// # Errors
+    /// As [`Chosen::of_with`].
+    pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
+        let chosen = self.stage("first use", |stage| {
+            Chosen::of_with(device, precision, |kernel, done| {
+                stage.name(&format!("first use: testing {kernel}"));
+                stage.at(done)
+            })
+        });
+        Ok(chosen?.0)
     }
 
     /// Loads weights, with progress.

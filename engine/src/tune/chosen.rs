@@ -6,6 +6,7 @@ use crate::{
     gpu::{Device, Limits},
     ops::{Arithmetic, Precision},
 };
+use std::ops::ControlFlow;
 
 /// A precision and its arithmetic on a device.
 #[derive(Clone, Debug)]
@@ -24,6 +25,19 @@ impl Chosen {
     /// # Errors
     /// [`Error::Argument`] where the device cannot compute in the precision asked for; a failure of the device.
     pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
+        Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
+    }
+
+    /// As [`Chosen::of`]. Where a precision is used for the first time on a device, its kernels are tested, which may take a while:
+    /// `progress` gets the kernel that comes next and the share that is done, and may stop it.
+    ///
+    /// # Errors
+    /// As [`Chosen::of`], and [`Error::Cancelled`].
+    pub fn of_with(
+        device: &Device,
+        precision: Option<Precision>,
+        progress: impl FnMut(&str, f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
         let exact = |notes| Self { precision: Precision::Exact, arithmetic: Arithmetic::EXACT, notes };
         let limits = device.limits();
         let wanted = precision.unwrap_or(Precision::best(limits));
@@ -31,7 +45,7 @@ impl Chosen {
             return Ok(exact(Vec::new()));
         }
         let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
-        let test = SelfTest::of(device)?;
+        let test = SelfTest::of(device, arithmetic, progress)?;
         let notes = test.notes(device);
         let Some(arithmetic) = test.allowed(arithmetic) else {
             let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));

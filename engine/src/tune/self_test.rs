@@ -1,18 +1,18 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
 use super::{Candidate, OPERATIONS, Operation, cache::cache_file};
-use crate::{Error, Result, gpu::Device, ops::Arithmetic, types::write_atomic};
-use std::{
-    collections::{BTreeMap, HashSet},
-    fs,
-    path::Path,
-    time::Duration,
+use crate::{
+    Error, Result,
+    gpu::{Device, Element, Limits},
+    ops::Arithmetic,
+    types::write_atomic,
 };
+use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duration};
 
 /// How often a test is begun that never ends, because the driver ends the process or hangs, or somebody else ends it.
 const ATTEMPTS: u32 = 2;
-/// A test that was begun longer ago than this, which it takes in seconds, did not end.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// A test that has not come to its next kernel for longer than this, which it takes in seconds, did not end.
+const PATIENCE: Duration = Duration::from_secs(120);
 /// Stands for all kernels of a test that was begun [`ATTEMPTS`] times and never ended.
 const UNFINISHED: &str = "the self-test";
 
@@ -22,9 +22,14 @@ pub struct SelfTest {
     /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
     /// None where it gave no number.
     pub deviations: BTreeMap<String, Option<f64>>,
-    /// Kernels that were tested before this run, which goes on with the others.
-    #[serde(skip)]
-    before: HashSet<String>,
+}
+
+/// Kernels that are tested together, with the ways to run them.
+struct Group {
+    operation: &'static dyn Operation,
+    /// Names, and types of the results.
+    kernels: Vec<(String, Element)>,
+    candidates: Vec<Candidate>,
 }
 
 impl SelfTest {
@@ -34,33 +39,34 @@ impl SelfTest {
     /// A failure of the device.
     pub fn run(device: &Device) -> Result<Self> {
         let mut test = Self::default();
-        test.run_all(device).map(|()| test)
+        test.run_groups(device, Group::all(device.limits()), |_, _| ControlFlow::Continue(()), |_| ())?;
+        Ok(test)
     }
 
-    /// The result for a device, out of the user's cache where it was found before.
+    /// The results for a device of the kernels that `wanted` takes, out of the user's cache where they were found before.
+    /// `progress` gets the kernel that comes next and the share that is done, and may stop it.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Memory`]; other failures are those of its kernels.
-    pub fn of(device: &Device) -> Result<Self> {
+    /// [`Error::DeviceLost`], [`Error::Memory`], [`Error::Cancelled`]; other failures are those of its kernels.
+    pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
-        let Record { begun, result, whole } = file.as_deref().and_then(Record::read).unwrap_or_default();
-        let mut test = match result {
-            Some(test) if whole => return Ok(test),
-            found => found.unwrap_or_default(),
-        };
+        let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();
+        let mut test = result.unwrap_or_default();
+        let mut groups = Group::of(device.limits(), wanted);
+        groups.iter_mut().for_each(|group| group.kernels.retain(|(kernel, _)| !test.deviations.contains_key(kernel)));
+        groups.retain(|group| !group.kernels.is_empty());
+        if groups.is_empty() {
+            return Ok(test);
+        }
         if begun >= ATTEMPTS {
             test.deviations.insert(UNFINISHED.into(), None);
             return Ok(test);
         }
-        Record { begun: begun + 1, result: Some(test.clone()), whole: false }.keep(file.as_deref());
-        let outcome = test.run_all(device);
-        if let Err(error @ Error::Memory { .. }) = outcome {
-            // Another time there may be enough.
-            let _ = file.map(fs::remove_file);
-            return Err(error);
-        }
-        // Also where the device was lost: the kernel that was at work then is not used again.
-        Record { begun: 0, result: Some(test.clone()), whole: outcome.is_ok() }.keep(file.as_deref());
+        let keep = |begun: u32, test: &Self| Record { begun, result: Some(test.clone()) }.keep(file.as_deref());
+        keep(begun + 1, &test);
+        let outcome = test.run_groups(device, groups, progress, |test| keep(begun + 1, test));
+        // Another time there may be enough memory, or patience. What lost the device is not used again.
+        keep(if matches!(outcome, Err(Error::Memory { .. } | Error::Cancelled)) { begun } else { 0 }, &test);
         outcome.map(|()| test)
     }
 
@@ -95,49 +101,40 @@ impl SelfTest {
         (allowed.quantised.is_some() == wanted.quantised.is_some()).then_some(allowed)
     }
 
-    /// All that have not been tested yet.
-    fn run_all(&mut self, device: &Device) -> Result<()> {
-        let limits = device.limits();
-        self.before = self.deviations.keys().cloned().collect();
-        if !limits.half_storage {
-            return Ok(());
-        }
-        for operation in OPERATIONS {
-            for element in operation.lanes() {
-                self.test(device, operation, Candidate::Lanes(*element))?;
-            }
-            for (units, candidates) in operation.on_units(limits) {
-                // A kernel none of whose tiles is within the device's limits fails.
-                if candidates.is_empty() {
-                    operation.kernels(true, units.factor).iter().for_each(|(kernel, _)| self.found(kernel, None));
-                }
-                candidates.into_iter().try_for_each(|candidate| self.test(device, operation, candidate))?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Tests the kernels of a candidate. One that a driver refuses, or that loses the device, gives no result; only what would
-    /// stop the others, too, is an error.
-    fn test(&mut self, device: &Device, operation: &dyn Operation, candidate: Candidate) -> Result<()> {
-        let kernels = match candidate {
-            Candidate::Lanes(element) => operation.kernels(false, element),
-            Candidate::Units(units, _) => operation.kernels(true, units.factor),
-        };
-        for (kernel, output) in kernels {
-            if self.before.contains(&kernel) {
-                continue;
-            }
-            match operation.deviation(device, candidate, output) {
-                Ok(deviation) => self.found(&kernel, deviation),
-                Err(error @ Error::Memory { .. }) => return Err(error),
-                Err(error) => {
-                    self.found(&kernel, None);
-                    if matches!(error, Error::DeviceLost) {
-                        return Err(error);
+    /// Tests kernels. `kept` gets what is known before each of them.
+    fn run_groups(
+        &mut self,
+        device: &Device,
+        groups: Vec<Group>,
+        mut progress: impl FnMut(&str, f64) -> ControlFlow<()>,
+        kept: impl Fn(&Self),
+    ) -> Result<()> {
+        let all: usize = groups.iter().map(Group::runs).sum();
+        let mut done = 0;
+        for Group { operation, kernels, candidates } in groups {
+            // A kernel none of whose tiles is within the device's limits fails.
+            let mut worst = vec![if candidates.is_empty() { None } else { Some(0.0) }; kernels.len()];
+            for candidate in candidates {
+                for ((kernel, output), worst) in kernels.iter().zip(&mut worst) {
+                    kept(self);
+                    if progress(kernel, done as f64 / all as f64).is_break() {
+                        return Err(Error::Cancelled);
+                    }
+                    done += 1;
+                    // One that a driver refuses, or that loses the device, gives no result; only what would stop the others, too, is
+                    // an error.
+                    match operation.deviation(device, candidate, *output) {
+                        Ok(deviation) => *worst = worse(*worst, deviation),
+                        Err(error @ Error::Memory { .. }) => return Err(error),
+                        Err(Error::DeviceLost) => {
+                            self.deviations.insert(kernel.clone(), None);
+                            return Err(Error::DeviceLost);
+                        }
+                        Err(_) => *worst = None,
                     }
                 }
             }
+            self.deviations.extend(kernels.into_iter().zip(worst).map(|((kernel, _), worst)| (kernel, worst)));
         }
         Ok(())
     }
@@ -145,11 +142,45 @@ impl SelfTest {
     fn passed(&self, kernel: &str) -> bool {
         self.deviations.get(kernel).copied().flatten().is_some_and(|times| times <= 1.0)
     }
+}
 
-    /// Keeps the largest deviation of a kernel, over its tiles and problems.
-    fn found(&mut self, kernel: &str, deviation: Option<f64>) {
-        let worst = self.deviations.entry(kernel.into()).or_insert(deviation);
-        *worst = worse(*worst, deviation);
+impl Group {
+    /// Every fast kernel that a device of these limits can run.
+    fn all(limits: &Limits) -> Vec<Self> {
+        Self::those(limits, |_| true, |_, _| true)
+    }
+
+    /// Those that an arithmetic takes.
+    fn of(limits: &Limits, wanted: Arithmetic) -> Vec<Self> {
+        let chosen = |operation: &dyn Operation, factor| {
+            operation.chosen(&mut { wanted }).iter().any(|units| units.is_some_and(|units| units.factor == factor))
+        };
+        Self::those(limits, |element| element == wanted.element, chosen)
+    }
+
+    fn those(
+        limits: &Limits,
+        on_lanes: impl Fn(Element) -> bool,
+        on_units: impl Fn(&dyn Operation, Element) -> bool,
+    ) -> Vec<Self> {
+        let mut groups = Vec::new();
+        for operation in OPERATIONS.into_iter().filter(|_| limits.half_storage) {
+            for element in operation.lanes().iter().copied().filter(|element| on_lanes(*element)) {
+                let (kernels, candidates) = (operation.kernels(false, element), vec![Candidate::Lanes(element)]);
+                groups.push(Self { operation, kernels, candidates });
+            }
+            for (units, candidates) in operation.on_units(limits) {
+                if on_units(operation, units.factor) {
+                    groups.push(Self { operation, kernels: operation.kernels(true, units.factor), candidates });
+                }
+            }
+        }
+        groups
+    }
+
+    /// Runs of its kernels.
+    fn runs(&self) -> usize {
+        self.kernels.len() * self.candidates.len()
     }
 }
 
@@ -172,14 +203,11 @@ pub(super) fn deviation(limit: f64, stored: f64, exact: &[f32], fast: &[f32]) ->
     Some(worst / rms / limit).filter(|deviation| deviation.is_finite())
 }
 
-/// The knowledge about a device: the result, and until it is whole how often the test was begun.
+/// The knowledge about a device: the results so far, and how often a test was begun that did not end.
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct Record {
     begun: u32,
     result: Option<SelfTest>,
-    /// Not where the device was lost by a kernel: the others are tested the next time.
-    #[serde(default)]
-    whole: bool,
 }
 
 impl Record {
@@ -209,19 +237,15 @@ mod tests {
     fn only_what_agrees_passes() {
         let exact = [1.0, -1.0, 1.0];
         let passed = |fast: [f32; 3]| {
-            let mut test = SelfTest::default();
-            test.found("kernel", deviation(1e-3, 0.0, &exact, &fast));
-            test.passed("kernel")
+            let deviations = [("kernel".into(), deviation(1e-3, 0.0, &exact, &fast))].into();
+            SelfTest { deviations }.passed("kernel")
         };
         assert!(passed(exact) && passed([1.0009, -1.0, 1.0]));
         assert!(
             !passed([1.0011, -1.0, 1.0]) && !passed([f32::NAN, -1.0, 1.0]) && !passed([1.0, f32::INFINITY, f32::NAN])
         );
         assert!(!SelfTest::default().passed("kernel"), "what was not tested");
-        let mut test = SelfTest::default();
-        for fast in [exact, [f32::NAN; 3], exact] {
-            test.found("kernel", deviation(1e-3, 0.0, &exact, &fast));
-        }
-        assert_eq!(test.deviations, [("kernel".to_owned(), None)].into(), "its worst result counts");
+        let deviations = [exact, [f32::NAN; 3], exact].map(|fast| deviation(1e-3, 0.0, &exact, &fast));
+        assert_eq!(deviations.into_iter().fold(Some(0.0), worse), None, "its worst result counts");
     }
 }

@@ -149,7 +149,7 @@ impl Tradeoff {
         precisions.sort_by_key(|precision| *precision != Precision::Exact);
         precisions.dedup();
         let choose = |precision| {
-            let Chosen { precision, arithmetic, notes } = Chosen::of(device, Some(precision))?;
+            let Chosen { precision, arithmetic, notes } = session.choose(device, Some(precision))?;
             notes.iter().for_each(|note| session.note(note));
             Ok((precision, arithmetic))
         };
