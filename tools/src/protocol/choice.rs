@@ -152,8 +152,8 @@ mod tests {
     #[test]
     fn inputs_are_taken_from_the_first_frames() {
         assert_eq!(chosen(Protocol::Dl3dv, &[3], &[6]), ["0", "5", "6", "1", "3"]);
-        assert_eq!(chosen(Protocol::Mipnerf360, &[3], &[]), ["0", "10", "11", "1", "5"]);
-        assert_eq!(chosen(Protocol::Re10k, &[3], &[]), ["0", "6", "11", "1", "5"]);
+        assert_eq!(chosen(Protocol::Mipnerf360, &[3], &[]), ["0", "10", "11", "1", "6"]);
+        assert_eq!(chosen(Protocol::Re10k, &[3], &[]), ["0", "6", "11", "1", "7"]);
         assert_eq!(chosen(Protocol::Re10k, &[3], &[6]), ["0", "5", "6", "1", "3"]);
     }
 
