@@ -42,9 +42,11 @@ fn failing_kernels() {
     let file = fs::read_dir(cache.join("self-test")).unwrap().next().expect("the test's result").unwrap().path();
     let mut known: serde_json::Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
     let mut test: SelfTest = serde_json::from_value(known["result"].clone()).unwrap();
-    let failing = test.deviations.iter_mut().filter(|(kernel, _)| kernel.contains("bf16"));
+    let failing = test.deviations.iter_mut().filter(|(kernel, _)| kernel.contains("matrix"));
     let failing: Vec<_> = failing.map(|(kernel, deviation)| (deviation.replace(9.0), kernel.clone()).1).collect();
-    assert!(!failing.is_empty());
+    if failing.is_empty() {
+        return eprintln!("not tested: without matrix units `fast` does without no kernel");
+    }
     known["result"] = serde_json::to_value(&test).unwrap();
     fs::write(&file, known.to_string()).unwrap();
     let (precision, notes) = made(precision_and_notes(&context, ZS_PRECISION_FAST));

@@ -6,7 +6,7 @@ use crate::{
     cameras::{OPTIONS_3, args, colmap, model, place},
 };
 use std::fs;
-use zipsplat::types::{Camera, poses::Frame};
+use zipsplat::types::{Camera, Intrinsics, poses::Frame};
 
 /// A place of 4 photos and a program whose mapper does `body` with the number of its call in `$n`; the tries find so many photos.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
@@ -78,4 +78,32 @@ fn cameras_are_kept_where_a_later_try_fails() {
     let (_, outcome) = tried(&killed, &[3]);
     let json = outcome.json();
     assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(3), Some(2)), "{json}");
+}
+
+#[test]
+fn a_group_that_cannot_be_read_is_left_out() {
+    let group = "cp -r \"${0%/*}/try1/.\" \"$out\"; mkdir \"$out/1\"; echo damaged > \"$out/1/images.txt\"; echo damaged > \"$out/1/cameras.txt\"";
+    let (_, outcome) = tried(group, &[4]);
+    assert_eq!(outcome.json()["found"].as_u64(), Some(4), "{}", outcome.err);
+    let (_, outcome) = tried(&group.replace("cp -r", ": "), &[4]);
+    outcome.fails(3, &["sparse0/1/"]);
+}
+
+#[test]
+fn a_focal_length_that_no_photo_has_is_told() {
+    let (folder, frames) = place();
+    let options = [OPTIONS_3[0], OPTIONS_3[1], "--Mapper.min_model_size arg"];
+    for (share, unlikely) in [(0.3, true), (0.4, false), (4.0, false), (6.0, true)] {
+        colmap(&folder, "colmap", "3.8", options, ["", "", "cp -r \"${0%/*}/found/.\" \"$out\""]);
+        let of = |frame: &Frame| {
+            let fx = share * f64::from(frame.camera.intrinsics.width.max(frame.camera.intrinsics.height));
+            Camera { intrinsics: Intrinsics { fx, fy: fx, ..frame.camera.intrinsics }, ..frame.camera }
+        };
+        let cameras: Vec<(String, Camera)> =
+            frames.iter().enumerate().map(|(i, frame)| (format!("0/{i:06}.png"), of(frame))).collect();
+        let named: Vec<_> = cameras.iter().map(|(name, camera)| (name.as_str(), camera)).collect();
+        model(&folder.path("found/0"), &named);
+        let text = folder.run("cameras @/place/images --colmap @/colmap -o @/found.json --overwrite").success();
+        assert_eq!(text.contains("is unlikely"), unlikely, "{share}: {text}");
+    }
 }

@@ -14,6 +14,7 @@ use crate::{
 use clap::{Args, ValueEnum};
 use std::{
     io::Write,
+    ops::RangeInclusive,
     path::{Path, PathBuf},
     process::ExitStatus,
     time::{Duration, Instant},
@@ -21,7 +22,10 @@ use std::{
 use tempfile::{NamedTempFile, TempDir};
 use zipsplat::{
     Error, Result,
-    types::poses::{Frame, Poses, read_cloud, read_poses},
+    types::{
+        Camera,
+        poses::{Frame, Poses, read_cloud, read_poses},
+    },
 };
 
 /// The word that stands for a file of cameras where they are to be found.
@@ -34,6 +38,8 @@ const FEW_PHOTOS: usize = 12;
 const ENOUGH: f64 = 0.8;
 /// Features of a photo below which there is little to recognise.
 const FEW: usize = 300;
+/// Focal lengths that photos have, as shares of their longer sides: fields of view of 110 degrees to 11.
+const LIKELY: RangeInclusive<f64> = 0.35..=5.0;
 /// Share of a step before which nobody can tell how long it takes.
 const TELLING: f64 = 0.04;
 
@@ -79,6 +85,8 @@ pub struct Found {
     /// The numbers of photos, of those that have no camera, in groups that COLMAP could not join with the others.
     pub groups: Vec<usize>,
     pub points: usize,
+    /// The median focal length, as a share of the longer side of its photo.
+    pub focal: f64,
     /// How often the photos were mapped.
     pub mappings: usize,
     /// The program that found them.
@@ -149,9 +157,8 @@ impl Found {
         let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
         let (poses, lost) = work.named(model)?;
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
-        let program = colmap.to_string();
-        let count = poses.frames.len();
-        Ok((poses, Self { lost, count, groups, points, mappings, program, times, log, _work: work.folder }))
+        let (program, count, focal) = (colmap.to_string(), poses.frames.len(), focal(&poses.frames));
+        Ok((poses, Self { lost, count, groups, points, focal, mappings, program, times, log, _work: work.folder }))
     }
 
     /// The outcome in words.
@@ -167,6 +174,13 @@ impl Found {
         if !self.groups.is_empty() {
             let groups: Vec<String> = self.groups.iter().map(ToString::to_string).collect();
             text += &format!("; of them groups of {} see something of their own", groups.join(", "));
+        }
+        if !LIKELY.contains(&self.focal) {
+            text += &format!(
+                "; their focal length, {:.2} of a photo's longer side, is unlikely, and so these cameras are",
+                self.focal
+            );
+            text += " probably wrong: photos from more directions tell it";
         }
         text
     }
@@ -250,6 +264,16 @@ impl<'a> Search<'a> {
     }
 }
 
+/// The median focal length of photos as a share of their longer sides.
+fn focal(frames: &[Frame]) -> f64 {
+    let focal = |Frame { camera: Camera { intrinsics, .. }, .. }: &Frame| {
+        intrinsics.fx / f64::from(intrinsics.width.max(intrinsics.height))
+    };
+    let mut focals: Vec<f64> = frames.iter().map(focal).collect();
+    focals.sort_by(f64::total_cmp);
+    focals[focals.len() / 2]
+}
+
 /// Shows how far a step is, and how long it may still take.
 fn told_far(stage: &Stage<'_>, step: Step, far: f64, started: Instant) -> Result<()> {
     if far > TELLING {
@@ -292,7 +316,12 @@ fn models_of(folder: &Path) -> Result<Vec<Poses>> {
     folders.sort();
     let models =
         folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
-    models.map(read_poses).filter(|model| !matches!(model, Ok(poses) if poses.frames.is_empty())).collect()
+    // COLMAP gives small groups that are wrong lenses that nothing has: the others are no worse for it.
+    let (found, mut failed): (Vec<_>, Vec<_>) = models.map(read_poses).partition(Result::is_ok);
+    match failed.pop() {
+        Some(error) if found.is_empty() => error.map(|_| Vec::new()),
+        _ => Ok(found.into_iter().flatten().filter(|poses| !poses.frames.is_empty()).collect()),
+    }
 }
 
 impl Log {
