@@ -84,7 +84,8 @@ fn cameras_are_kept_where_a_later_try_fails() {
 fn a_group_that_cannot_be_read_is_left_out() {
     let group = "cp -r \"${0%/*}/try1/.\" \"$out\"; mkdir \"$out/1\"; echo damaged > \"$out/1/images.txt\"; echo damaged > \"$out/1/cameras.txt\"";
     let (_, outcome) = tried(group, &[4]);
-    assert_eq!(outcome.json()["found"].as_u64(), Some(4), "{}", outcome.err);
+    let json = outcome.json();
+    assert_eq!(json["found"].as_u64(), Some(4), "{json}");
     let (_, outcome) = tried(&group.replace("cp -r", ": "), &[4]);
     outcome.fails(3, &["sparse0/1/"]);
 }

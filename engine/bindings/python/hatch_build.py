@@ -20,6 +20,15 @@ LIBRARIES = {"linux": "libzipsplat.so", "darwin": "libzipsplat.dylib", "win32": 
 
 
 class Build(BuildHookInterface):  # type: ignore[type-arg]
+    @property
+    def generated(self) -> Path:
+        """The file of C declarations, which is there while the wheel is built."""
+        return Path(self.directory) / "_header.py"
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Leaves the wheel alone behind."""
+        self.generated.unlink(missing_ok=True)
+
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """One wheel for every Python of a platform: the library has a C ABI and none of CPython's."""
         name = LIBRARIES[sys.platform]
@@ -28,7 +37,7 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
             raise FileNotFoundError(
                 f"{library}: expected the shared library; build.sh makes it, or set ZIPSPLAT_LIBRARY"
             )
-        generated = Path(self.directory) / "_header.py"
+        generated = self.generated
         generated.parent.mkdir(parents=True, exist_ok=True)
         generated.write_text(module((ROOT / "engine/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8")
         platform = os.environ.get("ZIPSPLAT_PLATFORM") or sysconfig.get_platform().replace("-", "_").replace(".", "_")
