@@ -337,9 +337,9 @@ class Renderer {
 
     // Draws a scene, or only the background, as a camera sees it. `view` says what is shown: see SHOWN; the Gaussians of a token, the
     // token that is pointed at, and the range of depths.
-    draw(scene, camera, background, { shown = "color", group = 1, hovered = -1, range = [0, 1] } = {}) {
-        const { gl, frame, show } = this, { width, height } = frame;
-        if (scene?.drawn) this.project(scene, camera, { shown, group, hovered });
+    draw(scene, camera, background, view = {}) {
+        const { gl, frame, show } = this, { width, height } = frame, { shown = "color", range = [0, 1] } = view;
+        if (scene?.drawn) this.project(scene, camera, view);
         gl.viewport(0, 0, width, height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
         gl.clearColor(0, 0, 0, 0);

@@ -38,7 +38,7 @@ const AGREEING: f64 = 0.5;
 
 /// A ray and the pixel that it is of.
 struct Ray {
-    /// Of length 1.
+    /// The ray's direction, of length 1.
     direction: DVec3,
     /// The pixel's direction where the picture reaches from -1 to 1 at distance 1, of length 1.
     pixel: DVec3,

@@ -42,7 +42,7 @@ impl DepthModel {
     /// arithmetic.
     ///
     /// # Errors
-    /// Where the device has too little memory or the checkpoint cannot be read; [`Cancelled`](crate::Error::Cancelled).
+    /// [`Memory`](crate::Error::Memory) where the device has too little, and the errors of reading the checkpoint; [`Cancelled`](crate::Error::Cancelled).
     pub fn load(
         device: &Device,
         checkpoint: &DepthCheckpoint,
@@ -125,7 +125,7 @@ impl DepthModel {
     /// Writes everything that a run of this shape reads.
     ///
     /// # Errors
-    /// Where a transfer fails or the cameras cannot be used.
+    /// A transfer that fails, or cameras that cannot be used.
     pub fn write_inputs(
         &self,
         run: &mut Run,

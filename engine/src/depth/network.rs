@@ -20,7 +20,7 @@ pub struct DepthNetwork {
 pub struct DepthShape {
     /// Views and their patches.
     pub grid: ViewGrid,
-    /// Whether cameras are given.
+    /// Cameras are given.
     pub cameras: bool,
     /// The view that the world is about.
     pub reference: Reference,

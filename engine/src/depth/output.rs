@@ -1,4 +1,4 @@
-//! What a depth network says of its views.
+//! The outputs of a depth network.
 
 use crate::{
     Error, Result,

@@ -2,7 +2,7 @@
 
 use super::{
     Units,
-    rows::{Rows, SCRATCH_BYTES, quantise_rows, row_chunks},
+    rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
     tile::Tile,
 };
 use crate::{
@@ -16,7 +16,7 @@ use half::f16;
 
 /// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, rows / LINEAR_ROWS along an
 /// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
-const NARROWEST: usize = (SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_535) + 1).next_multiple_of(256);
+const NARROWEST: usize = (SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_535) + 1).next_multiple_of(SLICE);
 
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
@@ -39,7 +39,7 @@ pub enum LinearKernel {
     /// ops/linear: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
     Panels(Element, Weights),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
-    /// behind them, `[columns]` f32 from a multiple of 256 bytes on; inputs are f16 and become such integers row by row.
+    /// behind them, `[columns]` f32 from where a slice may start; inputs are f16 and become such integers row by row.
     Matrix(Units, Weights),
 }
 
@@ -48,7 +48,7 @@ pub enum LinearKernel {
 pub enum Weights {
     /// In the type of the factors.
     Factors,
-    /// As [`Q8`](super::Q8): the integers, those of panels with four terms of four columns side by side, and from a multiple of
+    /// The integers of [`Q8`](super::Q8), those of panels with four terms of four columns side by side, and from a multiple of
     /// 256 bytes on the scales, f16, with a group of terms in the place of a term. Not with factors of 8 bits.
     Q8,
 }
@@ -122,9 +122,9 @@ impl LinearKernel {
     }
 }
 
-/// Where the scales of 8-bit integers begin: at a multiple of 256 bytes.
+/// The byte at which the scales of 8-bit integers begin, where a slice may.
 pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
-    (columns * inner).next_multiple_of(256)
+    (columns * inner).next_multiple_of(SLICE)
 }
 
 impl Linear {

@@ -1,6 +1,6 @@
 //! Parameters as kernels read them.
 
-use super::{LinearKernel, Units, Weights, linear::scales_at, q8::Q8};
+use super::{LinearKernel, Units, Weights, linear::scales_at, q8::Q8, rows::SLICE};
 use crate::{gpu::Element, kernels::limits::PANEL_COLUMNS, kernels::limits::Q8_GROUP};
 use half::f16;
 use rayon::prelude::*;
@@ -13,7 +13,7 @@ const GROUP: usize = Q8_GROUP as usize;
 /// How a checkpoint's values become what kernels read.
 #[derive(Clone, Copy)]
 pub(super) enum Packing {
-    /// As they are.
+    /// The values as they are.
     Vector,
     /// A vector in the order of a gated matrix' columns.
     GatedVector,
@@ -99,7 +99,7 @@ impl Packing {
                 let value = |c, k| order.place([inner, columns], c, k).map_or(0.0, |place| source[place]);
                 let matrix: Vec<f32> = (0..columns).flat_map(|c| (0..inner).map(move |k| value(c, k))).collect();
                 Packing::Matrix { inner, columns, gated: false, kernel }.pack(&matrix, packed);
-                packed.resize(packed.len().next_multiple_of(256) + size_of::<f32>() * columns, 0);
+                packed.resize(packed.len().next_multiple_of(SLICE) + size_of::<f32>() * columns, 0);
             }
             Packing::Matrix { inner, columns, gated, kernel } => {
                 packed.resize(packed_bytes(inner, columns, kernel), 0);

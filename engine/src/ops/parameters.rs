@@ -3,6 +3,7 @@
 use super::{
     Arithmetic, AttentionKernel, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
     packing::{Order, Packing, packed_bytes},
+    rows::SLICE,
 };
 use crate::{
     Error, Result,
@@ -191,7 +192,7 @@ impl ParameterLayout {
 
     fn reordered(&mut self, name: &str, shape: &[usize], [inner, columns]: [usize; 2], order: Order) -> Linear {
         let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
-        let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(256);
+        let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(SLICE);
         let packing = Packing::Reordered { order, inner, columns, kernel };
         let both = self.add::<u8>(&format!("{name}.weight"), shape, bias_at + size_of::<f32>() * columns, packing);
         Linear {

@@ -70,19 +70,23 @@ impl From<Rows> for Columns {
 }
 
 /// Bytes between the places where a slice of a tensor may start.
-const SLICE: usize = 256;
+pub(super) const SLICE: usize = 256;
 
 /// Bytes that scratch of a row-wise step may take: large enough to fill any device, small beside the activations.
 pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
+
+/// Rows of so many bytes after which a slice may start again, a power of two.
+pub(super) fn aligned_rows(bytes: usize) -> usize {
+    SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
+}
 
 /// Cuts `rows` of tensors that have `widths` bytes a row, so that each part fits into one binding, stays modest as scratch
 /// and can be sliced out of every one of those tensors.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl Iterator<Item = Range<usize>> + use<> {
     let bytes = rec.limits().max_binding_bytes.min(SCRATCH_BYTES) as usize;
     let widest = widths.iter().copied().fold(1, usize::max);
-    // Rows after which every tensor is back on a slice's boundary; powers of two, so the largest serves all.
-    let aligned = |width: &usize| SLICE >> width.trailing_zeros().min(SLICE.trailing_zeros());
-    let alignment = widths.iter().map(aligned).fold(1, usize::max);
+    // Powers of two, so the largest serves all.
+    let alignment = widths.iter().copied().map(aligned_rows).fold(1, usize::max);
     let step = (bytes / widest).max(alignment) / alignment * alignment;
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))
 }
@@ -123,23 +127,27 @@ pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     (out, scales)
 }
 
+/// Writes f32 rows into columns of others of any type, from one on.
+pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
+    let kernel = ops::PlaceColumns {
+        source: source.tensor,
+        out: out.tensor,
+        count: source.values() as u32,
+        width: source.width as u32,
+        out_width: out.width as u32,
+        out_column: column as u32,
+        output: out.element,
+    };
+    rec.dispatch(kernel, source.values());
+}
+
 /// f32 rows side by side, as rows of type `output`.
 pub fn join_columns(rec: &mut Recorder, [left, right]: [Rows; 2], output: Element) -> Rows {
     let out = Rows::scratch(rec, "joined", left.count, left.width + right.width, output);
     for part in row_chunks(rec, out.count, &[left, right, out].map(|rows| rows.row_bytes())) {
         let out = out.part(part.clone());
-        for (source, out_column) in [(left, 0), (right, left.width)] {
-            let source = source.part(part.clone());
-            let kernel = ops::PlaceColumns {
-                source: source.tensor,
-                out: out.tensor,
-                count: source.values() as u32,
-                width: source.width as u32,
-                out_width: out.width as u32,
-                out_column: out_column as u32,
-                output,
-            };
-            rec.dispatch(kernel, source.values());
+        for (source, column) in [(left, 0), (right, left.width)] {
+            place_columns(rec, source.part(part.clone()), out, column);
         }
     }
     out

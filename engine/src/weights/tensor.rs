@@ -98,7 +98,7 @@ pub(super) struct Stored {
     pub shape: Vec<usize>,
     strides: Vec<usize>,
     offset: usize,
-    /// Where the scales of integers begin, a group of a row after the other.
+    /// The offset of the scales of integers, a group of a row after the other.
     scales: Option<usize>,
 }
 

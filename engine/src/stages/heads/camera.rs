@@ -1,12 +1,9 @@
 //! The camera decoder: a view's camera token becomes its pose and fields of view.
 
-use super::{
-    convolution::{Convolution, How},
-    map::FeatureMap,
-};
+use super::convolution::{Convolution, How};
 use crate::{
     gpu::{Recorder, Tensor},
-    ops::{ParameterLayout, Rows},
+    ops::{FeatureMap, ParameterLayout, Rows},
 };
 
 /// The decoder's parameters. Its layers are convolutions of one tap, over views.

@@ -1,10 +1,9 @@
 //! Convolutions of feature maps.
 
-use super::map::FeatureMap;
 use crate::{
     gpu::Recorder,
     kernels::{heads as kernels, limits::LINEAR_ROWS},
-    ops::{Linear, ParameterLayout, row_chunks},
+    ops::{FeatureMap, Linear, ParameterLayout, row_chunks},
 };
 
 /// A convolution with an odd kernel, the map 0 outside.

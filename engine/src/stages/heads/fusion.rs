@@ -1,12 +1,9 @@
 //! Levels fused from the deepest to the shallowest.
 
-use super::{
-    convolution::{Convolution, How},
-    map::FeatureMap,
-};
+use super::convolution::{Convolution, How};
 use crate::{
     gpu::Recorder,
-    ops::{ParameterLayout, add},
+    ops::{FeatureMap, ParameterLayout, add},
 };
 
 /// The fusions of four levels, the shallowest first.

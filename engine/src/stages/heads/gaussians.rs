@@ -4,13 +4,12 @@ use super::{
     convolution::{Convolution, How},
     fusion::Fusion,
     levels::Levels,
-    map::FeatureMap,
     position::Positions,
     tail::Tail,
 };
 use crate::{
     gpu::{Recorder, Tensor},
-    ops::{ParameterLayout, Rows, add},
+    ops::{FeatureMap, ParameterLayout, Rows, add},
     stages::{DepthArchitecture, ViewGrid},
 };
 

@@ -2,12 +2,11 @@
 
 use super::{
     convolution::{Convolution, How},
-    map::FeatureMap,
     position::Positions,
 };
 use crate::{
     gpu::{Element, Recorder, Tensor},
-    ops::{Linear, Norm, ParameterLayout, Rows},
+    ops::{FeatureMap, Linear, Norm, ParameterLayout, Rows},
     stages::DepthArchitecture,
 };
 

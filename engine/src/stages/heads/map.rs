@@ -1,57 +1,21 @@
-//! Feature maps, and what is done to whole ones.
+//! Feature maps at other sizes.
 
 use super::position::Positions;
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::heads as kernels,
-    ops::{Linear, Rows, row_chunks},
+    ops::{FeatureMap, Linear, row_chunks},
 };
-use std::ops::Range;
-
-/// A feature map `[height * width, channels]` f32.
-#[derive(Clone, Copy)]
-pub(super) struct FeatureMap {
-    pub rows: Rows,
-    pub height: usize,
-    pub width: usize,
-}
 
 impl FeatureMap {
-    pub fn new(rows: Rows, [height, width]: [usize; 2]) -> Self {
-        Self { rows, height, width }
-    }
-
-    pub fn scratch(rec: &mut Recorder, name: &str, [height, width]: [usize; 2], channels: usize) -> Self {
-        Self::new(Rows::scratch(rec, name, height * width, channels, Element::F32), [height, width])
-    }
-
-    pub fn channels(&self) -> usize {
-        self.rows.width
-    }
-
-    pub fn size(&self) -> [usize; 2] {
-        [self.height, self.width]
-    }
-
-    /// Bytes of a line.
-    pub fn line_bytes(&self) -> usize {
-        self.width * self.rows.row_bytes()
-    }
-
-    /// The values of lines.
-    pub fn lines(&self, lines: Range<usize>) -> Tensor {
-        self.rows.part(lines.start * self.width..lines.end * self.width).tensor
-    }
-
-    /// The values of lines and few before them, as slices start at whole bindings; and the first line's index.
-    pub fn seen(&self, lines: Range<usize>) -> (Tensor, u32) {
-        let aligned = 256 >> self.line_bytes().trailing_zeros().min(8);
-        let first = lines.start / aligned * aligned;
-        (self.lines(first..lines.end.min(self.height)), first as u32)
-    }
-
     /// The map at another size, corners on corners. Where there are `positions`, what they have for the new size is added.
-    pub fn resized(&self, rec: &mut Recorder, name: &str, size: [usize; 2], positions: Option<&mut Positions>) -> Self {
+    pub(super) fn resized(
+        &self,
+        rec: &mut Recorder,
+        name: &str,
+        size: [usize; 2],
+        positions: Option<&mut Positions>,
+    ) -> Self {
         let channels = self.channels();
         let out = Self::scratch(rec, name, size, channels);
         let table = positions.map(|positions| positions.table(rec, size, channels));
@@ -81,7 +45,7 @@ impl FeatureMap {
     }
 
     /// The map by a transposed convolution, `side` times as high and wide. `bias` is `[outputs]` f32.
-    pub fn spread(&self, rec: &mut Recorder, name: &str, side: usize, layer: &Linear, bias: Tensor) -> Self {
+    pub(super) fn spread(&self, rec: &mut Recorder, name: &str, side: usize, layer: &Linear, bias: Tensor) -> Self {
         let values = layer.apply(rec, "spread", self.rows, Element::F32, Default::default());
         let values = Self::new(values, self.size());
         let channels = layer.columns / (side * side);

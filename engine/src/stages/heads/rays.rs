@@ -3,12 +3,11 @@
 use super::{
     convolution::{Convolution, How},
     fusion::Fusion,
-    map::FeatureMap,
     position::Positions,
 };
 use crate::{
     gpu::{Element, Recorder, Tensor},
-    ops::{Norm, ParameterLayout},
+    ops::{FeatureMap, Norm, ParameterLayout},
 };
 
 /// Channels of the last layer but one.

@@ -1,12 +1,9 @@
 //! The last two layers of a head.
 
-use super::{
-    convolution::{Convolution, How},
-    map::FeatureMap,
-};
+use super::convolution::{Convolution, How};
 use crate::{
     gpu::{Recorder, Tensor},
-    ops::ParameterLayout,
+    ops::{FeatureMap, ParameterLayout},
 };
 
 /// Channels between them.

@@ -1,48 +1,12 @@
 //! Features of a picture, and the convolutions and poolings between them.
 
 use crate::{
-    gpu::{Element, Recorder, Tensor},
+    gpu::{Element, Recorder},
     kernels::{lpips as kernels, ops::Im2col},
-    ops::{Epilogue, Linear, Rows, row_chunks},
+    ops::{Epilogue, FeatureMap, Linear, Rows, row_chunks},
 };
-use std::ops::Range;
-
 /// Rows that a convolution multiplies at once fill this share of a binding, so that scratch stays small.
 const SHARE: usize = 8;
-
-/// Features of a picture, `[height * width, channels]` f32.
-#[derive(Clone, Copy)]
-pub struct Features {
-    pub rows: Rows,
-    pub height: usize,
-    pub width: usize,
-}
-
-impl Features {
-    pub fn scratch(rec: &mut Recorder, name: &str, [height, width]: [usize; 2], channels: usize) -> Self {
-        Self { rows: Rows::scratch(rec, name, height * width, channels, Element::F32), height, width }
-    }
-
-    pub fn channels(&self) -> usize {
-        self.rows.width
-    }
-
-    pub fn size(&self) -> [usize; 2] {
-        [self.height, self.width]
-    }
-
-    /// Bytes of a line.
-    fn line_bytes(&self) -> usize {
-        self.width * self.rows.row_bytes()
-    }
-
-    /// The lines and few before them, as slices start at whole bindings; and the first line's index.
-    fn lines(&self, lines: Range<usize>) -> (Tensor, u32) {
-        let aligned = 256 >> self.line_bytes().trailing_zeros().min(8);
-        let first = lines.start / aligned * aligned;
-        (self.rows.part(first * self.width..lines.end.min(self.height) * self.width).tensor, first as u32)
-    }
-}
 
 /// A convolution as a product of rows.
 pub struct Convolution {
@@ -58,7 +22,7 @@ pub struct Convolution {
 pub enum Inputs {
     AsTheyAre,
     Rectified,
-    Gated(Features),
+    Gated(FeatureMap),
 }
 
 /// Max pooling without padding.
@@ -74,22 +38,22 @@ impl Convolution {
         &self,
         rec: &mut Recorder,
         name: &str,
-        source: Features,
+        source: FeatureMap,
         inputs: Inputs,
         out: [usize; 2],
-    ) -> Features {
-        let out = Features::scratch(rec, name, out, self.layer.columns);
+    ) -> FeatureMap {
+        let out = FeatureMap::scratch(rec, name, out, self.layer.columns);
         let inner = self.layer.inner;
         for part in row_chunks(rec, out.rows.count, &[SHARE * 4 * inner, out.rows.row_bytes()]) {
             let lines = part.start / out.width..(part.end - 1) / out.width + 1;
             let first = (lines.start * self.step).saturating_sub(self.padding) / self.spread;
             let last = ((lines.end - 1) * self.step + self.side).saturating_sub(self.padding + 1) / self.spread;
             let seen = first.min(source.height - 1)..(last + 1).clamp(1, source.height);
-            let (values, source_first) = source.lines(seen.clone());
+            let (values, source_first) = source.seen(seen.clone());
             let patches = Rows::scratch(rec, "patches", part.len(), inner, Element::F32);
             let kernel = Im2col {
                 source: values,
-                gate: if let Inputs::Gated(gate) = &inputs { gate.lines(seen).0 } else { values },
+                gate: if let Inputs::Gated(gate) = &inputs { gate.seen(seen).0 } else { values },
                 out: patches.tensor,
                 count: patches.values() as u32,
                 row: inner as u32,
@@ -115,20 +79,20 @@ impl Convolution {
 
 impl Pool {
     /// Height and width of the result.
-    pub fn size(&self, source: Features) -> [usize; 2] {
+    pub fn size(&self, source: FeatureMap) -> [usize; 2] {
         source.size().map(|side| (side - self.side) / self.step + 1)
     }
 
     /// Records the largest values, at least 0.
-    pub fn forward(&self, rec: &mut Recorder, source: Features) -> Features {
-        let out = Features::scratch(rec, "pooled", self.size(source), source.channels());
+    pub fn forward(&self, rec: &mut Recorder, source: FeatureMap) -> FeatureMap {
+        let out = FeatureMap::scratch(rec, "pooled", self.size(source), source.channels());
         for lines in row_chunks(rec, out.height, &[source.line_bytes() * self.step, out.line_bytes()]) {
             let seen = lines.start * self.step..(lines.end - 1) * self.step + self.side;
-            let (values, source_first) = source.lines(seen);
+            let (values, source_first) = source.seen(seen);
             let count = lines.len() * out.width * out.channels();
             let kernel = kernels::Pool {
                 source: values,
-                out: out.rows.part(lines.start * out.width..lines.end * out.width).tensor,
+                out: out.lines(lines.clone()),
                 count: count as u32,
                 first: lines.start as u32,
                 out_width: out.width as u32,
@@ -144,20 +108,20 @@ impl Pool {
     }
 
     /// The gradient by the rectified `source`, from that by the result.
-    pub fn backward(&self, rec: &mut Recorder, source: Features, d_out: Features) -> Features {
-        let d = Features::scratch(rec, "d_pooled", source.size(), source.channels());
+    pub fn backward(&self, rec: &mut Recorder, source: FeatureMap, d_out: FeatureMap) -> FeatureMap {
+        let d = FeatureMap::scratch(rec, "d_pooled", source.size(), source.channels());
         for lines in row_chunks(rec, d.height, &[2 * d.line_bytes()]) {
             let windows = (lines.start.max(self.side - 1) + 1 - self.side).div_ceil(self.step)
                 ..((lines.end - 1) / self.step + 1).min(d_out.height);
             let windows = windows.start.min(d_out.height - 1)..windows.end.max(1);
             let seen = (windows.start * self.step).min(lines.start)
                 ..((windows.end - 1) * self.step + self.side).max(lines.end);
-            let ((values, source_first), (d_values, out_first)) = (source.lines(seen), d_out.lines(windows));
+            let ((values, source_first), (d_values, out_first)) = (source.seen(seen), d_out.seen(windows));
             let count = lines.len() * d.width * d.channels();
             let kernel = kernels::PoolBackward {
                 source: values,
                 d_out: d_values,
-                d_source: d.rows.part(lines.start * d.width..lines.end * d.width).tensor,
+                d_source: d.lines(lines.clone()),
                 count: count as u32,
                 first: lines.start as u32,
                 out_first,

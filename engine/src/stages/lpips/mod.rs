@@ -11,9 +11,9 @@ pub use network::LpipsNetwork;
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{loss::Value, lpips as kernels},
-    ops::{ParameterLayout, Rows, row_chunks},
+    ops::{FeatureMap, ParameterLayout, Rows, row_chunks},
 };
-use features::{Convolution, Features, Inputs, Pool};
+use features::{Convolution, Inputs, Pool};
 use network::Recipe;
 
 /// Layers whose features are compared.
@@ -104,13 +104,13 @@ impl Lpips {
     }
 
     /// The gradient by the normalised first picture.
-    fn backward(&self, rec: &mut Recorder, stages: &[[Features; 2]], layers: Tensor) -> Features {
+    fn backward(&self, rec: &mut Recorder, stages: &[[FeatureMap; 2]], layers: Tensor) -> FeatureMap {
         let mut taps = (0..TAPS).rev();
-        let mut d: Option<Features> = None;
+        let mut d: Option<FeatureMap> = None;
         for (layer, stages) in self.layers.iter().zip(stages.windows(2)).rev() {
             let [before, after] = [stages[0][0], stages[1][0]];
             if let Some(weights) = layer.tap {
-                let into = d.unwrap_or_else(|| Features::scratch(rec, "d_features", after.size(), after.channels()));
+                let into = d.unwrap_or_else(|| FeatureMap::scratch(rec, "d_features", after.size(), after.channels()));
                 let add = d.is_some();
                 compare(rec, stages[1], weights, tap_of(layers, taps.next()), Some((into.rows, add)));
                 d = Some(into);
@@ -130,7 +130,7 @@ fn tap_of(layers: Tensor, tap: Option<usize>) -> (Tensor, u32) {
 /// there or not.
 fn compare(
     rec: &mut Recorder,
-    [a, b]: [Features; 2],
+    [a, b]: [FeatureMap; 2],
     weights: Tensor,
     (layers, tap): (Tensor, u32),
     gradient: Option<(Rows, bool)>,
@@ -158,8 +158,8 @@ fn compare(
 }
 
 impl LpipsPictures {
-    fn normalise(&self, rec: &mut Recorder, (source, channels): (Tensor, usize)) -> Features {
-        let out = Features::scratch(rec, "normalised", self.size, 3);
+    fn normalise(&self, rec: &mut Recorder, (source, channels): (Tensor, usize)) -> FeatureMap {
+        let out = FeatureMap::scratch(rec, "normalised", self.size, 3);
         for part in row_chunks(rec, out.rows.count, &[4 * channels, 12]) {
             let kernel = kernels::Normalise {
                 source: source.slice::<f32>(part.start * channels, part.len() * channels),
@@ -173,7 +173,7 @@ impl LpipsPictures {
         out
     }
 
-    fn normalise_backward(&self, rec: &mut Recorder, d: Features, weight: f32, d_picture: Tensor) {
+    fn normalise_backward(&self, rec: &mut Recorder, d: FeatureMap, weight: f32, d_picture: Tensor) {
         let (source, channels) = self.pictures[0];
         for part in row_chunks(rec, d.rows.count, &[4 * channels, 12]) {
             let of = |t: Tensor| t.slice::<f32>(part.start * channels, part.len() * channels);
@@ -193,7 +193,7 @@ impl LpipsPictures {
 
 impl Layer {
     /// The layer's features, not yet rectified, of those of the layer before it.
-    fn forward(&self, rec: &mut Recorder, before: Features, rectified: bool) -> Features {
+    fn forward(&self, rec: &mut Recorder, before: FeatureMap, rectified: bool) -> FeatureMap {
         let convolution = &self.forward;
         let (source, inputs) = match &self.pool {
             Some(pool) => (pool.forward(rec, before), Inputs::AsTheyAre),
@@ -205,7 +205,7 @@ impl Layer {
     }
 
     /// The gradient by the rectified features before the layer, from that by its own.
-    fn backward(&self, rec: &mut Recorder, d: Features, after: Features, before: Features) -> Features {
+    fn backward(&self, rec: &mut Recorder, d: FeatureMap, after: FeatureMap, before: FeatureMap) -> FeatureMap {
         let convolution = self.backward.as_ref().expect("a network with gradients");
         let size = self.pool.as_ref().map_or(before.size(), |pool| pool.size(before));
         let d = convolution.record(rec, "d_features", d, Inputs::Gated(after), size);

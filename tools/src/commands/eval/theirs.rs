@@ -241,7 +241,7 @@ fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     Ok((Similarity { scale, pose }, (apart / spread).sqrt()))
 }
 
-/// The mean of turns that are nearly one: of their quaternions on one side.
+/// The mean of turns that are nearly one: of their quaternions on one side. The places of cameras on a line would leave a turn open.
 fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
     let mut sum = DVec4::ZERO;
     for turn in turns {

@@ -4,8 +4,7 @@ use super::transformer::{OutLayer, Transformer};
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
-    kernels::ops::PlaceColumns,
-    ops::{ParameterLayout, Parameters, Rows},
+    ops::{ParameterLayout, Parameters, Rows, place_columns},
     stages::{BackboneArchitecture, DepthFeatures, Reference, ViewGrid},
     types::{Camera, relative_encoding},
 };
@@ -55,7 +54,7 @@ impl DepthBackbone {
         self.transformer.final_norm.record(rec, global, None, normed, patches);
         for view in (0..grid.views).filter(|_| self.alternates) {
             let first = view * (1 + patches) + 1;
-            place(rec, local.part(first..first + patches), out.part(view * patches..(view + 1) * patches), 0);
+            place_columns(rec, local.part(first..first + patches), out.part(view * patches..(view + 1) * patches), 0);
         }
         rec.observe(&format!("bb/feat{layer}"), out.tensor);
         out
@@ -84,23 +83,9 @@ fn camera_features(rec: &mut Recorder, OutLayer { local, global }: OutLayer, gri
     for view in 0..grid.views {
         let token = view * (1 + grid.patches());
         for (half, rows) in [local, global].into_iter().enumerate() {
-            place(rec, rows.part(token..token + 1), out.part(view..view + 1), half * global.width);
+            place_columns(rec, rows.part(token..token + 1), out.part(view..view + 1), half * global.width);
         }
     }
     rec.observe("bb/cam_feat", out.tensor);
     out
-}
-
-/// Writes rows into columns of others.
-fn place(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
-    let kernel = PlaceColumns {
-        source: source.tensor,
-        out: out.tensor,
-        count: source.values() as u32,
-        width: source.width as u32,
-        out_width: out.width as u32,
-        out_column: column as u32,
-        output: out.element,
-    };
-    rec.dispatch(kernel, source.values());
 }
