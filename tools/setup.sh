@@ -21,7 +21,8 @@ die() { say "$@"; exit 1; }
   die "the cache folder is '$cache', and cargo runs nothing from a path with spaces: set ZIPSPLAT_CACHE"
 
 # zipsplat ARGS...: the command, built where something changed, in the caller's folder on the driver that was chosen.
-zipsplat() { cargo run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli -- "$@"; }
+zipsplat() { cargo "${run_zipsplat[@]}" "$@"; }
+run_zipsplat=(run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli --)
 
 # stage NAME COMMAND...: runs COMMAND and says how long it took.
 stage() {

@@ -27,7 +27,7 @@ export async function serve(...args) {
 let browser;
 // Ends the browser, and the servers that a test that failed has left.
 export const close = () => {
-    servers.forEach(child => child.kill("SIGINT"));
+    servers.forEach(child => child.kill("SIGKILL"));
     return browser?.close();
 };
 

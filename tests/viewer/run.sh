@@ -18,4 +18,4 @@ cd "$here"
 npm ci --silent --no-audit --no-fund
 files=(*.test.mjs)
 [[ ${*: -1} != *.mjs ]] || files=()
-exec node --test --test-concurrency=1 "$@" "${files[@]}"
+exec node --test --test-concurrency=1 --test-timeout=600000 "$@" "${files[@]}"
