@@ -6,7 +6,7 @@
 #   ZIPSPLAT_LIBRARY  a shared library that is there already; default the release's, which is built by engine/bindings/python/build.sh
 #   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built
 #   TORCH             1 to install torch and gsplat, too, whose tests are skipped otherwise
-#   RAY               1 to install ray, too
+#   RAY               1 to install ray and a local object store, too
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 [[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
@@ -24,8 +24,8 @@ if [[ ! -x $environment/bin/python ]]; then
 fi
 [[ -z ${TORCH:-} ]] || "$environment/bin/python" -c 'import torch, gsplat' 2> /dev/null ||
   "$environment/bin/python" -m pip install -q torch gsplat
-[[ -z ${RAY:-} ]] || "$environment/bin/python" -c 'import ray' 2> /dev/null ||
-  "$environment/bin/python" -m pip install -q 'ray[data]' fsspec
+[[ -z ${RAY:-} ]] || "$environment/bin/python" -c 'import ray, s3fs, moto.server, flask' 2> /dev/null ||
+  "$environment/bin/python" -m pip install -q 'ray[data]' s3fs 'moto[s3,server]'
 "$environment/bin/python" -m pip install -q --force-reinstall --no-deps "$wheel"
 "$environment/bin/python" -m pip install -q "$wheel"
 
