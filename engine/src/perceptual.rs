@@ -2,7 +2,7 @@
 
 use crate::{
     Error, Result,
-    gpu::{Device, Recorder, Resident, Run, Tensor},
+    gpu::{Device, Limits, Recorder, Resident, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
     tune::cache_folder,
@@ -31,13 +31,16 @@ pub(crate) struct LpipsWeights {
 }
 
 impl LpipsWeights {
+    /// The places of a network's parameters, which need no device.
+    pub fn layout(limits: &Limits, network: LpipsNetwork, gradients: bool) -> (ParameterLayout, Lpips) {
+        let mut parameters = ParameterLayout::new(limits, Arithmetic::EXACT);
+        let lpips = Lpips::new(&mut parameters, network, gradients);
+        (parameters, lpips)
+    }
+
     /// As [`Perceptual::open`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
-        let layout = |gradients: bool| {
-            let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
-            let lpips = Lpips::new(&mut parameters, network, gradients);
-            (parameters, lpips)
-        };
+        let layout = |gradients: bool| Self::layout(device.limits(), network, gradients);
         let name = format!("LPIPS ({})", network.name());
         let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
         let (parameters, lpips) = layout(gradients);

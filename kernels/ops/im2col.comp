@@ -7,12 +7,12 @@
 //
 // The picture is 0 outside. Where spread > 1, spread - 1 zeros lie between its pixels (a transposed convolution).
 // RECTIFIED values are at least 0; GATED ones are 0 where their gate is not above 0.
-// One invocation an element.
+// One workgroup (a subgroup) owns a row, and a lane every so many channels of each of its taps: places are divided out once a tap.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
 
-layout(local_size_x = 64) in;
+layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const bool RECTIFIED = false;
 layout(constant_id = 2) const bool GATED = false;
@@ -22,7 +22,7 @@ layout(set = 0, binding = 1) readonly buffer Gate { float gate[]; };
 layout(set = 0, binding = 2) writeonly buffer Out { float result[]; };
 
 layout(push_constant) uniform Push {
-    uint count; // rows * row
+    uint rows;
     uint row;
     uint first;
     uint out_width;
@@ -37,19 +37,22 @@ layout(push_constant) uniform Push {
 };
 
 void main() {
-    uint i = global_index();
-    if (i >= count) return;
-    uint pixel = first + i / row, tap = i % row / channels;
-    uvec2 out_at = uvec2(pixel % out_width, pixel / out_width);
-    ivec2 spread_at = ivec2(out_at * step + uvec2(tap % side, tap / side)) - int(padding);
-    uvec2 at = uvec2(max(spread_at, ivec2(0))) / spread;
-    bool inside = all(greaterThanEqual(spread_at, ivec2(0))) && all(lessThan(at, uvec2(width, height)));
-    float value = 0;
-    if (inside && tap < side * side && at * spread == uvec2(spread_at)) {
-        uint from = ((at.y - source_first) * width + at.x) * channels + i % row % channels;
-        value = source[from];
-        if (RECTIFIED) value = max(value, 0);
-        if (GATED && !(gate[from] > 0)) value = 0;
+    uint row_index = group_index();
+    if (row_index >= rows) return;
+    uint pixel = first + row_index, begin = row_index * row, lane = gl_LocalInvocationID.x;
+    ivec2 corner = ivec2(uvec2(pixel % out_width, pixel / out_width) * step) - int(padding);
+    for (uint tap = 0; tap < side * side; tap++) {
+        ivec2 spread_at = corner + ivec2(tap % side, tap / side);
+        uvec2 at = uvec2(max(spread_at, ivec2(0))) / spread;
+        bool inside = all(greaterThanEqual(spread_at, ivec2(0))) && all(lessThan(at, uvec2(width, height)))
+            && at * spread == uvec2(spread_at);
+        uint from = inside ? ((at.y - source_first) * width + at.x) * channels : 0;
+        for (uint c = lane; c < channels; c += gl_WorkGroupSize.x) {
+            float value = inside ? source[from + c] : 0;
+            if (RECTIFIED) value = max(value, 0);
+            if (GATED) value = inside && gate[from + c] > 0 ? value : 0;
+            result[begin + tap * channels + c] = value;
+        }
     }
-    result[i] = value;
+    for (uint i = side * side * channels + lane; i < row; i += gl_WorkGroupSize.x) result[begin + i] = 0;
 }

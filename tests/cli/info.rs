@@ -1,8 +1,9 @@
 //! `zipsplat info`.
 
 use crate::Folder;
+use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::types::{Scene, World, WriteOptions, write_ply, write_scene_in};
-use zipsplat_tests::scenes;
+use zipsplat_tests::{golden::lpips_weights, scenes};
 
 #[test]
 fn devices_are_listed_with_what_they_can_do() {
@@ -107,6 +108,19 @@ fn a_plan_takes_what_a_run_then_takes() {
         let number = |key: &str| plan[key].as_u64().expect("a number");
         assert!(number("refine_kept_bytes") > 3 * number("scene_bytes") && number("refine_arena_bytes") > 0, "{plan}");
     }
+    // With what a refinement may do beside moving Gaussians: all photos are learnt from where cameras move.
+    let more = "--grow 2000 --refine-cameras --lpips-weight 0.05";
+    let plan = folder.run(&format!("info --plan --views 9 --poses --refine 42x28 {more} {shared}")).json();
+    let plain = folder.run(&format!("info --plan --views 9 --poses --refine 42x28 {shared}")).json();
+    let kept = |plan: &serde_json::Value| plan["refine_kept_bytes"].as_u64().expect("a number");
+    // The convolutions of VGG16, twice.
+    assert!(kept(&plan) > kept(&plain) + 2 * 4 * 14_710_464, "{plan}");
+    if lpips_weights(LpipsNetwork::Vgg).is_some() {
+        let run = format!("reconstruct {photos} --refine=1 --start scene {more} {shared} -o @/more.ply");
+        assert_eq!(plan["peak_bytes"], folder.run(&run).json()["refined"]["peak_bytes"], "{plan}");
+    }
+    let grown_tokens = format!("info --plan --views 9 --refine 42x28:tokens --grow 2000 {shared}");
+    assert_eq!(folder.run(&grown_tokens).code, 3);
     // Photos that are small at first, and a scene that comes from a file.
     folder.run("scene --seed 5 --views 3 --size 400x384 -o @/large").success();
     let refine = "refine @/scene.ply @/large/images --poses @/large --steps 5 -o @/sharp.ply --json";

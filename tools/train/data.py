@@ -16,13 +16,22 @@ HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("s
 
 # Of B scenes with V context and C target views, in the frame of the first context view with unit median distance:
 # images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy;
-# colours [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics of the targets;
-# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, cells, 3] what the
+# colors [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics of the targets;
+# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, rows, columns, 3] what the
 # centres of the cells of the context's patches see.
-Batch = namedtuple("Batch", "images poses intrinsics colours depth viewmats target_intrinsics points anchors")
+Batch = namedtuple("Batch", "images poses intrinsics colors depth viewmats target_intrinsics points anchors")
 
 # Where anchors put the sky, and what is farther than it, in median distances.
 SKY = 12.0
+
+
+def record(views, height, width):
+    """A scene in the stream."""
+    return np.dtype(
+        [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (views, 4)),
+         ("poses", "<f4", (views, 3, 4)), ("overlap", "<f4", (views, views)), ("colors", "u1", (views, height, width, 3)),
+         ("depths", "<f2", (views, height, width))]
+    )  # fmt: skip
 
 
 class Shards:
@@ -33,12 +42,7 @@ class Shards:
         header = np.frombuffer(self.process.stdout.read(HEADER.itemsize), HEADER)
         if len(header) == 0 or (header["magic"][0], header["format"][0]) != (MAGIC, FORMAT):
             raise RuntimeError(f"{' '.join(command)}: found {header}, expected a stream of scenes of format {FORMAT}")
-        v, h, w = self.shape = header["vhw"][0].tolist()
-        self.record = np.dtype(
-            [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (v, 4)),
-             ("poses", "<f4", (v, 3, 4)), ("overlap", "<f4", (v, v)), ("colors", "u1", (v, h, w, 3)),
-             ("depths", "<f2", (v, h, w))]
-        )  # fmt: skip
+        self.record = record(*header["vhw"][0].tolist())
 
     def read_into(self, buffer):
         """Fills an array of bytes with records; how many of them were left in the stream."""
@@ -94,7 +98,11 @@ class Pool:
             columns, copied = self.free.get()
             if copied is not None:
                 copied.synchronize()
-            count = self.shards.read_into(buffer.view(np.uint8))
+            try:
+                count = self.shards.read_into(buffer.view(np.uint8))
+            except Exception as error:  # the thread that waits for scenes has to know
+                self.ready.put((None, error, 0))
+                return
             for name, column in columns.items():
                 column.numpy()[:] = buffer[name]
             self.ready.put((columns, count, int(buffer["seed"][count - 1])))
@@ -105,6 +113,8 @@ class Pool:
             columns, count, seed = self.ready.get(timeout=60) if wait else self.ready.get_nowait()
         except queue.Empty:
             return 0
+        if columns is None:
+            raise count
         start = self.taken % self.capacity
         fits = min(count, self.capacity - start)
         for name, column in columns.items():
@@ -227,9 +237,7 @@ def batch(rows, context, targets, points, cells, patch, loose=None):
         inverse(pick(relative, targets)),
         pick(rows["intrinsics"], targets),
         cloud,
-        unproject(bounded, intrinsics, cameras, centres.expand(len(depth), -1)).unflatten(
-            1, (-1, cells[0] * cells[1])
-        ),
+        unproject(bounded, intrinsics, cameras, centres.expand(len(depth), -1)).unflatten(1, (-1, *cells)),
     )
 
 

@@ -10,12 +10,13 @@ SH0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 @torch.no_grad()
-def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
+def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, coupled=True):
     """Weights to start training from.
 
     All Gaussians of a token start at one place (but for `jitter`), nearly transparent, `depth` in front of the first
     camera, each in the color that its one of the `cells` (rows, columns) of the patch has in the picture; `size` and
-    `opacity` are raw values, before activation.
+    `opacity` are raw values, before activation. Where they are not `coupled`, each starts with random weights of its own, as
+    an ordinary layer does.
     """
     a = model.architecture
     for name, parameter in model.named_parameters():
@@ -40,7 +41,8 @@ def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
     last = model.gaussian_head.gaussian_head[1]
     rows = last.weight.unflatten(0, (a.gaussians_per_token, a.gaussian_width))
     template = 0.1 * torch.randn(rows.shape[1:]) / math.sqrt(rows.shape[-1])
-    rows.copy_(template + jitter * torch.randn(rows.shape) / math.sqrt(rows.shape[-1]))
+    own = torch.randn(rows.shape) / math.sqrt(rows.shape[-1])
+    rows.copy_(template + jitter * own if coupled else own)
     bias = torch.zeros(a.gaussian_width)
     bias[2] = math.log1p(depth)
     bias[3:6] = size
@@ -48,6 +50,9 @@ def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02):
     bias[10] = opacity
     last.bias.copy_(bias.repeat(a.gaussians_per_token))
     see_colors(model, cells)
+    if model.queries is not None:
+        nn.init.normal_(model.queries)
+        nn.init.normal_(model.color_queries, std=0.3)
     return model
 
 
@@ -58,8 +63,6 @@ def see_colors(model, cells):
     """
     a = model.architecture
     count, inputs = cells[0] * cells[1], a.width + a.color_width
-    if count != a.gaussians_per_token or 3 * count > a.color_width or a.head_hidden < 2 * inputs:
-        raise SystemExit(f"found cells {cells}, expected one a Gaussian, three colour channels each, and a head twice as wide")
     embed = model.color_embed.proj
     embed.weight[: 3 * count] = torch.einsum("gyx,cd->gcdyx", cell_means(cells, a.patch), torch.eye(3)).flatten(0, 1)
     embed.bias[: 3 * count] = -0.5
@@ -78,9 +81,10 @@ def see_colors(model, cells):
     mlp.fc1.weight[hidden] = through[hidden]
     mlp.fc2.weight[a.width :] = 0
     mlp.fc2.weight[a.width :, : 2 * inputs] = through.T[a.width :]
-    constant = last.weight.unflatten(0, (count, a.gaussian_width))[:, 11:14]
+    constant = last.weight.unflatten(0, (a.gaussians_per_token, a.gaussian_width))[:, 11:14]
     constant.zero_()
-    constant[..., a.width : a.width + 3 * count] = torch.eye(3 * count).unflatten(0, (count, 3)) / SH0
+    shown = torch.eye(3 * count).unflatten(0, (count, 3)) / SH0
+    constant[..., a.width : a.width + 3 * count] = shown.repeat_interleave(a.gaussians_per_token // count, 0)
 
 
 def cell_means(cells, patch):

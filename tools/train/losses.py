@@ -4,6 +4,7 @@ import math
 
 import torch
 import torch.nn.functional as F
+from safetensors.torch import load_file
 from torch import nn
 
 from initialise import SH0
@@ -34,37 +35,34 @@ def gradient_difference(a, b, scales=3):
     return total / scales
 
 
-class VggDistance(nn.Module):
-    """LPIPS with equal weights of channels: distance of unit features of VGG16 (Zhang et al. 2018, uncalibrated).
+class Lpips(nn.Module):
+    """LPIPS 0.1 by VGG16 (Zhang et al. 2018), with the weights that `tools/lpips.py` writes; gradients reach the first picture."""
 
-    `path` is torchvision's state_dict of VGG16.
-    """
-
-    WIDTHS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
+    # Pictures are halved before these convolutions; the features of those before them, and of the last, are compared.
+    POOLED = (2, 4, 7, 10)
+    SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
     def __init__(self, path):
         super().__init__()
-        layers, inputs = [], 3
-        for widths in self.WIDTHS:
-            for width in widths:
-                layers += [nn.Conv2d(inputs, width, 3, padding=1), nn.ReLU()]
-                inputs = width
-            layers.append(nn.MaxPool2d(2))
-        self.features = nn.Sequential(*layers)
-        state = torch.load(path, weights_only=True)
-        self.load_state_dict({name: value for name, value in state.items() if name.startswith("features.")})
-        self.requires_grad_(False)
-        self.register_buffer("mean", torch.tensor((0.485, 0.456, 0.406))[:, None, None], persistent=False)
-        self.register_buffer("std", torch.tensor((0.229, 0.224, 0.225))[:, None, None], persistent=False)
+        for name, value in load_file(path).items():
+            value = value.movedim(-1, 1).contiguous() if name.endswith("weight") and value.ndim == 4 else value
+            self.register_buffer(name.replace(".", "_"), value, persistent=False)
+        for name in ("SHIFT", "SCALE"):
+            self.register_buffer(name.lower(), torch.tensor(getattr(self, name))[:, None, None], persistent=False)
 
     def forward(self, a, b):
-        x = (torch.cat((a, b)) - self.mean) / self.std
-        distance = 0
-        for layer in self.features:
-            if isinstance(layer, nn.MaxPool2d):
-                unit_a, unit_b = F.normalize(x, dim=1, eps=1e-10).chunk(2)
-                distance = distance + (unit_a - unit_b).square().sum(1).mean()
-            x = layer(x)
+        """The mean distance of pairs of [N, 3, H, W], clipped to 0..1."""
+        x = (2 * torch.cat((a, b)).clamp(0, 1) - 1 - self.shift) / self.scale
+        distance = tap = 0
+        for i in range(13):
+            if i in self.POOLED:
+                x = F.max_pool2d(x, 2)
+            x = F.conv2d(x, getattr(self, f"convolutions_{i}_weight"), getattr(self, f"convolutions_{i}_bias"), padding=1).relu()
+            if i + 1 in (*self.POOLED, 13):
+                unit_a, unit_b = (x / (x.square().sum(1, keepdim=True).add(1e-20).sqrt() + 1e-10)).chunk(2)
+                weights = getattr(self, f"taps_{tap}_weight")[:, None, None]
+                distance = distance + ((unit_a - unit_b).square() * weights).sum(1).mean()
+                tap += 1
         return distance
 
 
@@ -107,21 +105,21 @@ def middles(values, tokens, cells):
 def anchor(means, anchors, tokens):
     """Distance of each token's Gaussians to what the cells of its patch see, on the head's scale.
 
-    `anchors` [B, V * T, cells, 3]; G / cells consecutive Gaussians belong to a cell. Not in the paper,
+    `anchors` [B, V * T, rows, columns, 3]; G / cells consecutive Gaussians belong to a cell. Not in the paper,
     whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place tend to merge into
     one opaque cloud. Its weight fades out, so that placement is free in the end.
     """
-    anchors = of_tokens(anchors, tokens)
+    anchors = of_tokens(anchors, tokens).flatten(2, 3)
     return F.smooth_l1_loss(middles(signed_log(means), *anchors.shape[1:3]), signed_log(anchors), beta=0.1)
 
 
 def color(constants, batch, tokens):
     """How far the Gaussians' constant colours are from the mean colours of their cells: what stands in for pictures."""
-    patches, cells = batch.anchors.shape[1:3]
+    patches, cells = batch.anchors.shape[1], batch.anchors.shape[2:4]
     views, height, width = batch.images.shape[1], *batch.images.shape[-2:]
-    patch, side = math.isqrt(height * width * views // patches), math.isqrt(cells)
+    patch = math.isqrt(height * width * views // patches)
     squares = batch.images.unfold(3, patch, patch).unfold(4, patch, patch)  # [B, V, 3, rows, columns, patch, patch]
-    means = F.adaptive_avg_pool2d(squares.flatten(0, 4), side).view(*squares.shape[:5], cells)
+    means = F.adaptive_avg_pool2d(squares.flatten(0, 4), cells).view(*squares.shape[:5], math.prod(cells))
     means = of_tokens(means.permute(0, 1, 3, 4, 5, 2).flatten(1, 3), tokens)
     return (0.5 + SH0 * middles(constants, *means.shape[1:3]) - means).abs().mean()
 
@@ -133,7 +131,7 @@ def ray(means, batch, given, tokens):
     """
     patches = batch.anchors.shape[1] // batch.poses.shape[1]
     eyes = batch.poses[..., :3, 3].repeat_interleave(patches, 1)[:, :, None]
-    anchors, eyes = (of_tokens(x, tokens) for x in (batch.anchors, eyes))
+    anchors, eyes = (of_tokens(x, tokens) for x in (batch.anchors.flatten(2, 3), eyes))
     towards = anchors - eyes
     distance = towards.norm(dim=-1, keepdim=True).clamp_min(0.05)
     direction = towards / distance
@@ -151,11 +149,12 @@ def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perce
     was told; `sample` is that of `chamfer`.
     """
     means, scales, opacity = gaussians[..., :3], gaussians[..., 3:6], gaussians[..., 10]
-    parts = {
-        "anchor": anchor(means, batch.anchors, tokens),
-        "ray": ray(means, batch, given, tokens),
-        "position": F.relu(torch.log1p(means.abs()) - 3).square().mean(),
-    }
+    parts = {"position": F.relu(torch.log1p(means.abs()) - 3).square().mean()}
+    # Learned queries have no patches.
+    if weights["anchor"]:
+        parts["anchor"] = anchor(means, batch.anchors, tokens)
+    if weights["ray"]:
+        parts["ray"] = ray(means, batch, given, tokens)
     if pictures is None:
         parts["color"] = color(gaussians[..., 11:14], batch, tokens)
     else:

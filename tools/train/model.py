@@ -324,7 +324,11 @@ def activate(raw, sh_degree):
 
 
 class ZipSplat(nn.Module):
-    def __init__(self, architecture):
+    """With `queries` so many learned ones stand for the tokens of the scene, as in C3G (2025): the same Gaussians' number
+    whatever the scene. Only training knows them, to compare; the engine does not.
+    """
+
+    def __init__(self, architecture, queries=0):
         super().__init__()
         a = self.architecture = architecture
         layers = range(len(a.out_layers))
@@ -339,6 +343,9 @@ class ZipSplat(nn.Module):
         self.color_embed = PatchEmbed(a.color_width, a.patch)
         self.color_cross_attention = CrossBlock(a.color_width, a.color_heads, a.color_hidden)
         self.gaussian_head = GaussianHead(a)
+        self.queries, self.color_queries = (
+            nn.Parameter(torch.zeros(1, queries, width)) if queries else None for width in (a.width, a.color_width)
+        )
 
     def prepare(self, images, priors=None, given=None, taps=None):
         """Layer tokens, deepest first, each [B, V * T, D], and colour tokens [B, V * T, Dc] of [B, V, 3, H, W] in 0..1.
@@ -369,9 +376,14 @@ class ZipSplat(nn.Module):
     def decode(self, layers, color, ratio=1.0, indices=None, taps=None):
         """Packed Gaussians [B, K * G, 11 + 3K'] from what `prepare` gives, and the tokens [B, K] that they come from.
 
-        `indices` [B, K] replace the clustering; None stands for all tokens.
+        `indices` [B, K] replace the clustering; None stands for all tokens, or for learned queries.
         """
         taps = {} if taps is None else taps
+        if self.queries is not None:
+            scene, queries = (q.expand(len(color), -1, -1) for q in (self.queries, self.color_queries))
+            for cross, own, tokens in zip(self.cross_attention, self.self_attention, layers):
+                scene = own(scene + cross(scene, tokens))
+            return self.gaussians(scene, queries + self.color_cross_attention(queries, color), taps), None
         count = max(1, int(layers[0].shape[1] * ratio))
         if indices is None and count < layers[0].shape[1]:
             indices = nearest_tokens(layers[0], count)
@@ -386,10 +398,14 @@ class ZipSplat(nn.Module):
             scene = taps[f"scene_sa{i}"] = self.self_attention[i](scene)
         queries = chosen(color)
         color = taps["color_feats"] = queries + self.color_cross_attention(queries, color)
+        return self.gaussians(scene, color, taps), indices
+
+    def gaussians(self, scene, color, taps):
+        """Packed Gaussians [B, K * G, 11 + 3K'] of scene tokens [B, K, D] and their colours [B, K, Dc]."""
         with torch.autocast(scene.device.type, enabled=False):
             raw = taps["raw"] = self.gaussian_head(torch.cat((scene, color), -1).to(self.color_embed.proj.weight.dtype))
             packed = raw.unflatten(-1, (-1, self.architecture.gaussian_width)).flatten(1, 2)
-            return activate(packed, self.architecture.sh_degree), indices
+            return activate(packed, self.architecture.sh_degree)
 
     def forward(self, images, ratio=1.0, priors=None, given=None):
         """[B, V, 3, H, W] in 0..1 -> packed Gaussians [B, K * G, 11 + 3K'] in the frame of view 0, and their tokens."""

@@ -1,4 +1,4 @@
-"""What changes the weights: Muon for the matrices between layers, AdamW for the rest."""
+"""What changes the weights: Muon for the matrices between layers, AdamW for the rest, or for all."""
 
 import torch
 import torch.distributed as dist
@@ -8,23 +8,30 @@ ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
 
 
 class Optimiser:
-    """Processes share Muon's work: each changes some of the matrices and sends them to the others."""
+    """Processes share Muon's work: each changes some of the matrices and sends them to the others.
 
-    def __init__(self, model, weight_decay, rank, processes):
-        matrices, rest = [], []
+    The backbone's rate is `backbone_rate` times that of the rest; at 0 it stays as it is.
+    """
+
+    def __init__(self, model, weight_decay, rank, processes, backbone_rate=1.0, muon=True):
+        matrices, rest, shares = [], [], {}
         for name, p in model.named_parameters():
-            (matrices if p.ndim == 2 and not name.endswith(ENDS) else rest).append(p)
-        groups = [
-            {"params": [p for p in rest if p.ndim > 1], "weight_decay": weight_decay},
-            {"params": [p for p in rest if p.ndim <= 1], "weight_decay": 0.0},
-        ]
+            (matrices if muon and p.ndim == 2 and not name.endswith(ENDS) else rest).append(p)
+            shares[p] = backbone_rate if name.startswith("backbone.") else 1.0
         matrices.sort(key=torch.numel, reverse=True)
         self.shares = [matrices[i::processes] for i in range(processes)]
         self.parameters = list(model.parameters())
-        self.adamw = torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.95), fused=True)
+
+        def groups(parameters, decay):
+            """One for each share of the rate."""
+            of_shares = [(share, [p for p in parameters if shares[p] == share]) for share in sorted(set(shares.values()))]
+            return [{"params": chosen, "weight_decay": decay, "share": share} for share, chosen in of_shares if chosen]
+
+        wide, narrow = ([p for p in rest if (p.ndim > 1) == is_wide] for is_wide in (True, False))
+        self.adamw = torch.optim.AdamW(groups(wide, weight_decay) + groups(narrow, 0.0), lr=0.0, betas=(0.9, 0.95), fused=True)
         # Steps as long as AdamW's, so that both take the same rate.
-        share = self.shares[rank]
-        self.muon = torch.optim.Muon(share, lr=0.0, weight_decay=weight_decay, adjust_lr_fn="match_rms_adamw")
+        shared = groups(self.shares[rank], weight_decay)
+        self.muon = torch.optim.Muon(shared, lr=0.0, adjust_lr_fn="match_rms_adamw") if shared else None
 
     @torch.no_grad()
     def step(self, rate, clip):
@@ -32,9 +39,9 @@ class Optimiser:
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, clip)
         for p in self.parameters:
             p.grad.nan_to_num_(0, 0, 0)  # of steps whose gradients are not finite, without asking the device
-        for optimiser in (self.adamw, self.muon):
+        for optimiser in filter(None, (self.adamw, self.muon)):
             for group in optimiser.param_groups:
-                group["lr"] = rate
+                group["lr"] = rate * group["share"]
             optimiser.step()
         for rank, share in enumerate(self.shares if len(self.shares) > 1 else []):
             for p in share:

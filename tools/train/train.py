@@ -29,9 +29,11 @@ import torch
 import torch.distributed as dist
 from PIL import Image
 
+import backbone
 import losses
 import weights as files
-from data import Pool, Shards, batch, fixed_split, generator_command
+from captures import Captures
+from data import Pool, Shards, batch, fixed_split, generator_command, record
 from grow import refine, widen_colors
 from initialise import initialise
 from model import ZipSplat
@@ -63,36 +65,45 @@ class Trainer:
         signal.signal(signal.SIGTERM, self.stop)
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
-        model = ZipSplat(self.architecture)
+        model = ZipSplat(self.architecture, config["queries"])
         state = self.begin(model)
         self.model = model.to(self.device)
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
-        self.optimiser = Optimiser(self.model, config["weight_decay"], self.rank, self.processes)
+        self.optimiser = Optimiser(self.model, config["weight_decay"], self.rank, self.processes, config["backbone_rate"], config["muon"])
         if state:
             self.average.load_state_dict(state["average"])
             self.optimiser.load_state_dict(state["optimiser"])
-        self.perceptual = losses.VggDistance(args.vgg).to(self.device) if args.vgg else None
+        self.perceptual = losses.Lpips(args.lpips).to(self.device) if args.lpips else None
         self.autocast = torch.bfloat16 if config["bf16"] else None
         if config["compile"]:
             self.compile()
-        self.schedule = Schedule(config, args.minutes)
+        self.schedule = Schedule(config)
 
         # The same weights so far; from here on every process draws its own.
         torch.manual_seed(config["seed"] + self.rank)
 
-        def command(seed, scenes=None):
-            return generator_command(args.zipsplat, config["size"], config["record_views"], seed, args.textures, scenes)
-
-        generator_log = open(self.out / "generator.log", "ab")
-        self.shards = Shards(command(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"]), generator_log)
+        self.shards = self.stream(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
         capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.processes / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
         self.evaluated = self.pool
-        if not config["scenes"]:
-            unseen = Shards(command(UNSEEN_SEED, UNSEEN_SCENES))
+        if not 0 < config["scenes"] <= UNSEEN_SCENES:
+            unseen = self.stream(UNSEEN_SEED, UNSEEN_SCENES, unseen=True)
             self.evaluated = Pool(unseen, UNSEEN_SCENES, self.device)
             self.evaluated.fill(UNSEEN_SCENES)
             unseen.close()
+
+    def stream(self, seed, scenes, unseen=False):
+        """Scenes of the generator, or of folders with photos: so many, or without an end where `scenes` is 0."""
+        args, size, views = self.args, self.config["size"], self.config["record_views"]
+        if args.data:
+            sources = [(*source, args.depths) for source in args.data]
+            return Captures(sources, record(views, size, size), self.config["gap"], seed, scenes or None, unseen)
+        command = generator_command(args.zipsplat, size, views, seed, args.textures, scenes)
+        return Shards(command, open(self.out / "generator.log", "ab"))
+
+    def done(self):
+        """The share of the run that is done."""
+        return self.step / self.args.steps if self.args.steps else self.elapsed / (60 * self.args.minutes)
 
     def stop(self, *_):
         """Ends the run after the step that is under way, and saves."""
@@ -102,6 +113,8 @@ class Trainer:
         """Makes weights, or takes them over from --resume; gives the rest of the state of a run that goes on."""
         if not self.args.resume:
             initialise(model, self.config["anchor_cells"], **self.config["initial"])
+            if self.args.backbone:
+                backbone.take_over(model, self.args.backbone)
             return None
         path = Path(self.args.resume)
         if path.is_file():
@@ -151,20 +164,21 @@ class Trainer:
         return self.config["chamfer_points"], self.config["anchor_cells"], self.architecture.patch
 
     def train_step(self):
-        views, ratio = self.schedule.draw(self.elapsed, self.rng)
+        done = self.done()
+        views, ratio = self.schedule.draw(done, self.rng)
         scenes = max(self.config["batch_views"] // self.processes // views, 1)
-        draw = self.schedule.draws_pictures(self.elapsed, self.rng)
+        draw = self.schedule.draws_pictures(done, self.rng)
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
         # Cameras that the model is not told are where the pictures say.
         loose = None if draw else given & (torch.rand(scenes, device=self.device) < self.config["loose"])
         data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry(), loose)
         gaussians, tokens, pictures = self.forward(self.model, data, ratio, given, draw)
-        weights = self.schedule.weights(self.elapsed)
+        weights = self.schedule.weights(done)
         sample = self.config["chamfer_gaussians"]
         loss, parts = losses.total(gaussians, tokens, pictures, given, data, weights, sample, self.perceptual)
         loss.backward()
         self.share_gradients()
-        norm = self.optimiser.step(self.schedule.rate(self.elapsed), self.config["clip"])
+        norm = self.optimiser.step(self.schedule.rate(done), self.config["clip"])
         self.step += 1
         self.samples += scenes * self.processes
         decay = min(self.config["ema"], self.step / (10 + self.step))
@@ -193,7 +207,8 @@ class Trainer:
 
     def warm_up(self):
         """Compiles what is compiled at first use, before the clock starts."""
-        self.pool.fill(min(self.config["batch_views"], self.pool.capacity))
+        # A number of scenes are the same ones in every run.
+        self.pool.fill(self.config["scenes"] or min(self.config["batch_views"], self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
             scenes = max(self.config["batch_views"] // views, 1)
             data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry())
@@ -206,7 +221,7 @@ class Trainer:
         self.pool.waited = 0.0
 
     def run(self):
-        config, end = self.config, 60 * min(self.args.minutes, self.elapsed / 60 + self.args.stop_after)
+        config, end = self.config, self.elapsed + 60 * self.args.stop_after
         self.warm_up()
         print(f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.2f} M parameters, {self.device}, process {self.rank}, "
               f"{self.pool.filled()} scenes to start with, pool of {self.pool.capacity}")  # fmt: skip
@@ -214,7 +229,7 @@ class Trainer:
         self.started = time.perf_counter() - before
         saved = logged = before
         measured, first_sample = {}, self.samples
-        while self.elapsed < end and not self.stopped:
+        while self.done() < 1 and self.elapsed < end and not self.stopped:
             for name, value in self.train_step().items():
                 measured.setdefault(name, []).append(value)
             if self.rank > 0:
@@ -241,7 +256,7 @@ class Trainer:
             "samples_per_second": rate,
             "scenes": self.pool.taken,
             "waited": waited,
-            "learning_rate": self.schedule.rate(self.elapsed),
+            "learning_rate": self.schedule.rate(self.done()),
             **row,
         }
         self.log.append(row)
@@ -302,7 +317,7 @@ class Trainer:
     def save(self):
         scores = self.attempt(self.evaluate)
         print(
-            ("learned" if self.config["scenes"] else "unseen")
+            ("learned" if self.evaluated is self.pool else "unseen")
             + " PSNR: "
             + "  ".join(f"{name} {value:.2f}" for name, value in scores.items()),
             flush=True,
@@ -353,18 +368,32 @@ class Trainer:
         pyplot.close(figure)
 
 
+def source(text):
+    """A data set and its folder."""
+    kind, _, folder = text.partition(":")
+    if kind not in ("re10k", "dl3dv") or not Path(folder).is_dir():
+        raise argparse.ArgumentTypeError(f"found {text}, expected re10k:FOLDER or dl3dv:FOLDER, of a folder that is there")
+    return kind, Path(folder)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--config", required=True)
     parser.add_argument("--out", required=True)
-    parser.add_argument("--minutes", type=float, required=True, help="the time box of the whole schedule")
+    length = parser.add_mutually_exclusive_group(required=True)
+    length.add_argument("--minutes", type=float, help="the time box of the whole schedule")
+    length.add_argument("--steps", type=int, help="so many steps instead, whatever time they take")
     parser.add_argument(
         "--stop-after", type=float, default=math.inf, help="minutes after which this call saves and ends"
     )
     parser.add_argument("--resume", help="the folder of a run, or weights")
+    parser.add_argument("--backbone", help="weights whose backbone to start from: ours, or a release of Depth Anything 3")
     parser.add_argument("--zipsplat", default="target/release/zipsplat", help="the command that generates scenes")
+    parser.add_argument("--data", type=source, action="append", metavar="KIND:FOLDER",
+                        help="photos in place of the generator's: re10k or dl3dv; several times for a mixture")  # fmt: skip
+    parser.add_argument("--depths", type=Path, help="FOLDER/SCENE/NAME.npy for the photos of --data; else depth/ beside them")
     parser.add_argument("--textures", help="folder of photo crops for the generator")
-    parser.add_argument("--vgg", help="torchvision's weights of VGG16, for the perceptual loss")
+    parser.add_argument("--lpips", help="lpips_vgg.safetensors as tools/lpips.py writes it, for the perceptual loss")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
     )

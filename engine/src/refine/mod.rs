@@ -259,15 +259,20 @@ pub fn refine_tokens(
     request: &Refine,
     progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
 ) -> Result<Refined> {
-    if let Some(most) = request.grow {
-        return Err(Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs"));
-    }
+    tokens_grow_not(request)?;
     let make = |arena: &Arena, request: &Refine| {
         let (gaussians, scene) = tokens::gaussians(arena, head, tokens, request)?;
         let unit = distance(&scene, cameras);
         Ok((gaussians, (scene, unit)))
     };
     run(arena, make, photos, cameras, request, progress)
+}
+
+/// Refuses to let the Gaussians of tokens grow.
+fn tokens_grow_not(request: &Refine) -> Result<()> {
+    let refused =
+        |most| Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs");
+    request.grow.map_or(Ok(()), |most| Err(refused(most)))
 }
 
 /// Refines what `make` puts on the device, which is a scene in Gaussians and its distance from the cameras.

@@ -6,15 +6,18 @@ use super::{
     planned::record_photos,
     record_adam,
     schedule::Schedule,
+    tokens_grow_not,
     views::size,
 };
 use crate::{
     Result,
     gpu::{Arena, Limits, Plan, Recorder, ResidentLayout, Tensor},
     ops::{Arithmetic, ParameterLayout},
+    perceptual::LpipsWeights,
     stages::{
         Architecture,
         gaussians::Head,
+        lpips::Lpips,
         render::{FrameShape, Gradients, SceneTensors, first_capacity},
     },
     types::Image,
@@ -32,7 +35,7 @@ pub enum Moved<'a> {
 /// Bytes of a refinement.
 pub struct RefinePlan {
     /// Bytes of what stays: Gaussians, their gradients, moments; of tokens also these, the head's weights in
-    /// f32 and what its gradient needs of its forward pass.
+    /// f32 and what its gradient needs of its forward pass; of a share of LPIPS the weights of its network.
     pub kept_bytes: u64,
     /// The plans of a step, which take turns in the arena.
     pub plans: Vec<Plan>,
@@ -49,7 +52,7 @@ impl RefinePlan {
 /// have room for at first take more.
 ///
 /// # Errors
-/// [`Error::Argument`](crate::Error::Argument) where more photos are held out than there are, and
+/// [`Error::Argument`](crate::Error::Argument) where more photos are held out than there are or tokens are to grow, and
 /// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
 pub fn plan_refinement(
     limits: &Limits,
@@ -59,6 +62,9 @@ pub fn plan_refinement(
     request: &Refine,
 ) -> Result<RefinePlan> {
     let request = filled(request, photos)?;
+    if let Moved::Tokens(..) = moved {
+        tokens_grow_not(&request)?;
+    }
     let (len, sh_degree) = match moved {
         Moved::Gaussians(len, sh_degree) => (request.grow.map_or(len, |most| most.max(len)), sh_degree),
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
@@ -101,8 +107,11 @@ pub fn plan_refinement(
     }
     kept_bytes += layout.bytes();
 
+    let look = request.look.map(|look| LpipsWeights::layout(limits, look.network, true));
+    kept_bytes += look.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
+    let lpips = look.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
-    record_steps(limits, &mut plans, &scene, &gradients, [width, height], &request)?;
+    record_steps(limits, &mut plans, &scene, (&gradients, lpips), [width, height], &request)?;
     Ok(RefinePlan { kept_bytes, plans })
 }
 
@@ -111,7 +120,7 @@ fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,
     scene: &SceneTensors,
-    gradients: &Gradients,
+    (gradients, lpips): (&Gradients, Option<&Lpips>),
     [width, height]: [u32; 2],
     request: &Refine,
 ) -> Result<()> {
@@ -128,7 +137,7 @@ fn record_steps(
         let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
-        record_photos(&mut rec, scene, shape, room(limits, each, cameras, true), Some((request, gradients, None)));
+        record_photos(&mut rec, scene, shape, room(limits, each, cameras, true), Some((request, gradients, lpips)));
         plans.push(rec.finish()?);
     }
     if request.hold_out.unwrap_or(0) > 0 {

@@ -20,7 +20,7 @@ fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [
             source: case.input(&source),
             gate: case.input(&gate),
             out: result,
-            count: count as u32,
+            rows: (pixels - first) as u32,
             row: row as u32,
             first: first as u32,
             out_width: out[1] as u32,
@@ -35,7 +35,7 @@ fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [
             rectified,
             gated,
         };
-        case.rec.dispatch(kernel, count);
+        case.rec.dispatch_groups(kernel, pixels - first);
         let kept = |(&x, &gate): (&f32, &f32)| match (rectified, gated) {
             (true, _) => x.max(0.0),
             (_, true) if gate <= 0.0 => 0.0,
@@ -73,13 +73,13 @@ fn lines_before_the_bound_ones_count() {
     let truth = im2col(&widen(&source), [width, channels], [3, 1, 1, 1], [6, 4]);
     let (row, first) = (18, 12);
     let mut case = Case::new();
-    let (count, out) = (12 * row, case.output::<f32>(12 * row));
+    let out = case.output::<f32>(12 * row);
     let part = case.input(&source[2 * width * channels..]);
     let kernel = Im2col {
         source: part,
         gate: part,
         out,
-        count: count as u32,
+        rows: 12,
         row: row as u32,
         first,
         out_width: 4,
@@ -94,6 +94,6 @@ fn lines_before_the_bound_ones_count() {
         rectified: false,
         gated: false,
     };
-    case.rec.dispatch(kernel, count);
+    case.rec.dispatch_groups(kernel, 12usize);
     assert_same("from the third line on", &case.result::<f32>(out), &rounded(&truth[first as usize * row..]));
 }

@@ -55,7 +55,7 @@ impl Convolution {
                 source: values,
                 gate: if let Inputs::Gated(gate) = &inputs { gate.seen(seen).0 } else { values },
                 out: patches.tensor,
-                count: patches.values() as u32,
+                rows: part.len() as u32,
                 row: inner as u32,
                 first: part.start as u32,
                 out_width: out.width as u32,
@@ -70,7 +70,7 @@ impl Convolution {
                 rectified: matches!(inputs, Inputs::Rectified),
                 gated: matches!(inputs, Inputs::Gated(_)),
             };
-            rec.dispatch(kernel, patches.values());
+            rec.dispatch_groups(kernel, part.len());
             self.layer.record(rec, patches, out.rows.part(part), Epilogue::default());
         }
         out

@@ -5,10 +5,11 @@ mod plan;
 use self::plan::Refinement;
 use crate::{
     options::{Quality, SceneInput, Size, Weights, refuse},
+    refinement::Moved,
     session::Session,
     table::{Table, bytes, counted},
 };
-use clap::{Arg, Args};
+use clap::{Arg, ArgGroup, Args};
 use indicatif::HumanCount;
 use serde_json::{Value, json};
 use std::{fmt::Write, path::Path};
@@ -23,12 +24,13 @@ use zipsplat::{
 #[derive(Args)]
 #[command(
     mut_args(for_plans),
+    group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")),
     after_help = "Examples:
   zipsplat info                                                every Vulkan device and whether it can be used
   zipsplat info zipsplat.safetensors
   zipsplat info scene.ply
   zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto
-  zipsplat info --plan --weights seeded:vitg --views 24 --refine 252x252
+  zipsplat info --plan --weights seeded:vitg --views 24 --refine 252x252 --lpips-weight 0.05
   zipsplat info --plan --weights seeded:da3-base --views 24 --size 504x336"
 )]
 pub struct Info {
@@ -56,6 +58,8 @@ pub struct Info {
     /// makes Gaussians, and not the Gaussians themselves
     #[arg(long, value_name = "WxH[:tokens|gaussians]", requires = "plan")]
     refine: Option<Refinement>,
+    #[command(flatten)]
+    moved: Moved,
     /// Show every tensor of the plan, by first use, not only the largest
     #[arg(long, requires = "plan")]
     all: bool,

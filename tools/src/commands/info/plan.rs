@@ -70,7 +70,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         let (tensors, a) = (tensors.scene(), checkpoint.architecture());
         let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
         let moved = if tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
-        plan_refinement(&limits, moved, views, [width, height], &Refine::default())
+        plan_refinement(&limits, moved, views, [width, height], &info.moved.request(Refine::default()))
     });
     let refined = refined.transpose()?;
     let kept = refined.as_ref().map_or(0, |refined| refined.kept_bytes);

@@ -1,0 +1,92 @@
+#!/usr/bin/env python3
+"""What more photos and fewer tokens cost and give (figures 11 to 13 of the paper): views.py CAPTURE [options]
+
+For each number of input photos and each ratio one run of `zipsplat eval` on the same held-out photos, beside what `info --plan` says
+that it takes: PSNR, Gaussians, time of the forward pass, peak memory and the planned one. A table goes to standard output, as
+Markdown; with --png the pictures of one number of photos at all ratios go side by side into a file. What has run already is read from
+the folder. Where the machine is shared, --cpu counts CPU time over cores. Needs Pillow for --png.
+"""
+
+import argparse
+import json
+import os
+import resource
+import shlex
+import subprocess
+from pathlib import Path
+
+ZIPSPLAT = os.environ.get("ZIPSPLAT", str(Path(__file__).parent.parent / "zipsplat"))
+
+
+def arguments():
+    parser = argparse.ArgumentParser(usage=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--views", default="8,24,96,176", help="numbers of input photos")
+    parser.add_argument("--ratios", default="1,auto,0.1,0.01")
+    parser.add_argument("--targets", type=int, default=8)
+    parser.add_argument("--size", default="84x84")
+    parser.add_argument("--out", type=Path, default=Path("views"), help="folder for the runs")
+    parser.add_argument("--options", default="", help="more options of eval and info, such as --weights")
+    parser.add_argument("--png", type=Path, help="file for the pictures")
+    parser.add_argument("--pictures", type=int, default=24, help="the number of photos that --png shows")
+    parser.add_argument("--cpu", action="store_true", help="count CPU time over cores")
+    return parser.parse_args()
+
+
+def zipsplat(*words):
+    """The result of a command, as JSON, and the CPU time that it took."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    run = subprocess.run([*shlex.split(ZIPSPLAT), *map(str, words), "--json", "--quiet"], check=True, capture_output=True, text=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return json.loads(run.stdout), after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def run(args, views, ratio):
+    """What eval says, with the planned bytes and the CPU time of the forward pass."""
+    folder = args.out / f"{args.capture.name}.{views}.{ratio}"
+    path = folder / "eval.json"
+    if path.exists():
+        return json.loads(path.read_text())
+    shape = ["--views", views, "--ratio", ratio, "--size", args.size, *shlex.split(args.options)]
+    said, cpu = zipsplat("eval", args.capture, *shape, "--targets", args.targets, "--lpips", "none", "-o", folder, "--overwrite")
+    planned, _ = zipsplat("info", "--plan", "--poses", *shape)
+    said |= {"planned_bytes": planned["peak_bytes"], "flops": planned["flops"], "cpu": cpu / os.cpu_count()}
+    path.write_text(json.dumps(said))
+    return said
+
+
+def picture(args, ratios):
+    """The held-out photos, and below them what is drawn at each ratio, from what eval has written."""
+    from PIL import Image
+
+    side, rows = int(args.size.split("x")[0]), []
+    for i, ratio in enumerate(ratios):
+        sheet = Image.open(args.out / f"{args.capture.name}.{args.pictures}.{ratio}" / "comparison.png").convert("RGB")
+        rows += [sheet.crop((x, 0, x + side, sheet.height)) for x in ([0, side] if i == 0 else [side])]
+    out = Image.new("RGB", (side * len(rows), rows[0].height))
+    for i, row in enumerate(rows):
+        out.paste(row, (i * side, 0))
+    out.save(args.png)
+
+
+def main():
+    args = arguments()
+    args.out.mkdir(parents=True, exist_ok=True)
+    ratios = args.ratios.split(",")
+    print("| photos | ratio | tokens | Gaussians | as PLY | dB | SSIM | GFLOP | time | peak | planned |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    for views in map(int, args.views.split(",")):
+        for ratio in ratios:
+            said = run(args, views, ratio)
+            mean, count = said["mean"], said["gaussians"]
+            ply = (args.out / f"{args.capture.name}.{views}.{ratio}" / "scene.ply").stat().st_size
+            seconds = said["cpu"] if args.cpu else said["seconds"]
+            mib = [f"{said[name] / 2**20:.1f} MiB" for name in ("peak_bytes", "planned_bytes")]
+            print(f"| {views} | {ratio} | {said['tokens']:,} | {count:,} | {ply / 1e6:.1f} MB | {mean['psnr']:.2f} | {mean['ssim']:.3f} "
+                  f"| {said['flops'] / 1e9:.0f} | {seconds:.1f} s | {mib[0]} | {mib[1]} |", flush=True)  # fmt: skip
+    if args.png:
+        picture(args, ratios)
+
+
+if __name__ == "__main__":
+    main()
