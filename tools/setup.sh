@@ -4,6 +4,7 @@
 # usage: tools/setup.sh [cargo run --release -- info]
 #   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25 |
 #                    wide-lavapipe | swiftshader
+#   ZIPSPLAT_PROFILE cargo's profile of the command; default release
 #   ZIPSPLAT_CACHE   drivers, compiled shaders and libshaderc; default ~/.cache/zipsplat
 set -euo pipefail
 
@@ -22,7 +23,7 @@ die() { say "$@"; exit 1; }
 
 # zipsplat ARGS...: the command, built where something changed, in the caller's folder on the driver that was chosen.
 zipsplat() { cargo "${run_zipsplat[@]}" "$@"; }
-run_zipsplat=(run --manifest-path "$root/Cargo.toml" --release --quiet -p zipsplat-cli --)
+run_zipsplat=(run --manifest-path "$root/Cargo.toml" --profile "${ZIPSPLAT_PROFILE:-release}" --quiet -p zipsplat-cli --)
 
 # stage NAME COMMAND...: runs COMMAND and says how long it took.
 stage() {

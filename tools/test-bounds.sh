@@ -3,7 +3,7 @@
 # instruments the shaders (GPU-AV). A GPU would read on into the next tensor. What takes minutes so is left out.
 set -euo pipefail
 test=$(dirname "${BASH_SOURCE[0]}")/test.sh
-export ZIPSPLAT_LAYER_SETTINGS=vk_layer_settings_bounds
+export ZIPSPLAT_LAYER_SETTINGS=vk_layer_settings_bounds ZIPSPLAT_BOUND=1
 slow=(determinism every_head_size every_epilogue short_and_long_sums beyond_the_most tiles_of_gpus bound_in_parts self_test
   tuning small_is_vits slice_of_the_giant)
 said=$(mktemp)

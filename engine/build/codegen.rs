@@ -2,7 +2,7 @@
 
 use crate::{
     elements::Element,
-    reflect::{COOPERATIVE_MATRIX, Interface, STORAGE_BUFFER_16_BIT, Scalar},
+    reflect::{COOPERATIVE_MATRIX, Interface, Member, STORAGE_BUFFER_16_BIT, Scalar},
     sources::Source,
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
@@ -52,7 +52,7 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)]) -> S
     }
     let index = module_index(modules);
     let mut push = String::new();
-    for m in &interface.push {
+    for m in interface.push.iter().filter(|m| addressed(interface, m).is_none()) {
         let (a, b) = (m.offset / 4, m.offset / 4 + m.count);
         let value = if m.count == 1 { format!("[self.{}]", m.name) } else { format!("self.{}", m.name) };
         writeln!(
@@ -117,7 +117,7 @@ fn fields(interface: &Interface) -> String {
     for b in &interface.buffers {
         writeln!(fields, "        pub {}: Tensor,", b.name).expect("string");
     }
-    for m in &interface.push {
+    for m in interface.push.iter().filter(|m| addressed(interface, m).is_none()) {
         let ty = rust_type(m.scalar);
         let ty = if m.count == 1 { ty.to_owned() } else { format!("[{ty}; {}]", m.count) };
         writeln!(fields, "        pub {}: {ty},", m.name).expect("string");
@@ -139,6 +139,8 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
         write!(bindings, "Binding {{ name: {name:?}, binding: {binding}, reads: {reads}, writes: {writes} }}, ")
             .expect("string");
     }
+    let addresses: Vec<_> =
+        interface.push.iter().filter_map(|m| Some((addressed(interface, m)?, m.offset / 4))).collect();
     let ids: Vec<_> = interface.constants.iter().map(|c| c.0).collect();
     let subgroups = interface.constants.iter().position(|c| c.1 == "subgroups");
     let local_size = match (interface.local_size, subgroups) {
@@ -157,11 +159,20 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
             spirv: include_bytes!(\"{spirv}\"),
             bindings: &[{bindings}],
             push_bytes: {push_bytes},
+            addresses: &{addresses:?},
             constant_ids: &{ids:?},
             local_size: {local_size},
             needs: Needs {{ half_storage: {half}, matrices: {matrices} }},
         }}, "
     )
+}
+
+/// The buffer, by its place among them, whose address a push constant takes: that of `Weight` is `weight_address`.
+fn addressed(interface: &Interface, member: &Member) -> Option<usize> {
+    let name = member.name.strip_suffix("_address")?;
+    let buffer = interface.buffers.iter().position(|b| b.name == name);
+    assert!(buffer.is_some() && member.count == 2, "{}: an address is a uvec2 named after a buffer", member.name);
+    buffer
 }
 
 /// Name of the table of a kernel's modules.

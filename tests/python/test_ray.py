@@ -137,6 +137,62 @@ def test_inputs_and_outputs_lie_wherever_fsspec_reads(places: Path) -> None:
     assert record is not None and record["bytes"] == len(data)
 
 
+def test_captures_and_scenes_lie_in_an_object_store(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("s3fs")
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    import fsspec
+    from ray.cluster_utils import Cluster
+
+    server.start()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "nobody")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "nothing")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    for proxy in ("http_proxy", "HTTP_PROXY"):
+        monkeypatch.delenv(proxy, raising=False)
+    store = fsspec.filesystem("s3", skip_instance_cache=True, use_listings_cache=False)
+    store.mkdir("captures")
+    for place in places.iterdir():
+        for photo in place.iterdir():
+            store.pipe_file(f"captures/places/{place.name}/{photo.name}", photo.read_bytes())
+    store.pipe_file("captures/places/2/1.png", b"no picture")
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+
+    def start() -> subprocess.Popen[Any]:
+        program = [sys.executable, "-m", "zipsplat.ray", "s3://captures/places", "-o", "s3://captures/out"]
+        log = (tmp_path / "log").open("a")
+        return subprocess.Popen([*program, "--address", cluster.address, "--size", "126x126"], stdout=log, stderr=log)
+
+    def scenes() -> dict[str, str]:
+        listed = store.ls("captures/out", detail=True) if store.exists("captures/out") else []
+        return {Path(file["name"]).stem: file["LastModified"] for file in listed if file["name"].endswith(".ply")}
+
+    try:
+        driver = start()
+        wait(lambda: len(scenes()) >= 2 or driver.poll() is not None)
+        record = next(name for name in scenes() if store.exists(f"captures/out/{name}.json"))
+        os.kill(json.loads(store.cat_file(f"captures/out/{record}.json"))["process"], signal.SIGKILL)
+        assert driver.wait(300) == 1, (tmp_path / "log").read_text()
+        first = scenes()
+        assert sorted(first) == [str(name) for name in range(8) if name != 2]
+        assert b"PNG" in store.cat_file("captures/out/failures.csv")
+        store.pipe_file("captures/places/2/1.png", (places / "2" / "1.png").read_bytes())
+        assert start().wait(300) == 0, (tmp_path / "log").read_text()
+    finally:
+        cluster.shutdown()
+    second = scenes()
+    assert {name: second[name] for name in first} == first and len(second) == 8, "what is finished stays as it is"
+    report = json.loads(store.cat_file("captures/out/report.json"))
+    assert report["made"] == 1 and report["unchanged"] == 7 and report["failed"] == 0
+    model = zipsplat.Model.open()
+    for name in second:
+        expected = model.reconstruct(places / name, size=SIZE).to_bytes("ply")
+        assert store.cat_file(f"captures/out/{name}.ply") == expected
+    server.stop()
+
+
 def test_a_device_is_chosen_by_its_uuid(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     assert device() is None

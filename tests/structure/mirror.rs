@@ -6,7 +6,7 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 20] = [
+const STEPS: [(&str, &str); 21] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("loss/dssim", "loss/gradient"),
@@ -17,6 +17,7 @@ const STEPS: [(&str, &str); 20] = [
     ("lpips/pool_backward", "lpips/pool"),
     ("ops/attention_matrix", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
+    ("ops/linear_uniform", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),
     ("ops/key_starts", "ops/sort"),

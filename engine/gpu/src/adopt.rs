@@ -89,6 +89,7 @@ impl Device {
         let (mut limits, found) = probe(&instance, physical);
         // What the app did not have to enable.
         limits.matrices.bf16 = None;
+        limits.addresses = false;
         if !adopted.fast {
             (limits.half_storage, limits.matrices) = (false, Matrices::default());
         }

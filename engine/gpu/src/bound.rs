@@ -15,6 +15,8 @@ pub(super) struct Range {
     pub buffer: vk::Buffer,
     pub from: u64,
     pub to: u64,
+    /// Where it begins in the device's memory, where [`Limits::addresses`](super::Limits::addresses) is.
+    pub address: u64,
 }
 
 impl Range {
@@ -37,18 +39,19 @@ pub(super) struct Bound<'a> {
 
 impl Bound<'_> {
     pub fn range(&self, tensor: Tensor) -> Range {
-        let (buffer, base) = match tensor.home {
+        let (memory, block, base) = match tensor.home {
             Home::Arena(id) => {
                 let place = self.plan.placements[id as usize];
-                (self.arena.buffer(place.block), place.offset)
+                (self.arena, place.block, place.offset)
             }
             Home::Resident { layout, block } => {
                 let resident = self.residents.iter().find(|resident| resident.layout == layout);
-                (resident.expect("a plan runs with the memory that it uses").memory.buffer(block), 0)
+                (&resident.expect("a plan runs with the memory that it uses").memory, block, 0)
             }
         };
         // Vulkan knows no empty ranges; every allocation has room for these 16 bytes.
         let bytes = tensor.bytes.next_multiple_of(4).max(16);
-        Range { buffer, from: base + tensor.offset, to: base + tensor.offset + bytes }
+        let (buffer, from) = (memory.buffer(block), base + tensor.offset);
+        Range { buffer, from, to: from + bytes, address: memory.address(block) + from }
     }
 }

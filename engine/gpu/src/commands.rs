@@ -126,7 +126,12 @@ impl<'a> Encoder<'a> {
         let pipeline = self.bound.shared.pipelines.get(module, &dispatch.constants)?;
         let sets = [self.descriptors.of(piece.command)];
         let compute = vk::PipelineBindPoint::COMPUTE;
-        let push: &[u8] = &bytemuck::bytes_of(&dispatch.push)[..module.push_bytes as usize];
+        let mut push = dispatch.push;
+        for &(buffer, word) in module.addresses {
+            let address = self.bound.range(dispatch.buffers[buffer]).address;
+            push[word as usize..][..2].copy_from_slice(&[address as u32, (address >> 32) as u32]);
+        }
+        let push: &[u8] = &bytemuck::bytes_of(&push)[..module.push_bytes as usize];
         let (raw, commands) = (self.raw(), self.commands);
         // SAFETY: recording; all handles are alive, and the sets are of the pipeline's layout.
         unsafe {

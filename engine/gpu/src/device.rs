@@ -2,7 +2,7 @@
 
 use super::{
     bfloat16,
-    features::{BYTES, Features, HALVES, MATRICES, REQUIRED},
+    features::{ADDRESSES, BYTES, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::{Limits, Matrices},
     lock::lock,
@@ -33,15 +33,18 @@ pub struct DeviceOptions {
     pub max_binding_bytes: Option<u64>,
     /// Uses at most so many bytes of the device's memory, and leaves the rest to others.
     pub max_memory_bytes: Option<u64>,
+    /// Lets kernels read only what is bound to them, which validation watches, also where reading by address is faster.
+    pub bound: bool,
     /// Moves bytes through staging memory also where the host sees the device's own, as a discrete GPU has it.
     pub staged: bool,
 }
 
 impl Default for DeviceOptions {
-    /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1.
+    /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1, and bound where `ZIPSPLAT_BOUND` is.
     fn default() -> Self {
-        let validation = std::env::var("ZIPSPLAT_VALIDATION").is_ok_and(|v| v == "1");
-        Self { selector: None, validation, max_binding_bytes: None, max_memory_bytes: None, staged: false }
+        let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
+        let (validation, bound) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
+        Self { selector: None, validation, max_binding_bytes: None, max_memory_bytes: None, bound, staged: false }
     }
 }
 
@@ -160,6 +163,7 @@ impl Shared {
     ) -> Result<Self> {
         let (mut limits, found) = probe(&instance, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
+        limits.addresses &= !options.bound;
         limits.memory_bytes = limits.memory_bytes.min(options.max_memory_bytes.unwrap_or(u64::MAX));
         let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
@@ -173,6 +177,9 @@ impl Shared {
         enabled.enable(&REQUIRED);
         if limits.half_storage {
             enabled.enable(&HALVES);
+        }
+        if limits.addresses {
+            enabled.enable(&ADDRESSES);
         }
         if matrices {
             extensions.push(khr::cooperative_matrix::NAME.as_ptr());
@@ -188,6 +195,7 @@ impl Shared {
         let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
             .enabled_extension_names(&extensions)
+            .enabled_features(&enabled.v10)
             .push_next(&mut enabled.v11)
             .push_next(&mut enabled.v12)
             .push_next(&mut enabled.v13);
@@ -215,7 +223,7 @@ impl Shared {
             device: raw.clone(),
             physical_device: physical,
             debug_settings: Default::default(),
-            buffer_device_address: false,
+            buffer_device_address: limits.addresses,
             allocation_sizes: Default::default(),
         })
         .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;

@@ -6,6 +6,7 @@ use std::ffi::CStr;
 /// The features that a device offers, or those that are enabled on it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Features {
+    pub v10: vk::PhysicalDeviceFeatures,
     pub v11: vk::PhysicalDeviceVulkan11Features<'static>,
     pub v12: vk::PhysicalDeviceVulkan12Features<'static>,
     pub v13: vk::PhysicalDeviceVulkan13Features<'static>,
@@ -47,10 +48,17 @@ pub(super) const MATRICES: [Feature; 4] = [
     Feature { name: c"cooperativeMatrix", structure: MATRIX, field: |f| &mut f.matrix.cooperative_matrix },
 ];
 
+/// Features that kernels need which read buffers by their address.
+pub(super) const ADDRESSES: [Feature; 2] = [
+    Feature { name: c"shaderInt64", structure: V10, field: |f| &mut f.v10.shader_int64 },
+    Feature { name: c"bufferDeviceAddress", structure: V12, field: |f| &mut f.v12.buffer_device_address },
+];
+
 /// The feature that matrices of 8-bit numbers need beside those.
 pub(super) const BYTES: [Feature; 1] =
     [Feature { name: c"shaderInt8", structure: V12, field: |f| &mut f.v12.shader_int8 }];
 
+const V10: &CStr = c"VkPhysicalDeviceFeatures";
 const V11: &CStr = c"VkPhysicalDeviceVulkan11Features";
 const V12: &CStr = c"VkPhysicalDeviceVulkan12Features";
 const V13: &CStr = c"VkPhysicalDeviceVulkan13Features";

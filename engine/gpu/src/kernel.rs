@@ -14,6 +14,9 @@ pub struct Module {
     pub bindings: &'static [Binding],
     /// Bytes of push constants.
     pub push_bytes: u32,
+    /// Buffers, by place in `bindings`, whose address the kernel gets beside them, and the push constants' word from which on; only
+    /// for devices with [`addresses`](super::Limits::addresses).
+    pub addresses: &'static [(usize, u32)],
     /// Ids of the specialisation constants.
     pub constant_ids: &'static [u32],
     /// Workgroup size.

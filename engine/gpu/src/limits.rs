@@ -38,6 +38,8 @@ pub struct Limits {
     pub half_storage: bool,
     /// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,
+    /// Kernels may read buffers by their address, and the driver makes a vector's loads of loads that are the same for all lanes.
+    pub addresses: bool,
     /// Device, driver and whether validation is on, exactly: what was measured on one is not true of another, and a message
     /// of the layer fails a kernel that computes rightly.
     pub identity: String,
@@ -121,6 +123,7 @@ impl Default for Limits {
                 bf16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
                 i8: Some(MatrixShape { m: 16, n: 16, k: 32 }),
             },
+            addresses: false,
             identity: "none".into(),
         }
     }

@@ -27,6 +27,8 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
+    /// Of the device, where [`Limits::addresses`](super::Limits::addresses) is.
+    address: u64,
     /// Whether it counts as the device's memory: what the host sees and caches is the host's on discrete GPUs.
     counted: bool,
     /// Host pointer where the memory is host visible and coherent.
@@ -72,6 +74,10 @@ impl Memory {
 
     pub fn buffer(&self, block: u32) -> vk::Buffer {
         self.blocks[block as usize].buffer
+    }
+
+    pub fn address(&self, block: u32) -> u64 {
+        self.blocks[block as usize].address
     }
 
     pub fn write(&self, block: u32, offset: u64, bytes: &[u8]) -> Result<()> {
@@ -140,10 +146,14 @@ impl Drop for Memory {
 
 impl Block {
     fn new(shared: &Shared, what: &str, bytes: u64, location: MemoryLocation) -> Result<Self> {
-        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+        let addresses = shared.limits.addresses;
+        let mut usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::INDIRECT_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
+        if addresses {
+            usage |= vk::BufferUsageFlags::SHADER_DEVICE_ADDRESS;
+        }
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
         // Others use the memory too, and it may be in pieces: how much could be had, no driver says.
         let refused = || {
@@ -154,7 +164,7 @@ impl Block {
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
         let counted = location == MemoryLocation::GpuOnly;
         shared.allocated.fetch_add(if counted { bytes } else { 0 }, Ordering::Relaxed);
-        let mut block = Self { buffer, allocation: None, bytes, counted, mapped: false };
+        let mut block = Self { buffer, allocation: None, bytes, address: 0, counted, mapped: false };
         // SAFETY: the buffer was just made on this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
         let allocation = shared.allocator().allocate(&AllocationCreateDesc {
@@ -179,6 +189,11 @@ impl Block {
         if let Err(e) = bound {
             block.free(shared);
             return Err(super::failure::driver("vkBindBufferMemory", e));
+        }
+        if addresses {
+            let info = vk::BufferDeviceAddressInfo::default().buffer(buffer);
+            // SAFETY: the buffer was made for it and is bound.
+            block.address = unsafe { shared.raw.get_buffer_device_address(&info) };
         }
         Ok(block)
     }

@@ -2,7 +2,7 @@
 
 use super::{
     bfloat16,
-    features::{BYTES, Features, HALVES, MATRICES, REQUIRED},
+    features::{ADDRESSES, BYTES, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::{Limits, Matrices, MatrixShape},
 };
@@ -108,6 +108,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
             instance.get_physical_device_queue_family_properties(device),
         )
     };
+    offered.v10 = features.features;
     let base = properties.properties;
     let text = |s: Option<&std::ffi::CStr>| s.map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let compute = vk::QueueFlags::COMPUTE;
@@ -149,6 +150,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         timestamp_bits: queue_family.map_or(0, |f| families[f as usize].timestamp_valid_bits),
         max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
         half_storage,
+        addresses: v12.driver_id == vk::DriverId::MESA_LLVMPIPE && offered.have(&ADDRESSES),
         matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },
         identity: format!(
             "{}-{}-{:x}{}",

@@ -138,6 +138,7 @@ mod tests {
                 spirv: &[],
                 bindings: &[Binding { name: "values", binding: 0, reads: true, writes: true }],
                 push_bytes: 0,
+                addresses: &[],
                 constant_ids: &[],
                 local_size: LocalSize::Fixed([64, 1, 1]),
                 needs: Needs { half_storage: false, matrices: None },

@@ -14,9 +14,12 @@ use crate::{
 };
 use half::f16;
 
-/// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, rows / LINEAR_ROWS along an
+/// Rows of a workgroup of ops/linear_uniform, and columns of a lane: sums that stay in the 16 vector registers of a CPU.
+const UNIFORM_TILE: [u32; 2] = [6, 2];
+
+/// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, a few rows each along an
 /// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
-const NARROWEST: usize = (SCRATCH_BYTES as usize / (LINEAR_ROWS as usize * 65_535) + 1).next_multiple_of(SLICE);
+const NARROWEST: usize = (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
 
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +39,7 @@ pub struct Linear {
 /// The kernel of a linear layer, which decides the layout of its weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
-    /// ops/linear: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
+    /// ops/linear, or ops/linear_uniform where that is faster: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
     Panels(Element, Weights),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
     /// behind them, `[columns]` f32 from where a slice may start; inputs are f16 and become such integers row by row.
@@ -155,6 +158,9 @@ impl Linear {
             let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
             match self.kernel {
+                LinearKernel::Panels(..) if self.is_uniform(rec.limits(), out) => {
+                    self.uniform(rec, input, out, epilogue)
+                }
                 LinearKernel::Panels(..) => self.panels(rec, input, out, epilogue),
                 LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue),
             }
@@ -175,6 +181,38 @@ impl Linear {
                 ]
             }
         }
+    }
+
+    /// Whether ops/linear_uniform computes it.
+    fn is_uniform(&self, limits: &Limits, out: Rows) -> bool {
+        let types = [self.element(), out.element] == [Element::F32; 2] && self.kernel.weights() == Weights::Factors;
+        limits.addresses && types && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
+    }
+
+    fn uniform(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
+        let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
+        let tile_columns = vectors * rec.limits().subgroup_size;
+        // The more, the fewer times sums are masked; always one, since rows are whole vectors of 4 terms.
+        let terms = [16, 12, 8, 4].into_iter().find(|terms| self.inner.is_multiple_of(*terms));
+        let kernel = ops::LinearUniform {
+            a: input.tensor,
+            weight: self.weights()[0],
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            terms: terms.expect("whole vectors") as u32,
+            tile_rows,
+            vectors,
+        };
+        let groups = [rows.div_ceil(tile_rows as usize), self.columns.div_ceil(tile_columns as usize), 1];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
     fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {

@@ -124,9 +124,18 @@ fn holdable(factor: Element, values: &[f32], width: usize) -> Vec<f32> {
 fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, scaled: bool, added: bool) {
     for kernel in layer.kernels(activation) {
         for output in elements().into_iter().filter(|output| [Element::F32, kernel.element()].contains(output)) {
-            check_kernel(limits, (kernel, output), rows, layer, activation, scaled, added);
+            for limits in with_and_without_addresses(limits, kernel) {
+                check_kernel(&limits, (kernel, output), rows, layer, activation, scaled, added);
+            }
         }
     }
+}
+
+/// The device's limits, and for a kernel that reads by address where it can those of a device that cannot.
+fn with_and_without_addresses(limits: &Limits, kernel: LinearKernel) -> Vec<Limits> {
+    let has_twin = limits.addresses && kernel == LinearKernel::Panels(Element::F32, Weights::Factors);
+    let bound = has_twin.then(|| Limits { addresses: false, ..limits.clone() });
+    [limits.clone()].into_iter().chain(bound).collect()
 }
 
 fn check_kernel(
@@ -306,6 +315,33 @@ fn q8_weights_give_the_bits_of_what_they_stand_for() {
             case.result(out)
         };
         assert_same(&format!("{q8:?}"), &product(q8), &product(kernel));
+    }
+}
+
+#[test]
+fn reading_by_address_changes_no_bit() {
+    let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
+    // Terms of one pass: 16, 12, 8, 4.
+    for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (12, 40, 4), (1, 4, 2)] {
+        for activation in [Activation::None, Activation::Gelu, Activation::SwiGlu] {
+            let layer = Layer::random(inner, columns);
+            let x = random(3, rows * inner);
+            if activation == Activation::SwiGlu && !columns.is_multiple_of(4) {
+                continue;
+            }
+            let products = with_and_without_addresses(device().limits(), kernel).into_iter().map(|limits| {
+                let mut case = Case::within(&limits);
+                let input = layer.rows(&mut case, kernel, &x);
+                let device_layer = layer.input(&mut case, kernel, activation);
+                let epilogue = Epilogue { activation, ..Epilogue::default() };
+                let out = device_layer.apply(&mut case.rec, "out", input, Element::F32, epilogue).tensor;
+                case.rec.output(out);
+                case.result::<u32>(out)
+            });
+            let products: Vec<_> = products.collect();
+            let name = format!("{rows} x {inner} -> {columns} {activation:?}");
+            products.iter().for_each(|product| assert_same(&name, product, &products[0]));
+        }
     }
 }
 

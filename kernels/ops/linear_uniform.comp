@@ -1,0 +1,98 @@
+// Linear layer as ops/linear computes it, to the same bits, for drivers of CPUs: all lanes load the same (shared/uniform.glsl).
+//
+// A         [rows, inner] f32
+// Weight    [panels, inner, PANEL_COLUMNS] f32, panels of columns, the last padded (SwiGLU: gate and value columns alternate)
+// Bias      [columns] f32
+// Gamma     [columns] f32, LayerScale; read where SCALE
+// Residual  [rows, columns] f32; read where ADD; may be Out itself
+// Out       [rows, columns] f32, half as many columns after SwiGLU
+//
+// One workgroup (a subgroup) owns TILE_ROWS rows and VECTORS columns a lane, neighbouring columns in neighbouring lanes. Past the
+// last row it reads that row again.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+#include "shared/gelu.glsl"
+#include "shared/limits.glsl"
+
+layout(local_size_x_id = 0) in;
+
+#include "shared/uniform.glsl"
+
+layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
+layout(constant_id = 2) const bool SCALE = false;
+layout(constant_id = 3) const bool ADD = false;
+layout(constant_id = 4) const uint TERMS = 4; // of the sums in one pass of the loop; divides inner
+layout(constant_id = 5) const uint TILE_ROWS = 6;
+layout(constant_id = 6) const uint VECTORS = 2; // as many subgroups divide a panel
+
+layout(set = 0, binding = 0) readonly buffer A { float a[]; };
+layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
+layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
+layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
+layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
+layout(set = 0, binding = 5) buffer Out { float result[]; };
+
+layout(push_constant) uniform Push {
+    uint rows;
+    uint inner;
+    uint columns;
+    uvec2 a_address;
+    uvec2 weight_address;
+};
+
+uint64_t row_at[TILE_ROWS];
+float sum[TILE_ROWS][VECTORS];
+
+// Adds term j of those from `offset` bytes on in each row; their weights lie at `weights`.
+void add_term(uint64_t offset, uint64_t weights, uint j) {
+    float factor[VECTORS];
+    [[unroll]] for (uint v = 0; v < VECTORS; v++) {
+        factor[v] = vector_at(weights, j * PANEL_COLUMNS + v * gl_WorkGroupSize.x);
+    }
+    [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
+        float x = Values(row_at[r] + offset).values[j];
+        [[unroll]] for (uint v = 0; v < VECTORS; v++) sum[r][v] += x * factor[v];
+    }
+}
+
+void store(uint row, uint column, float value) {
+    if (ACTIVATION == 1) value = gelu(value);
+    if (SCALE) value *= gamma[column];
+    uint at = row * columns + column;
+    if (ADD) value += residual[at];
+    result[at] = value;
+}
+
+void main() {
+    find_lanes();
+    uint first_row = gl_WorkGroupID.x * TILE_ROWS;
+    uint first_column = gl_WorkGroupID.y * VECTORS * gl_WorkGroupSize.x;
+    uint panel = first_column / PANEL_COLUMNS;
+    uint64_t weight_at = packUint2x32(weight_address) + 4 * uint64_t(panel * inner * PANEL_COLUMNS + first_column % PANEL_COLUMNS);
+    [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
+        row_at[r] = packUint2x32(a_address) + 4 * uint64_t(min(first_row + r, rows - 1) * inner);
+        [[unroll]] for (uint v = 0; v < VECTORS; v++) sum[r][v] = 0.0;
+    }
+    uint k = 0;
+    do {
+        uint64_t offset = 4 * uint64_t(k);
+        [[unroll]] for (uint j = 0; j < TERMS; j++) add_term(offset, weight_at + offset * PANEL_COLUMNS, j);
+        k += TERMS;
+    } while (k < inner);
+
+    [[unroll]] for (uint v = 0; v < VECTORS; v++) {
+        uint column = first_column + v * gl_WorkGroupSize.x + lane;
+        float offset = column < columns ? bias[column] : 0.0;
+        [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
+            uint row = first_row + r;
+            float value = sum[r][v] + offset;
+            if (ACTIVATION == 2) {
+                float gated = silu(value) * subgroupShuffleXor(value, 1);
+                if (row < rows && column < columns && column % 2 == 0) result[(row * columns + column) / 2] = gated;
+            } else if (row < rows && column < columns) {
+                store(row, column, value);
+            }
+        }
+    }
+}
