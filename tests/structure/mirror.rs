@@ -6,9 +6,10 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 22] = [
+const STEPS: [(&str, &str); 23] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
+    ("cluster/nearest_uniform", "cluster/nearest"),
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
