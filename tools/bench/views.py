@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """What more photos and fewer tokens cost and give (figures 11 to 13 of the paper): views.py CAPTURE [options]
 
-For each number of input photos and each ratio one run of `zipsplat eval` on the same held-out photos, beside what `info --plan` says
-that it takes: PSNR, Gaussians, time of the forward pass, peak memory and the planned one. A table goes to standard output, as
+For each number of input photos and each ratio one run of `zipsplat eval`, judged by some of the other photos, evenly spread (the same ones at
+every ratio, others with other inputs), beside what `info --plan` says that it takes: PSNR, Gaussians, time of the forward pass, peak memory and the planned one. A table goes to standard output, as
 Markdown; with --png the pictures of one number of photos at all ratios go side by side into a file. What has run already is read from
 the folder. Where the machine is shared, --cpu counts CPU time over cores. Needs Pillow for --png.
 """
