@@ -1,6 +1,6 @@
 //! The networks of the goldens (golden/FORMAT.md, section 3).
 
-use zipsplat::weights::{Architecture, Ffn};
+use zipsplat::weights::{Architecture, DepthArchitecture, Ffn};
 
 /// The network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`, `small` or `giant_slice`.
 ///
@@ -31,6 +31,16 @@ pub fn golden(name: &str) -> Architecture {
         }
         _ => panic!("no golden is called {name}"),
     }
+}
+
+/// A network of Depth Anything 3 with every part but the head for Gaussians, as small as they come. Its views see each other.
+pub fn depth_micro() -> DepthArchitecture {
+    DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
+}
+
+/// The same for views by themselves, with sky.
+pub fn depth_micro_alone() -> DepthArchitecture {
+    DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
 
 /// The smallest network that has every kind of parameter; its weights are those of the seed `pico`.

@@ -614,6 +614,105 @@ zs_status zs_reconstruct(const struct zs_model *model,
                          const struct zs_reconstruct_options *options,
                          struct zs_scene **scene);
 
+/***********************************************************************************/
+/*  Depth: photos to the depth of every pixel, and to the cameras that took them.  */
+/***********************************************************************************/
+
+// Sources of the cameras that a network finds.
+ZS_ENUM(zs_cameras_from) {
+    // The network's camera decoder.
+    ZS_CAMERAS_FROM_DECODER = 0,
+    // The rays of all pixels, principal point included. Photos whose rays agree on none have no camera.
+    ZS_CAMERAS_FROM_RAYS = 1,
+};
+
+// A network of Depth Anything 3 with its weights on a context's device. Any number of threads may use it at the same time.
+typedef struct zs_depth_model zs_depth_model;
+
+// Depth of photos, and the cameras that took them, in host memory. It never changes, so any number of threads may use it at the same
+// time.
+typedef struct zs_depths zs_depths;
+
+// Options of finding depth.
+typedef struct zs_depth_options {
+    // sizeof(zs_depth_options); zs_depth_options_default sets it.
+    uint32_t struct_size;
+    // Longer side of the photos as the network sees them, 14 to 8192 pixels: whole, each side the nearest multiple of 14. Of photos of
+    // different shapes it sees the middle that all have. Default 504.
+    uint32_t side;
+    // Source of the cameras, where none are given. Default ZS_CAMERAS_FROM_DECODER.
+    zs_cameras_from cameras_from;
+    // 1 where photos of one size may have different focal lengths; 0 gives them one, the median, weighted by how confident the network
+    // is of each photo's depth. Default 0.
+    uint32_t own_focal_lengths;
+    // Number of `cameras`: 0, or one for each photo. Default 0.
+    uint32_t camera_count;
+    // 0.
+    uint32_t reserved;
+    // Cameras of the whole photos as you pass them, where they are known, for networks that see all photos at once. Depth is then in
+    // their unit, and they are the cameras that are found. Default NULL.
+    const struct zs_camera *cameras;
+    // Told how far it is; may stop it. Default NULL.
+    zs_progress progress;
+    // Given to `progress`.
+    void *user_data;
+} zs_depth_options;
+
+// The depth of a photo, in the memory of its zs_depths, there until that is destroyed. Arrays are `[height][width]`.
+typedef struct zs_depth_view {
+    // sizeof(zs_depth_view); set it before the call.
+    uint32_t struct_size;
+    // 0.
+    uint32_t reserved;
+    // Pixels a row.
+    uint32_t width;
+    // Rows.
+    uint32_t height;
+    // Along the camera's axis, in one unit for all photos that were seen at once: that of the cameras.
+    const float *depth;
+    // From 1 on, where the network sees all photos at once; else NULL.
+    const float *confidence;
+    // From 0 on, above 0.3 sky, where the network sees each photo by itself; else NULL.
+    const float *sky;
+} zs_depth_view;
+
+// Loads a network of Depth Anything 3 onto a context's device: a released file (model.safetensors) at `path` (UTF-8), or random numbers
+// for "seeded:NAME", such as "seeded:da3-small". Of `options`, which may be NULL, `variant` has to be NULL and `tokens` 0.
+zs_status zs_depth_model_open(const struct zs_context *context,
+                              const char *path,
+                              const struct zs_model_options *options,
+                              struct zs_depth_model **model);
+
+// Destroys a depth model. NULL is allowed.
+void zs_depth_model_destroy(struct zs_depth_model *model);
+
+// Fills `options` with the defaults. `size` is sizeof(zs_depth_options).
+zs_status zs_depth_options_default(struct zs_depth_options *options, size_t size);
+
+// Finds the depth of 1 to 192 photos of one place, and, with a network that sees all of them at once, the cameras that took them, in a
+// world about one of them. It returns when all is there. `options` may be NULL.
+zs_status zs_depth_find(const struct zs_depth_model *model,
+                        const struct zs_image *images,
+                        size_t image_count,
+                        const struct zs_depth_options *options,
+                        struct zs_depths **depths);
+
+// Says what was found of photo number `index`: its depth, and the camera that took it, of the whole photo, in the world of all; of a photo
+// whose camera nobody knows width and height are 0. Either may be NULL. Set their struct_size before the call.
+zs_status zs_depths_get(const struct zs_depths *depths,
+                        size_t index,
+                        struct zs_depth_view *view,
+                        struct zs_camera *camera);
+
+// Makes a scene of the depth of photos with cameras: a Gaussian for each pixel that the network is confident of, in the world of the
+// cameras; of each patch of 14 x 14 pixels at most `keep`, those that show most, or all for 0.
+zs_status zs_depths_scene(const struct zs_depths *depths,
+                          uint32_t keep,
+                          struct zs_scene **scene);
+
+// Destroys depths. NULL is allowed.
+void zs_depths_destroy(struct zs_depths *depths);
+
 /***************************************************/
 /*  Refinement: a scene made to look like photos.  */
 /***************************************************/

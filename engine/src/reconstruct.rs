@@ -16,10 +16,7 @@ use crate::{
     cameras::FoundCamera,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
     ops::{Arithmetic, Parameters},
-    stages::{
-        cluster::{even_indices, random_indices},
-        render::{DeviceScene, SceneMemory},
-    },
+    stages::render::{DeviceScene, SceneMemory},
     types::{Camera, Image, LeftOut, Scene},
     weights::{Architecture, Checkpoint},
 };
@@ -285,18 +282,9 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) 
         run.write(unit, &[request.unit as f32])?;
     }
     if let Some(tensor) = choice.indices {
-        run.write(tensor, &indices_for(shape, request))?;
+        run.write(tensor, &request.selection.indices(shape.grid.tokens(), shape.tokens))?;
     }
     Ok(())
-}
-
-/// The tokens that are kept, or k-means begins with.
-fn indices_for(shape: Shape, request: &Request) -> Vec<u32> {
-    match &request.selection {
-        Selection::Kmeans(_) | Selection::Stride => even_indices(shape.grid.tokens(), shape.tokens),
-        Selection::Random(seed) => random_indices(shape.grid.tokens(), shape.tokens, *seed),
-        Selection::Given(indices) => indices.clone(),
-    }
 }
 
 /// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.

@@ -4,7 +4,7 @@ use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, La
 use std::path::{Path, PathBuf};
 
 /// Sources in the order of the header.
-const SOURCES: [&str; 13] = [
+const SOURCES: [&str; 14] = [
     "version",
     "status",
     "context",
@@ -14,6 +14,7 @@ const SOURCES: [&str; 13] = [
     "scene",
     "model",
     "reconstruct",
+    "depth",
     "refine",
     "renderer",
     "gradients",
@@ -25,12 +26,13 @@ pub fn root() -> PathBuf {
 }
 
 /// Enumerations that structures hold as plain numbers, which the header names all the same.
-const ENUMERATIONS: [&str; 9] = [
+const ENUMERATIONS: [&str; 10] = [
     "zs_device_kind",
     "zs_pixel_format",
     "zs_precision",
     "zs_selection",
     "zs_world",
+    "zs_cameras_from",
     "zs_refine_what",
     "zs_refine_end",
     "zs_depth",

@@ -39,6 +39,10 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data,
             capture
         }
+        zs_depth_options {
+            struct_size, side, cameras_from, own_focal_lengths, camera_count, reserved, cameras, progress, user_data
+        }
+        zs_depth_view { struct_size, reserved, width, height, depth, confidence, sky }
         zs_refining { struct_size, step, steps, reserved, loss, psnr, seconds_left }
         zs_refine_options {
             struct_size, steps, views_per_step, hold_out, width, height, seed, progress, user_data, what, reserved
@@ -76,6 +80,7 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
         zs_world { ZS_WORLD_FIRST_CAMERA, ZS_WORLD_CAMERAS }
+        zs_cameras_from { ZS_CAMERAS_FROM_DECODER, ZS_CAMERAS_FROM_RAYS }
         zs_refine_what { ZS_REFINE_GAUSSIANS, ZS_REFINE_TOKENS }
         zs_refine_end { ZS_REFINE_FINISHED, ZS_REFINE_STOPPED, ZS_REFINE_DIVERGED }
         zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }

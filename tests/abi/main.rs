@@ -7,6 +7,7 @@ mod cameras;
 mod captures;
 mod compile;
 mod cycles;
+mod depth;
 mod examples;
 mod gradients;
 mod header;

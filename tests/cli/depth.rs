@@ -1,14 +1,18 @@
 //! Depth of photos, with random weights: what is written, and what is refused.
 
 use crate::Folder;
-use zipsplat::types::{Image, poses::read_poses, read_points};
+use zipsplat::types::{
+    Image,
+    poses::{Poses, read_cloud, read_poses},
+    read_ply, read_points,
+};
 
-/// A network of random numbers, the smallest that is released.
-const WEIGHTS: &str = "--weights seeded:da3-small";
+/// A small network of random numbers.
+const WEIGHTS: &str = "--weights @/da3.safetensors";
 
 #[test]
 fn a_folder_gets_depth_cameras_and_points() {
-    let folder = Folder::new();
+    let folder = Folder::new().with_depth();
     let line = format!("depth @/photos {WEIGHTS} --size 42 --points 500 -o @/out --json");
     let json = folder.run(&line).json();
     assert_eq!((&json["views"], &json["width"], &json["height"]), (&2.into(), &42.into(), &28.into()));
@@ -50,12 +54,224 @@ fn a_folder_gets_depth_cameras_and_points() {
 
 #[test]
 fn wrong_arguments_are_named() {
-    let folder = Folder::new();
+    let folder = Folder::new().with_depth();
     let depth = |rest: &str| folder.run(&format!("depth @/photos -o @/out {rest}"));
     depth("--weights seeded:da3-tiny").fails(3, &["da3-tiny", "da3-small"]);
     depth("--weights @/micro.safetensors").fails(3, &["micro.safetensors", "da3-base"]);
     depth("--weights @/none.safetensors").fails(3, &["none.safetensors"]);
     depth(&format!("{WEIGHTS} --reference 3 --size 42")).fails(3, &["--reference", "1 to 2"]);
     depth("").fails_usage();
-    assert_eq!(folder.names(), ["micro.safetensors", "photos"]);
+    assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
+}
+
+/// The focal lengths of all cameras.
+fn focals(poses: &Poses) -> Vec<[f64; 2]> {
+    poses.frames.iter().map(|frame| frame.camera.intrinsics).map(|lens| [lens.fx, lens.fy]).collect()
+}
+
+#[test]
+fn cameras_are_those_of_the_network() {
+    let folder = Folder::new().with_depth();
+    folder.run(&format!("depth @/photos {WEIGHTS} --size 70 --colmap-model @/depth/model -o @/depth")).success();
+    let line = format!("cameras @/photos --with da3 {WEIGHTS} --find-size 70");
+    let json = folder.run(&format!("{line} --colmap-model @/model -o @/transforms.json --json")).json();
+    assert_eq!((&json["found"], &json["program"]), (&2.into(), &"da3-micro".into()), "{json}");
+    assert!(!folder.path("colmap.log").exists());
+    let [of_depth, found] =
+        ["depth/transforms.json", "transforms.json"].map(|name| read_poses(folder.path(name)).unwrap());
+    let cameras = |poses: &Poses| poses.frames.iter().map(|frame| frame.camera).collect::<Vec<_>>();
+    assert_eq!(cameras(&found), cameras(&of_depth));
+    let points = |poses: &Poses| read_points(poses.points.as_ref().expect("they lie beside it")).unwrap();
+    assert!(points(&found).positions.len() > 500 && points(&found) == points(&of_depth));
+    // One focal length for both photos and axes, or each its own.
+    let shared = focals(&found);
+    assert!(shared[0][0] == shared[0][1] && shared[0] == shared[1], "{shared:?}");
+    folder.run(&format!("{line} --focal-lengths own -o @/own.json")).success();
+    let own = focals(&read_poses(folder.path("own.json")).unwrap());
+    assert!(own[0][0] != own[0][1] && own[0] != own[1], "{own:?}");
+    let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
+    assert!(own.iter().any(|focal| (mean(*focal) / shared[0][0] - 1.0).abs() < 1e-9), "{own:?} {shared:?}");
+
+    // The model for COLMAP says the same, of photos as from their folder.
+    for (model, points_of) in [("model", "points.ply"), ("depth/model", "depth/points.ply")] {
+        let read = read_poses(folder.path(model)).unwrap();
+        let names: Vec<&str> = read.frames.iter().map(|frame| frame.name.as_str()).collect();
+        assert_eq!(names, ["1.png", "10.png"]);
+        for (one, other) in read.frames.iter().zip(&found.frames) {
+            assert_eq!(one.camera.intrinsics, other.camera.intrinsics);
+            assert!(one.camera.pose.translation.distance(other.camera.pose.translation) < 1e-9);
+        }
+        let files = [read.points.expect("points"), folder.path(points_of)];
+        let [own, other] = files.map(|file| read_cloud(file).unwrap());
+        assert_eq!(own, other);
+    }
+}
+
+#[test]
+fn other_commands_take_cameras_of_the_network() {
+    let folder = Folder::new().with_depth();
+    let find = "--poses da3 --depth-weights @/da3.safetensors --find-size 64";
+    let micro = "--weights @/micro.safetensors --size 28x28";
+    let line = format!("reconstruct @/photos {find} {micro} --cameras-out @/found.json -o @/scene.ply --json");
+    let outcome = folder.run(&line);
+    assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
+    assert_eq!(
+        (&outcome.json()["photos"], read_poses(folder.path("found.json")).unwrap().frames.len()),
+        (&2.into(), 2)
+    );
+    let line = format!("refine @/photos {find} --start points --steps 1 -o @/refined.ply --json");
+    assert_eq!(folder.run(&line).json()["photos"], 2);
+}
+
+#[test]
+fn a_network_that_finds_no_cameras_is_named() {
+    let folder = Folder::new().with_depth();
+    let cameras = |rest: &str| folder.run(&format!("cameras @/photos -o @/c.json {rest}"));
+    let alone = ["da3-micro-alone, which sees each photo by itself", "no camera decoder", "da3-base"];
+    cameras("--with da3 --weights @/alone.safetensors").fails(3, &alone);
+    cameras("--with da3").fails_usage();
+    cameras("--weights @/da3.safetensors").fails(3, &["--weights", "--with da3"]);
+    folder.run("refine @/photos --poses da3 --start points -o @/s.ply").fails(3, &["--depth-weights", "no weights"]);
+    folder.run("refine @/s.ply @/photos --poses da3 -o @/t.ply").fails(3, &["--poses da3", "--start points"]);
+    // The rays of random numbers agree on nothing.
+    let rays = format!("--with da3 {WEIGHTS} --find-size 64 --by rays");
+    cameras(&rays).fails(3, &["rays that agree on a camera", "at least half"]);
+    assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
+}
+
+/// The fields of a scene's report that say what it is made of.
+fn made(json: &serde_json::Value) -> [u64; 4] {
+    ["views", "tokens", "all_tokens", "gaussians"].map(|key| json[key].as_u64().unwrap_or_default())
+}
+
+#[test]
+fn photos_become_a_gaussian_a_pixel() {
+    let folder = Folder::new().with_depth();
+    let plain = format!("reconstruct @/photos {WEIGHTS} --size 70x70 -o @/scene.ply");
+    let line = format!("{plain} --json");
+    let outcome = folder.run(&format!("{line} --cameras-out @/cameras.json"));
+    assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
+    let json = outcome.json();
+    let [views, tokens, all, gaussians] = made(&json);
+    // 70 x 56 pixels in patches of 14.
+    assert_eq!((views, tokens, all, &json["network"]), (2, 40, 40, &"da3-micro".into()));
+    assert!((1000..=7840).contains(&gaussians), "{json}");
+    let scene = read_ply(folder.path("scene.ply")).unwrap();
+    assert_eq!(scene.len() as u64, gaussians);
+    assert!(scene.opacities.iter().all(|opacity| (0.05..=0.951).contains(opacity)));
+
+    // Some of the patches, and some of their pixels.
+    let [_, tokens, all, of_half] = made(&folder.run(&format!("{line} --ratio 0.5")).json());
+    assert_eq!(all, 40);
+    assert!((10..=20).contains(&tokens) && of_half < gaussians && of_half <= 196 * tokens, "{tokens}: {of_half}");
+    let [_, tokens, _, few] = made(&folder.run(&format!("{line} --keep 3")).json());
+    assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
+
+    // The scene is that of the cameras that it found, given again or found on the way to a refinement.
+    let cameras = read_poses(folder.path("cameras.json")).unwrap();
+    assert_eq!(cameras.frames.len(), 2);
+    let given = folder.run(&format!("{plain} --poses @/cameras.json --cameras-out @/again.json"));
+    given.fails(3, &["--cameras-out", "cameras that are known"]);
+    assert_eq!(made(&folder.run(&format!("{line} --poses @/cameras.json")).json())[..3], [2, 40, 40]);
+    let refined = folder.run(&format!("{line} --keep 2 --poses da3 --refine=2 --hold-out 0")).json();
+    assert_eq!((&refined["refined"]["start"], &refined["refined"]["steps"]), (&"the scene".into(), &2.into()));
+}
+
+#[test]
+fn photos_seen_by_themselves_need_cameras_and_points() {
+    let folder = Folder::new().with_depth();
+    folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
+    let line = "reconstruct @/place/images --weights @/alone.safetensors --size 42x42 -o @/scene.ply";
+    folder.run(line).fails(3, &["da3-micro-alone, which sees each photo by itself", "known cameras"]);
+    let json = folder.run(&format!("{line} --poses @/place/transforms.json --json")).json();
+    assert!(made(&json)[3] > 100, "{json}");
+    // At the distance of the points that the photos show.
+    let (points, scene) =
+        (read_points(folder.path("place/points.ply")).unwrap(), read_ply(folder.path("scene.ply")).unwrap());
+    let first = read_poses(folder.path("place")).unwrap().frames[0].camera;
+    let middle = |mut depths: Vec<f64>| {
+        depths.sort_by(f64::total_cmp);
+        depths[depths.len() / 2]
+    };
+    let of_points = points.positions.iter().map(|at| first.pose.inverse().transform(at.map(f64::from).into()).z);
+    let [of_points, of_scene] = [
+        middle(of_points.filter(|z| *z > 0.0).collect()),
+        middle(scene.means.iter().map(|mean| f64::from(mean[2])).collect()),
+    ];
+    assert!((0.3..3.0).contains(&(of_scene / of_points)), "{of_scene} {of_points}");
+    // Metres follow from the focal length that the network's pictures have.
+    let depth = |rest: &str| {
+        let line = format!("depth @/place/images --weights @/alone.safetensors --size 42 -o @/out {rest}");
+        folder.run(&line).success();
+        let bytes = std::fs::read(folder.path("out/depths.safetensors")).unwrap();
+        let values = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
+        f32::from_le_bytes(*values.first_chunk().unwrap())
+    };
+    let (plain, metres) = (depth(""), depth("--poses @/place/transforms.json --metres"));
+    let focal = first.intrinsics.fx;
+    assert!((f64::from(metres / plain) - focal / 300.0).abs() < 1e-5, "{metres} {plain} {focal}");
+    let of_all = format!("depth @/place/images {WEIGHTS} --size 42 -o @/all --poses @/place/transforms.json --metres");
+    folder.run(&of_all).fails(3, &["--metres", "da3-micro"]);
+    std::fs::remove_file(folder.path("place/points.ply")).unwrap();
+    folder.run(&format!("{line} --poses @/place/transforms.json")).fails(3, &["scale of the depth", "points"]);
+}
+
+#[test]
+fn weights_are_known_by_their_tensors() {
+    let folder = Folder::new().with_depth();
+    let info = folder.run("info @/da3.safetensors --json").json();
+    assert_eq!(
+        (&info["kind"], &info["cameras"], &info["sky"]),
+        (&"Depth Anything 3".into(), &true.into(), &false.into())
+    );
+    assert_eq!(folder.run("info @/alone.safetensors --json").json()["cameras"], false);
+    let text = folder.run("info seeded:da3-giant").success();
+    assert!(text.contains("da3-giant of Depth Anything 3") && text.contains("a Gaussian a pixel"), "{text}");
+    let plan = folder.run("info --plan --weights seeded:da3-small --views 2 --size 252x168 --ratio 0.5 --json").json();
+    assert_eq!((&plan["tokens"], &plan["network"]), (&216.into(), &"da3-small".into()), "{plan}");
+    assert!(plan["peak_bytes"].as_u64() > plan["weight_bytes"].as_u64());
+
+    // Rounded to 16 bits, which hold these numbers, or to 8, they give the same depth, or nearly.
+    let values = |file: &str| {
+        folder.run(&format!("depth @/photos --weights @/{file} --size 42 -o @/{file}.out")).success();
+        let bytes = std::fs::read(folder.path(&format!("{file}.out/depths.safetensors"))).unwrap();
+        let found = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
+        found.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<f32>>()
+    };
+    let exact = values("da3.safetensors");
+    for (dtype, within) in [("f16", 1e-9), ("q8", 0.2)] {
+        folder.run(&format!("convert @/da3.safetensors @/{dtype}.safetensors --dtype {dtype}")).success();
+        let json = folder.run(&format!("info @/{dtype}.safetensors --json")).json();
+        assert!(json["stored"][dtype].as_u64() > Some(0) && json["architecture"] == info["architecture"], "{json}");
+        let rounded = values(&format!("{dtype}.safetensors"));
+        let apart: f32 = exact.iter().zip(&rounded).map(|(a, b)| (a / b).ln().abs()).sum::<f32>() / exact.len() as f32;
+        assert!(apart < within, "{dtype}: {apart}");
+    }
+    // Other commands say what they would take.
+    folder.run("eval @/photos --weights @/da3.safetensors").fails(3, &["of Depth Anything 3", "of ZipSplat"]);
+    let refused = |rest: &str| folder.run(&format!("reconstruct @/photos {WEIGHTS} -o @/s.ply {rest}"));
+    refused("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
+    refused("--keep 197").fails(3, &["--keep", "1 to 196"]);
+    refused("--poses da3 --refine=2:tokens").fails(3, &["tokens", "weights of ZipSplat"]);
+}
+
+#[test]
+fn errors_are_told_where_there_is_a_truth() {
+    let folder = Folder::new().with_depth();
+    folder.run("scene --seed 3 --views 3 --size 42x28 -o @/place").success();
+    let line = format!("depth @/place/images {WEIGHTS} --size 42 -o @/out --truth @/place --json");
+    let errors = &folder.run(&line).json()["errors"];
+    let number = |errors: &serde_json::Value, key: &str| errors[key].as_f64();
+    assert_eq!(errors["photos"], 3);
+    // Random numbers see a place that is not there.
+    assert!(number(errors, "degrees").is_none_or(|degrees| degrees > 1.0), "{errors}");
+    assert!(number(errors, "abs_rel") > Some(0.05) && number(errors, "within_1.25") < Some(0.99), "{errors}");
+    // Cameras that were given are not judged.
+    let errors = &folder.run(&format!("{line} --poses @/place/transforms.json")).json()["errors"];
+    assert!(errors["degrees"].is_null() && number(errors, "abs_rel").is_some(), "{errors}");
+    std::fs::remove_dir_all(folder.path("place/depth")).unwrap();
+    let said = folder.run(&line).json();
+    assert!(said["errors"]["abs_rel"].is_null(), "{said}");
+    let strangers = format!("depth @/photos {WEIGHTS} --size 42 -o @/other --truth @/place");
+    folder.run(&strangers).fails(3, &["photos with a truth", "place"]);
 }

@@ -27,13 +27,14 @@ mod weights;
 
 use std::{
     ffi::OsString,
+    ops::ControlFlow::Continue,
     path::{Path, PathBuf},
     sync::atomic::AtomicBool,
 };
 use tempfile::TempDir;
 use zipsplat::{
     types::Image,
-    weights::{Checkpoint, Dtype},
+    weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::architectures;
@@ -111,6 +112,20 @@ impl Folder {
         folder
     }
 
+    /// Weights of small networks of Depth Anything 3, whose cameras have fields of view near a right angle: `da3.safetensors`, and
+    /// `alone.safetensors` of one that sees each photo by itself.
+    fn with_depth(self) -> Self {
+        for (name, architecture) in [
+            ("da3.safetensors", architectures::depth_micro()),
+            ("alone.safetensors", architectures::depth_micro_alone()),
+        ] {
+            let checkpoint = DepthCheckpoint::seeded(architecture, "micro").expect("a network");
+            checkpoint.save_with(self.path(name), Dtype::F32, |_| Continue(())).expect("weights can be written");
+            scale(&self.path(name), "model.cam_dec.fc_fov.0.weight", 1.0 / 64.0);
+        }
+        self
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
@@ -128,6 +143,18 @@ impl Folder {
     fn names(&self) -> Vec<String> {
         names(self.0.path())
     }
+}
+
+/// Multiplies a tensor of f32 in a file, where it is there.
+fn scale(file: &Path, name: &str, factor: f32) {
+    let mut bytes = std::fs::read(file).expect("a file");
+    let (length, header) = safetensors::SafeTensors::read_metadata(&bytes).expect("safetensors");
+    let Some(tensor) = header.info(name) else { return };
+    let (from, to) = tensor.data_offsets;
+    for value in bytes[8 + length + from..8 + length + to].as_chunks_mut().0 {
+        *value = (factor * f32::from_le_bytes(*value)).to_le_bytes();
+    }
+    std::fs::write(file, bytes).expect("written");
 }
 
 fn names(folder: &Path) -> Vec<String> {

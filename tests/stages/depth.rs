@@ -66,7 +66,7 @@ impl Observed {
     fn new(golden: &Golden) -> Self {
         let model = model(golden);
         let images = images(golden);
-        let request = DepthRequest { cameras: cameras(golden), reference: None };
+        let request = DepthRequest { cameras: cameras(golden), ..DepthRequest::default() };
         let shape = model.shape(&images, &request).unwrap();
         let (plan, tensors) = model.record(shape, true).unwrap();
         let mut run = model.run(plan).unwrap();

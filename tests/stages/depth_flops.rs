@@ -3,8 +3,11 @@
 use zipsplat::depth::DepthNetwork;
 use zipsplat::gpu::{Limits, Profile};
 use zipsplat::ops::Arithmetic;
+use zipsplat::reconstruct::{Ratio, Selection};
 use zipsplat::weights::DepthArchitecture;
 
+/// Every patch stands for itself.
+const ALL: (Ratio, &Selection) = (Ratio::Fixed(1.0), &Selection::KMEANS);
 /// Billions of multiply-adds a view: network, size, the depth branch with what both share, the rays' branch.
 const HEADS: [(&str, [u32; 2], f64, f64); 4] = [
     ("da3-small", [504, 336], 7.1, 8.6),
@@ -23,7 +26,7 @@ const BACKBONES: [(&str, [u32; 2], usize, f64); 4] = [
 fn profile(name: &str, size: [u32; 2], views: usize) -> Profile {
     let (architecture, limits) = (DepthArchitecture::named(name).unwrap(), Limits::default());
     let network = DepthNetwork::new(&architecture, &limits, Arithmetic::EXACT);
-    let shape = network.shape(views, size, false, None).unwrap();
+    let shape = network.shape(views, size, ALL, false, None).unwrap();
     Profile::outline(&network.plan(&limits, shape).unwrap().0)
 }
 
@@ -72,7 +75,7 @@ fn scratch_of_heads_is_of_one_view() {
     let limits = Limits::default();
     let network = DepthNetwork::new(&architecture, &limits, Arithmetic::EXACT);
     let bytes = |views: usize| {
-        let shape = network.shape(views, [504, 336], false, None).unwrap();
+        let shape = network.shape(views, [504, 336], ALL, false, None).unwrap();
         network.plan(&limits, shape).unwrap().0.arena_bytes()
     };
     let (few, many) = (bytes(4), bytes(8));

@@ -5,6 +5,7 @@ mod arena;
 mod cameras;
 mod depth;
 mod depth_flops;
+mod depth_scene;
 mod depth_units;
 mod depth_weights;
 mod flops;

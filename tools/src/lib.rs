@@ -9,6 +9,7 @@ mod capture;
 mod color;
 mod commands;
 mod decode;
+mod depth;
 pub mod doctor;
 mod download;
 mod explain;

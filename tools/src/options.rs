@@ -11,7 +11,7 @@ use zipsplat::{
     stages::cluster::auto_ratio,
     tune::Chosen,
     types::{Image, Scene, SceneFormat, open_file, read_scene_unchecked},
-    weights::{Architecture, Checkpoint},
+    weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
 
 /// The choice of weights.
@@ -34,6 +34,17 @@ impl Weights {
         match &self.weights {
             Some(weights) => self.open_as(weights),
             None => Checkpoint::embedded(),
+        }
+    }
+
+    /// Opens them, whichever kind of network they are of: a file's tensors say that.
+    pub fn open_network(&self) -> Result<Network> {
+        match &self.weights {
+            Some(weights) if DepthCheckpoint::is_meant(weights) => {
+                refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
+                DepthCheckpoint::parse_whole(weights).map(Network::Pixels)
+            }
+            _ => self.open().map(Network::Tokens),
         }
     }
 
@@ -60,6 +71,14 @@ impl Weights {
     }
 }
 
+/// A network that makes scenes.
+pub enum Network {
+    /// Of Gaussians that tokens become.
+    Tokens(Checkpoint),
+    /// Of Gaussians that pixels become, at a depth that it finds.
+    Pixels(DepthCheckpoint),
+}
+
 /// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
@@ -68,6 +87,12 @@ pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)"
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
     if let Some(path) = released::find(text)? {
         return Checkpoint::open(path, variant);
+    }
+    if DepthCheckpoint::is_meant(text) {
+        let found = format!("{text}, of Depth Anything 3");
+        let expected =
+            format!("{expected} of ZipSplat; reconstruct, depth, cameras and info take those of Depth Anything 3");
+        return Err(Error::argument("weights", found, expected));
     }
     let mut start = [0; 9];
     let read = open_file(text).is_ok_and(|mut file| file.read_exact(&mut start).is_ok());
@@ -150,7 +175,7 @@ impl SceneInput {
 }
 
 /// In which arithmetic.
-#[derive(Args, Debug)]
+#[derive(Args, Debug, Default)]
 pub struct ArithmeticOption {
     /// Arithmetic [default: fast on GPUs with matrix units, else exact]
     #[arg(long, value_enum)]
@@ -180,6 +205,16 @@ impl Quality {
             Ratio::Fixed(ratio) => ratio,
             Ratio::Auto => auto_ratio(views),
         }
+    }
+
+    /// The size that is asked for.
+    pub fn asked_size(&self) -> Option<Size> {
+        self.size
+    }
+
+    /// Longer side of pictures of any shape, where one is asked for.
+    pub fn side(&self) -> Option<u32> {
+        self.size.map(|Size(width, height)| width.max(height))
     }
 
     /// Gaussians of a token that are kept.

@@ -23,19 +23,21 @@ pub const LOG_START: &str = "zipsplat: what COLMAP said";
 const SEARCHED: u64 = 1 << 16;
 /// How files begin, and what stands in those that this program has written. A `.splat` has room for nothing and is not among
 /// them.
-const MARKS: [(&[u8], &[u8]); 19] = [
+const MARKS: [(&[u8], &[u8]); 21] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
     (b"glTF", b"\"generator\":\"zipsplat "),
     (b"{", b"\"generator\":\"zipsplat "),
     (b"{", b"\"generator\": \"zipsplat\""),
+    (b"# generator: zipsplat\n", b""),
     (b"GIF8", b"zipsplat"),
     (b"\0\0\0", b"zipsplat"),
     (b"<!doctype html>", b"<meta name=generator content=zipsplat>"),
     (b"ZSSCENES", b"ZSSCENES"),
     (LOG_START.as_bytes(), b""),
     (b"", b"\"zipsplat.architecture\""),
+    (b"", b"\"zipsplat.depth_architecture\""),
     (b"", b"\"zipsplat.photos\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
     (b"views,precision,ratio,select", b"views,"),

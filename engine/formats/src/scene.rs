@@ -44,6 +44,19 @@ impl Scene {
         coeffs(self.sh_degree)
     }
 
+    /// Adds the Gaussians of another scene of the same degree of harmonics behind these.
+    ///
+    /// # Panics
+    /// Where the degrees differ.
+    pub fn append(&mut self, mut other: Self) {
+        assert_eq!(self.sh_degree, other.sh_degree, "scenes of one degree");
+        self.means.append(&mut other.means);
+        self.scales.append(&mut other.scales);
+        self.quats.append(&mut other.quats);
+        self.opacities.append(&mut other.opacities);
+        self.sh_coeffs.append(&mut other.sh_coeffs);
+    }
+
     /// From the decoder's packed rows of 11 + 3 K: mean 3, scale 3, quaternion wxyz 4, opacity 1, coefficients `[K][rgb]`.
     /// The values are taken as they are; see [`Scene::validate`].
     ///

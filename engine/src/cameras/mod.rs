@@ -6,11 +6,13 @@
 
 mod adjust;
 mod decoded;
+mod focal;
 mod p3p;
 mod rays;
 mod scale;
 
 pub use decoded::decoded_camera;
+pub use focal::share_focal_lengths;
 pub use rays::RayMap;
 pub use scale::scale_between;
 
@@ -20,6 +22,7 @@ use crate::{
     types::{Camera, Intrinsics, Pose},
 };
 use adjust::{adjusted, error};
+use focal::weighted_median;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -114,26 +117,12 @@ pub fn find_cameras(
         pairs.par_iter().enumerate().map(find).collect()
     };
     let found = find(focal);
-    let weighted = |found: &FoundCamera| (found.camera.intrinsics.fx, found.inliers);
-    let mut focals: Vec<(f64, usize)> = found.iter().flatten().map(weighted).collect();
+    let weighted = |found: &FoundCamera| (found.camera.intrinsics.fx, found.inliers as f64);
+    let mut focals: Vec<(f64, f64)> = found.iter().flatten().map(weighted).collect();
     match focal {
         None if focals.len() > 1 => find(weighted_median(&mut focals)),
         _ => found,
     }
-}
-
-/// The first of values in rising order up to which they have half of all weight.
-fn weighted_median(values: &mut [(f64, usize)]) -> Option<f64> {
-    values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = values.iter().map(|(_, weight)| weight).sum::<usize>().div_ceil(2);
-    let mut below = 0;
-    values
-        .iter()
-        .find(|(_, weight)| {
-            below += weight;
-            below >= half
-        })
-        .map(|(value, _)| *value)
 }
 
 /// The best camera so far, and its cost.

@@ -4,9 +4,11 @@ mod gaussians;
 mod model;
 mod network;
 mod output;
+mod pixels;
 mod points;
 
 pub use gaussians::pixel_gaussians;
 pub use model::{DepthModel, DepthRequest};
 pub use network::{DepthNetwork, DepthShape, DepthTensors};
-pub use output::{DepthView, Depths};
+pub use output::{DepthView, Depths, METRIC_FOCAL};
+pub use pixels::add_view;

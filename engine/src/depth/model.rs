@@ -8,7 +8,7 @@ use crate::{
     Result,
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
     ops::{Arithmetic, Parameters},
-    reconstruct::{check_cameras, planar, size_of},
+    reconstruct::{Ratio, Selection, check_cameras, planar, size_of},
     stages::DepthArchitecture,
     types::{Camera, Image},
     weights::DepthCheckpoint,
@@ -28,13 +28,24 @@ pub struct DepthModel {
 }
 
 /// A request for depth.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct DepthRequest {
     /// Known cameras of all views, of the images' own size, or none.
     pub cameras: Option<Vec<Camera>>,
     /// The view that the world is about, where no cameras are known; else the network's own choice: of three and more views the one that
     /// is nearest to the middle of what all are like, else the first.
     pub reference: Option<usize>,
+    /// Share of the patches that stand for all in [`Depths::scene`].
+    pub ratio: Ratio,
+    /// How those are chosen.
+    pub selection: Selection,
+}
+
+impl Default for DepthRequest {
+    /// No cameras, the network's own choice of reference, every patch.
+    fn default() -> Self {
+        Self { cameras: None, reference: None, ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS }
+    }
 }
 
 impl DepthModel {
@@ -50,8 +61,7 @@ impl DepthModel {
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let network = DepthNetwork::new(checkpoint.architecture(), device.limits(), arithmetic);
-        let read = |name: &str, out: &mut [f32]| checkpoint.read_f32(name, out);
-        let parameters = network.parameters.load(device, &read, progress)?;
+        let parameters = network.parameters.load(device, checkpoint, progress)?;
         Ok(Self { device: device.clone(), network, parameters, arena: Arena::new(device) })
     }
 
@@ -87,7 +97,18 @@ impl DepthModel {
         let mut run = Run::in_arena(&arena, 0, plan, [self.parameters.resident.clone()])?;
         self.write_inputs(&mut run, &tensors, shape, images, request)?;
         let times = run.execute_with(progress)?;
-        read(&run, &tensors.heads, shape.grid, times, run.plan().arena_bytes() + self.weight_bytes())
+        let mut patches = match (tensors.chosen, tensors.indices) {
+            (Some(chosen), _) => Some(run.read(chosen)?),
+            (None, Some(_)) => Some(request.selection.indices(shape.grid.tokens(), shape.tokens)),
+            (None, None) => None,
+        };
+        // Two centroids may have one nearest patch.
+        patches.iter_mut().for_each(|patches| {
+            patches.sort_unstable();
+            patches.dedup();
+        });
+        let bytes = run.plan().arena_bytes() + self.weight_bytes();
+        Ok(Depths { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
     /// The shape of a request for these images.
@@ -96,7 +117,8 @@ impl DepthModel {
     /// [`Argument`](crate::Error::Argument) for whatever cannot be used.
     pub fn shape(&self, images: &[Image], request: &DepthRequest) -> Result<DepthShape> {
         let size = size_of(images)?;
-        let shape = self.network.shape(images.len(), size, request.cameras.is_some(), request.reference)?;
+        let chosen = (request.ratio, &request.selection);
+        let shape = self.network.shape(images.len(), size, chosen, request.cameras.is_some(), request.reference)?;
         request.cameras.iter().try_for_each(|cameras| check_cameras(cameras, images))?;
         Ok(shape)
     }
@@ -140,6 +162,9 @@ impl DepthModel {
             plane.iter_mut().for_each(|value| *value = (*value - MEAN[i % 3]) / DEVIATION[i % 3]);
         }
         run.write(tensors.images, &pixels)?;
+        if let Some(indices) = tensors.indices {
+            run.write(indices, &request.selection.indices(shape.grid.tokens(), shape.tokens))?;
+        }
         let cameras = request.cameras.as_deref();
         self.network.stages.backbone.write(run, &tensors.backbone, shape.grid, cameras, &self.parameters)?;
         tensors.heads.write(run, &pixels)

@@ -4,8 +4,8 @@ use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
     ops::{Arithmetic, ParameterLayout},
-    reconstruct::grid,
-    stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, heads::HeadTensors},
+    reconstruct::{Kept, Ratio, Selection, grid},
+    stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, cluster, heads::HeadTensors},
 };
 
 /// A network's parameters, laid out for a device.
@@ -24,6 +24,10 @@ pub struct DepthShape {
     pub cameras: bool,
     /// The view that the world is about.
     pub reference: Reference,
+    /// Patches that stand for all.
+    pub tokens: usize,
+    /// How those are found.
+    pub kept: Kept,
 }
 
 /// The tensors that go in and out of a plan.
@@ -32,6 +36,10 @@ pub struct DepthTensors {
     pub(super) images: Tensor,
     pub(super) backbone: Vec<Tensor>,
     pub(super) heads: HeadTensors,
+    /// First centroids' patches, or the patches themselves; absent where all are kept.
+    pub(super) indices: Option<Tensor>,
+    /// `[tokens]` u32: the patches that k-means chose, where it did.
+    pub(super) chosen: Option<Tensor>,
 }
 
 impl DepthNetwork {
@@ -47,8 +55,9 @@ impl DepthNetwork {
         self.parameters.bytes()
     }
 
-    /// The shape of `views` pictures of `[width, height]` pixels: `cameras` are given, or the world is about the view `reference`, else the
-    /// network's choice: of three and more views the one that is nearest to the middle of what all are like, else the first.
+    /// The shape of `views` pictures of `[width, height]` pixels, of whose patches some are `chosen`: `cameras` are given, or the world is
+    /// about the view `reference`, else the network's choice: of three and more views the one that is nearest to the middle of what all are
+    /// like, else the first.
     ///
     /// # Errors
     /// [`Error::Argument`] for whatever cannot be used.
@@ -56,6 +65,7 @@ impl DepthNetwork {
         &self,
         views: usize,
         [width, height]: [u32; 2],
+        chosen: (Ratio, &Selection),
         cameras: bool,
         reference: Option<usize>,
     ) -> Result<DepthShape> {
@@ -72,17 +82,27 @@ impl DepthNetwork {
             None if views > 2 && multi_view => Reference::Balanced,
             None => Reference::View(0),
         };
-        Ok(DepthShape { grid, cameras, reference })
+        let (tokens, kept) = Kept::of(grid, chosen)?;
+        Ok(DepthShape { grid, cameras, reference, tokens, kept })
     }
 
     /// Records a plan for a shape.
-    pub fn record(&self, rec: &mut Recorder, DepthShape { grid, cameras, reference }: DepthShape) -> DepthTensors {
+    pub fn record(&self, rec: &mut Recorder, shape: DepthShape) -> DepthTensors {
+        let DepthShape { grid, cameras, reference, tokens, kept } = shape;
         let images = rec.input::<f32>("images", grid.values());
         let backbone = self.stages.backbone.inputs(rec, grid, cameras);
         let features =
             rec.scope("backbone", |rec| self.stages.backbone.record(rec, images, &backbone, grid, reference));
         let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
-        DepthTensors { images, backbone, heads }
+        let indices = (kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
+        let chosen = match (indices, kept, features.layers.last()) {
+            (Some(initial), Kept::Kmeans(rounds), Some(deepest)) => Some(rec.scope("cluster", |rec| {
+                cluster::record(rec, self.parameters.nearest(), *deepest, initial, tokens, rounds)
+            })),
+            _ => None,
+        };
+        chosen.into_iter().for_each(|chosen| rec.output(chosen));
+        DepthTensors { images, backbone, heads, indices, chosen }
     }
 
     /// Plans a shape; needs no device.

@@ -20,6 +20,10 @@ pub struct Depths {
     pub height: u32,
     /// One a view.
     pub views: Vec<DepthView>,
+    /// Side of a patch in pixels.
+    pub patch: usize,
+    /// The patches that stand for all, counted along rows, then down, then over views, in rising order; none where all do.
+    pub patches: Option<Vec<u32>>,
     /// Time of each stage.
     pub times: StageTimes,
     /// Bytes of the arena and the weights.
@@ -55,6 +59,57 @@ impl Depths {
         Ok(())
     }
 
+    /// Brings the depth of each view to metres, where a network with a metric head sees each view by itself: what it says is the depth of
+    /// a camera of [`METRIC_FOCAL`] pixels. `cameras` are those of the views.
+    pub fn to_metres(&mut self, cameras: &[Camera]) {
+        for (view, Camera { intrinsics: lens, .. }) in self.views.iter_mut().zip(cameras) {
+            let factor = (lens.fx + lens.fy) / 2.0 / METRIC_FOCAL;
+            view.depth.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * factor) as f32);
+        }
+    }
+
+    /// Brings the depth of each view to the unit of points that it shows: by the median of how many times farther they are than its
+    /// pixels say. `cameras` are those of the views, in the world of the points. For networks that see each view by itself, whose depth
+    /// is of one unit in no two views.
+    ///
+    /// # Errors
+    /// The first view that shows no point.
+    pub fn scale_to(&mut self, cameras: &[Camera], points: &[[f32; 3]]) -> std::result::Result<(), usize> {
+        let (width, height) = (self.width, self.height);
+        for (i, (view, camera)) in self.views.iter_mut().zip(cameras).enumerate() {
+            let (to_camera, lens) = (camera.pose.inverse(), camera.intrinsics);
+            let ratio = |point: &[f32; 3]| {
+                let at = to_camera.transform(point.map(f64::from).into());
+                let place = [lens.fx * at.x / at.z + lens.cx, lens.fy * at.y / at.z + lens.cy];
+                let inside = at.z > 0.0 && place[0] >= 0.0 && place[1] >= 0.0;
+                let [x, y] = place.map(|coordinate| coordinate as u32);
+                let seen = (inside && x < width && y < height).then_some((y * width + x) as usize)?;
+                view.shows(seen).then(|| at.z / f64::from(view.depth[seen]))
+            };
+            let mut ratios: Vec<f64> = points.iter().filter_map(ratio).collect();
+            ratios.sort_by(f64::total_cmp);
+            let scale = *ratios.get(ratios.len() / 2).ok_or(i)?;
+            view.depth.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * scale) as f32);
+        }
+        Ok(())
+    }
+
+    /// Leaves only the views that are `kept`, one flag each.
+    pub fn keep_views(&mut self, kept: &[bool]) {
+        let all = kept.len();
+        let place: Vec<usize> = (0..all).map(|view| kept[..view].iter().filter(|kept| **kept).count()).collect();
+        let mut flags = kept.iter();
+        self.views.retain(|_| flags.next() == Some(&true));
+        let each = (self.width as usize / self.patch) * (self.height as usize / self.patch);
+        if let Some(patches) = &mut self.patches {
+            patches.retain(|patch| kept[*patch as usize / each]);
+            patches.iter_mut().for_each(|patch| {
+                let (view, inside) = (*patch as usize / each, *patch as usize % each);
+                *patch = (place[view] * each + inside) as u32;
+            });
+        }
+    }
+
     /// The cameras of the views as their rays have them, in the same world; each view's own error where its rays have none.
     ///
     /// # Errors
@@ -68,8 +123,11 @@ impl Depths {
     }
 }
 
+/// The focal length in pixels with which a metric head's depth is in metres.
+pub const METRIC_FOCAL: f64 = 300.0;
+
 /// Sky is what is above this.
-const SKY: f32 = 0.3;
+pub(super) const SKY: f32 = 0.3;
 /// Pixels that sky and the rest must have, before the depth of sky follows from the rest.
 const FEWEST: usize = 10;
 /// The share of the rest that sky is behind.
@@ -145,7 +203,7 @@ pub(super) fn read(
     };
     let [width, height] = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
     let views = heads.views.iter().enumerate().map(view).collect::<Result<_>>()?;
-    Ok(Depths { width, height, views, times, peak_bytes })
+    Ok(Depths { width, height, views, patch: grid.patch, patches: None, times, peak_bytes })
 }
 
 /// Rays from the head's values, seven each.

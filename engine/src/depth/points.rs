@@ -16,7 +16,7 @@ impl Depths {
         let mut kept = Vec::new();
         for (view, depths) in self.views.iter().enumerate() {
             let confident = |i: usize| depths.confidence.as_ref().is_none_or(|confidence| confidence[i] >= least);
-            let usable = |i: &usize| confident(*i) && depths.depth[*i].is_finite() && depths.depth[*i] > 0.0;
+            let usable = |i: &usize| confident(*i) && depths.shows(*i);
             kept.extend((0..depths.depth.len()).filter(usable).map(|i| (view, i)));
         }
         let step = kept.len().div_ceil(most.max(1)).max(1);
@@ -31,7 +31,7 @@ impl Depths {
     }
 
     /// The confidence from which pixels count.
-    fn least_confidence(&self) -> f32 {
+    pub(super) fn least_confidence(&self) -> f32 {
         let mut all: Vec<f32> =
             self.views.iter().filter_map(|view| view.confidence.as_ref()).flatten().copied().collect();
         if all.is_empty() {

@@ -7,6 +7,7 @@
 
 mod capture;
 mod context;
+mod depth;
 mod gradients;
 mod model;
 mod photo;
@@ -26,6 +27,8 @@ const _: () = {
     any_thread::<zs_bytes>();
     any_thread::<zs_capture>();
     any_thread::<zs_context>();
+    any_thread::<zs_depth_model>();
+    any_thread::<zs_depths>();
     any_thread::<zs_model>();
     any_thread::<zs_photo>();
     any_thread::<zs_renderer>();
@@ -34,6 +37,7 @@ const _: () = {
 
 pub use capture::*;
 pub use context::*;
+pub use depth::*;
 pub use gradients::*;
 pub use model::*;
 pub use photo::*;

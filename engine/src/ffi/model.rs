@@ -101,7 +101,7 @@ pub enum zs_precision {
 
 impl zs_precision {
     /// The precision that a number asks for; `None` is the device's best.
-    fn wanted(number: i32) -> Result<Option<Precision>, Failure> {
+    pub(super) fn wanted(number: i32) -> Result<Option<Precision>, Failure> {
         if number == Self::ZS_PRECISION_BEST as i32 {
             return Ok(None);
         }

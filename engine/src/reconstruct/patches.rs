@@ -1,6 +1,6 @@
 //! Where in the views a scene's tokens come from, and the cameras of the views that follow.
 
-use super::{Request, Shape, indices_for, network::Choice};
+use super::{Request, Shape, network::Choice};
 use crate::{
     Error, Result,
     cameras::{FoundCamera, Pair, find_cameras},
@@ -30,7 +30,7 @@ impl Patches {
     pub(super) fn of(run: &Run, choice: Choice, shape: Shape, request: &Request) -> Result<Self> {
         let kept = match (choice.chosen, choice.indices) {
             (Some(chosen), _) => Some(run.read(chosen)?),
-            (None, Some(_)) => Some(indices_for(shape, request)),
+            (None, Some(_)) => Some(request.selection.indices(shape.grid.tokens(), shape.tokens)),
             (None, None) => None,
         };
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })

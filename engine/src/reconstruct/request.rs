@@ -4,7 +4,7 @@ use crate::{
     Error, Result,
     stages::{
         Architecture, ViewGrid,
-        cluster::{ROUNDS, auto_ratio, cluster_count},
+        cluster::{ROUNDS, auto_ratio, cluster_count, even_indices, random_indices},
     },
     types::{Camera, Image, LeftOut},
 };
@@ -104,28 +104,7 @@ impl Shape {
         cameras: bool,
     ) -> Result<Self> {
         let grid = grid(architecture.patch, views, width as usize, height as usize)?;
-        let all = grid.tokens();
-        if let Selection::Kmeans(rounds) = chosen.1
-            && !(1..=MAX_ROUNDS).contains(rounds)
-        {
-            return Err(Error::argument("rounds of k-means", rounds, format!("1 to {MAX_ROUNDS}")));
-        }
-        let tokens = match chosen {
-            (_, Selection::Given(indices)) => {
-                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
-                    let found = format!("{} indices", indices.len());
-                    return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
-                }
-                indices.len()
-            }
-            (wanted, _) => cluster_count(all, ratio(wanted, views)?),
-        };
-        let kept = match chosen.1 {
-            Selection::Given(_) => Kept::Indices,
-            _ if tokens == all => Kept::All,
-            Selection::Kmeans(rounds) => Kept::Kmeans(*rounds),
-            Selection::Stride | Selection::Random(_) => Kept::Indices,
-        };
+        let (tokens, kept) = Kept::of(grid, chosen)?;
         Ok(Self { grid, tokens, kept, cameras })
     }
 
@@ -141,6 +120,49 @@ impl Shape {
             left_out.push(LeftOut::new("camera encoder", "no cameras are given"));
         }
         left_out
+    }
+}
+
+impl Kept {
+    /// The number of tokens that a share and a selection keep, and how they are found.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for whatever cannot be used.
+    pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &Selection)) -> Result<(usize, Self)> {
+        let all = grid.tokens();
+        if let Selection::Kmeans(rounds) = chosen.1
+            && !(1..=MAX_ROUNDS).contains(rounds)
+        {
+            return Err(Error::argument("rounds of k-means", rounds, format!("1 to {MAX_ROUNDS}")));
+        }
+        let tokens = match chosen {
+            (_, Selection::Given(indices)) => {
+                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
+                    let found = format!("{} indices", indices.len());
+                    return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
+                }
+                indices.len()
+            }
+            (wanted, _) => cluster_count(all, ratio(wanted, grid.views)?),
+        };
+        let kept = match chosen.1 {
+            Selection::Given(_) => Kept::Indices,
+            _ if tokens == all => Kept::All,
+            Selection::Kmeans(rounds) => Kept::Kmeans(*rounds),
+            Selection::Stride | Selection::Random(_) => Kept::Indices,
+        };
+        Ok((tokens, kept))
+    }
+}
+
+impl Selection {
+    /// The tokens among `all` that are kept, or k-means begins with, `tokens` of them.
+    pub(crate) fn indices(&self, all: usize, tokens: usize) -> Vec<u32> {
+        match self {
+            Self::Kmeans(_) | Self::Stride => even_indices(all, tokens),
+            Self::Random(seed) => random_indices(all, tokens, *seed),
+            Self::Given(indices) => indices.clone(),
+        }
     }
 }
 

@@ -57,11 +57,7 @@ pub fn scene_of_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Scene> 
 pub fn join(first: Scene, second: Scene) -> Scene {
     let degree = first.sh_degree.max(second.sh_degree);
     let [mut joined, other] = [first, second].map(|scene| with_degree(scene, degree));
-    joined.means.extend(other.means);
-    joined.scales.extend(other.scales);
-    joined.quats.extend(other.quats);
-    joined.opacities.extend(other.opacities);
-    joined.sh_coeffs.extend(other.sh_coeffs);
+    joined.append(other);
     joined
 }
 

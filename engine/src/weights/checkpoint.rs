@@ -2,7 +2,6 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::BufWriter;
 use std::ops::{ControlFlow, Deref};
 use std::path::{Path, PathBuf};
 
@@ -209,31 +208,7 @@ impl Checkpoint {
     /// As [`Checkpoint::read_f32`]; [`Error::Argument`] for a value that is too large to be rounded, and [`Error::Format`] for such a
     /// scale.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
-        let index = self.find(name)?;
-        match &self.source {
-            Source::Stored { file, tensors } if tensors[index].is_q8() => {
-                let found = tensors[index].read_q8(file);
-                let usable = |scale: f32| scale == 0.0 || Q8::SCALES.contains(&scale);
-                match found.scales.iter().position(|scale| !usable(scale.to_f32())) {
-                    Some(i) => {
-                        let expected = format!("0 or {:?}", Q8::SCALES);
-                        Err(self
-                            .malformed(name, format!("found scale {i} of {}, expected {expected}", found.scales[i])))
-                    }
-                    None => Ok(found),
-                }
-            }
-            _ => {
-                let mut values = vec![0.0; self.parameters[index].1.iter().product()];
-                self.read_f32(name, &mut values)?;
-                let largest = || values.iter().fold(0f32, |most, x| if x.abs() > most.abs() { *x } else { most });
-                Q8::round(&values).ok_or_else(|| safetensors::too_small(Dtype::Q8, name, largest()))
-            }
-        }
-    }
-
-    fn malformed(&self, name: &str, reason: String) -> Error {
-        Error::format(&self.provenance, None, format!("{name}: {reason}"))
+        self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }
 
     /// Names of the tensors that are stored as [`Q8`].
@@ -256,18 +231,7 @@ impl Checkpoint {
 
     /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
     pub fn stored(&self) -> BTreeMap<&'static str, u64> {
-        let mut stored = BTreeMap::new();
-        match &self.source {
-            Source::Stored { tensors, .. } => {
-                let kind = |tensor: &Stored| if tensor.is_q8() { Dtype::Q8.name() } else { tensor.dtype.name() };
-                tensors.iter().for_each(|tensor| *stored.entry(kind(tensor)).or_default() += tensor.bytes() as u64);
-            }
-            Source::Seeded { .. } => {
-                let bytes = size_of::<f32>() * self.architecture.parameter_count();
-                stored.insert(Dtype::F32.name(), bytes as u64);
-            }
-        }
-        stored
+        self.source.stored(&self.parameters)
     }
 
     /// Bytes of all tensors as they are stored; of a seed, as f32.
@@ -304,24 +268,22 @@ impl Checkpoint {
         dtype: Dtype,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<()> {
-        let path = path.as_ref();
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut builder = tempfile::Builder::new();
-        // Temporary files are private by default; the result is an ordinary file under the caller's umask.
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
-        let mut out = BufWriter::with_capacity(1 << 20, file);
-        safetensors::write(self, dtype, path, &mut out, progress)?;
-        let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
-        file.as_file().sync_all().map_err(|error| Error::io(path, error))?;
-        file.persist(path).map_err(|error| Error::io(path, error.error))?;
-        Ok(())
+        safetensors::save(self, path.as_ref(), dtype, progress)
     }
 
     fn find(&self, name: &str) -> Result<usize> {
         let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
         self.tensor_names().position(|other| other == name).ok_or_else(unknown)
+    }
+}
+
+impl safetensors::Weights for Checkpoint {
+    fn parameters(&self) -> &[(String, Vec<usize>)] {
+        &self.parameters
+    }
+
+    fn network(&self) -> safetensors::Stated<'_> {
+        safetensors::Stated::Scene(&self.architecture, self.picture_side)
     }
 }
 

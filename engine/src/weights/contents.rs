@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-use super::Architecture;
 use super::tensor::{Stored, StoredDtype};
+use super::{Architecture, DepthArchitecture};
 use crate::types::preprocess::PATCH;
 
 /// A larger side of pictures in a file is a mistake.
@@ -18,6 +18,8 @@ pub(super) struct Contents {
     pub tensors: HashMap<String, Stored>,
     /// Stated whole, in the metadata of our own files.
     pub architecture: Option<Architecture>,
+    /// The same of a network that finds depth.
+    pub depth_architecture: Option<DepthArchitecture>,
     /// Stated in the metadata or the configuration: side of the pictures it was trained with, in pixels.
     pub picture_side: Option<u32>,
     /// Stated in part, in the training configuration of a PyTorch checkpoint.

@@ -1,14 +1,15 @@
 //! Weights of Depth Anything 3 networks, by the names of released files.
 
-use std::path::Path;
+use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
 use super::checkpoint::{Bytes, matching};
 use super::contents::Contents;
 use super::source::Source;
-use super::{DEPTH_MODELS, DepthArchitecture, Ffn, safetensors};
-use crate::{Error, Result, stages::MAX_DEPTH};
+use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, Q8, safetensors};
+use crate::{Error, Result, ops::ParameterSource, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
+const GAUSSIANS: &str = "model.gs_head.";
 
 /// The weights that depth needs, read one tensor at a time.
 #[derive(Debug)]
@@ -18,22 +19,49 @@ pub struct DepthCheckpoint {
     parameters: Vec<(String, Vec<usize>)>,
     source: Source,
     provenance: String,
+    /// There are weights of a head for Gaussians, whether they are asked for or not.
+    of_gaussians: bool,
 }
 
 impl DepthCheckpoint {
+    /// Whether a text for [`DepthCheckpoint::parse`] stands for weights of such a network: by its name, or the names of a file's tensors.
+    pub fn is_meant(text: &str) -> bool {
+        match text.strip_prefix("seeded:") {
+            Some(name) => DEPTH_MODELS.contains(&name),
+            None => {
+                let path = Path::new(text);
+                let read = || safetensors::contents(path, &Bytes::open(path).ok()?).ok();
+                read().is_some_and(|contents| contents.tensors.keys().any(|name| name.starts_with(BACKBONE)))
+            }
+        }
+    }
+
+    /// As [`DepthCheckpoint::parse`], with the head for Gaussians where there is one.
+    ///
+    /// # Errors
+    /// As [`DepthCheckpoint::open`].
+    pub fn parse_whole(text: &str) -> Result<Self> {
+        let found = Self::parse(text, false)?;
+        if found.of_gaussians { Self::parse(text, true) } else { Ok(found) }
+    }
+
     /// `seeded:NAME`, of one of [`DEPTH_MODELS`], or the path of a file, as [`DepthCheckpoint::open`].
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`].
     pub fn parse(text: &str, gaussians: bool) -> Result<Self> {
         match text.strip_prefix("seeded:") {
-            Some(name) => Self::seeded(with_or_without(DepthArchitecture::named(name)?, gaussians)?, name),
+            Some(name) => {
+                let known = DepthArchitecture::named(name)?;
+                let of_gaussians = known.gaussians;
+                Ok(Self { of_gaussians, ..Self::seeded(with_or_without(known, gaussians)?, name)? })
+            }
             None => Self::open(text, gaussians),
         }
     }
 
-    /// Opens a released file, `model.safetensors`, of F32, F16, BF16, or F64 that is rounded to F32. Its tensors say which network it
-    /// is; those that are not needed are not read. The head for Gaussians is left out unless they are asked for.
+    /// Opens a released file, `model.safetensors`, of F32, F16, BF16, or F64 that is rounded to F32, or one of
+    /// [`DepthCheckpoint::save_with`]. Its tensors, or its metadata, say which network it is; those that are not needed are not read. The head for Gaussians is left out unless they are asked for.
     ///
     /// # Errors
     /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a network that is none of [`DEPTH_MODELS`], or has no
@@ -42,7 +70,11 @@ impl DepthCheckpoint {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
         let contents = safetensors::contents(path, &file)?;
-        let architecture = with_or_without(Shapes(&contents).architecture(path)?, gaussians)?;
+        let known = match &contents.depth_architecture {
+            Some(stated) => stated.clone(),
+            None => Shapes(&contents).architecture(path)?,
+        };
+        let architecture = with_or_without(known, gaussians)?;
         Self::of(path, file, contents, architecture)
     }
 
@@ -64,22 +96,53 @@ impl DepthCheckpoint {
     pub fn seeded(architecture: DepthArchitecture, key: &str) -> Result<Self> {
         architecture.validate()?;
         let (parameters, provenance) = (architecture.parameters(), format!("seeded:{key}"));
-        Ok(Self { architecture, parameters, source: Source::Seeded { key: key.into() }, provenance })
+        let (source, of_gaussians) = (Source::Seeded { key: key.into() }, architecture.gaussians);
+        Ok(Self { architecture, parameters, source, provenance, of_gaussians })
     }
 
     fn of(path: &Path, file: Bytes, mut contents: Contents, architecture: DepthArchitecture) -> Result<Self> {
         architecture.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
         let parameters = architecture.parameters();
+        let of_gaussians = contents.tensors.keys().any(|name| name.starts_with(GAUSSIANS));
         let wanted = |name: &str| parameters.iter().any(|(other, _)| other == name);
         contents.tensors.retain(|name, _| wanted(name) || !is_unused(name));
         let tensors = matching(path, &architecture.name, &parameters, contents)?;
         let provenance = path.display().to_string();
-        Ok(Self { architecture, parameters, source: Source::Stored { file, tensors }, provenance })
+        Ok(Self { architecture, parameters, source: Source::Stored { file, tensors }, provenance, of_gaussians })
     }
 
     /// The network that these are the weights of.
     pub fn architecture(&self) -> &DepthArchitecture {
         &self.architecture
+    }
+
+    /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
+    pub fn stored(&self) -> BTreeMap<&'static str, u64> {
+        self.source.stored(&self.parameters)
+    }
+
+    /// Bytes of all tensors as they are stored; of a seed, as f32.
+    pub fn bytes(&self) -> u64 {
+        self.stored().values().sum()
+    }
+
+    /// Writes safetensors with the network's sizes as metadata, as [`Checkpoint::save_with`](super::Checkpoint::save_with) does. Weights
+    /// of 8 bits become f32 again where they are loaded.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn save_with(
+        &self,
+        path: impl AsRef<Path>,
+        dtype: Dtype,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<()> {
+        safetensors::save(self, path.as_ref(), dtype, progress)
+    }
+
+    fn find(&self, name: &str) -> Result<usize> {
+        let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
+        self.parameters.iter().position(|(other, _)| other == name).ok_or_else(unknown)
     }
 
     /// Where the weights come from.
@@ -97,9 +160,27 @@ impl DepthCheckpoint {
     /// # Errors
     /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for a value that is not finite.
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
-        let index = self.parameters.iter().position(|(other, _)| other == name).ok_or_else(unknown)?;
-        self.source.read(&self.provenance, index, &self.parameters, out)
+        self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
+    }
+}
+
+impl safetensors::Weights for DepthCheckpoint {
+    fn parameters(&self) -> &[(String, Vec<usize>)] {
+        &self.parameters
+    }
+
+    fn network(&self) -> safetensors::Stated<'_> {
+        safetensors::Stated::Depth(&self.architecture)
+    }
+}
+
+impl ParameterSource for DepthCheckpoint {
+    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
+        self.read_f32(name, out)
+    }
+
+    fn read_q8(&self, name: &str) -> Result<Q8> {
+        self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }
 }
 
@@ -117,7 +198,7 @@ fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArc
 
 /// Tensors of released files that depth does without: the head for Gaussians, and tails of the rays' head that lead nowhere.
 fn is_unused(name: &str) -> bool {
-    let tails = ["model.gs_head.", "model.head.scratch.output_conv1_aux.", "model.head.scratch.output_conv2_aux."];
+    let tails = [GAUSSIANS, "model.head.scratch.output_conv1_aux.", "model.head.scratch.output_conv2_aux."];
     tails.iter().any(|tail| name.starts_with(tail))
 }
 

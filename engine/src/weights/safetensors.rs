@@ -1,6 +1,6 @@
 //! The safetensors format: a length, a JSON header, then the values.
 
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -10,13 +10,15 @@ use safetensors::tensor::{Metadata, TensorInfo};
 
 use super::contents::{Contents, MAX_PICTURE_SIDE, add, is_picture_side};
 use super::tensor::{Stored, StoredDtype};
-use super::{Architecture, Checkpoint, Dtype};
-use crate::ops::Q8;
+use super::{Architecture, DepthArchitecture, Dtype};
+use crate::ops::{ParameterSource, Q8};
 use crate::types::preprocess::PATCH;
 use crate::{Error, Result};
 
 /// Key of the metadata that holds the architecture as JSON.
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
+/// The same of a network that finds depth.
+const DEPTH_ARCHITECTURE_KEY: &str = "zipsplat.depth_architecture";
 /// Key of the metadata that holds the side of the pictures a network is best with, in pixels.
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
 /// Ends of the names of a tensor's 8-bit integers and of their scales.
@@ -72,6 +74,12 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         architecture.validate().map_err(|error| malformed(format!("{ARCHITECTURE_KEY}: {error}")))?;
         found.architecture = Some(architecture);
     }
+    if let Some(json) = stated(DEPTH_ARCHITECTURE_KEY) {
+        let architecture: DepthArchitecture =
+            serde_json::from_str(json).map_err(|error| malformed(format!("{DEPTH_ARCHITECTURE_KEY}: {error}")))?;
+        architecture.validate().map_err(|error| malformed(format!("{DEPTH_ARCHITECTURE_KEY}: {error}")))?;
+        found.depth_architecture = Some(architecture);
+    }
     Ok(found)
 }
 
@@ -90,9 +98,44 @@ fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, Str
     Stored::dense(dtype, info.shape.clone(), start + from, start + to)
 }
 
+/// The network that a file says it is of.
+pub(super) enum Stated<'a> {
+    /// With the side of the pictures that it is best with.
+    Scene(&'a Architecture, u32),
+    Depth(&'a DepthArchitecture),
+}
+
+/// Weights that a file is made of.
+pub(super) trait Weights: ParameterSource {
+    /// Name and shape of every tensor.
+    fn parameters(&self) -> &[(String, Vec<usize>)];
+    fn network(&self) -> Stated<'_>;
+}
+
+/// Writes every tensor in `dtype` to a file that appears whole or not at all; `progress` gets the share that is done and may stop it.
+pub(super) fn save(
+    checkpoint: &impl Weights,
+    path: &Path,
+    dtype: Dtype,
+    progress: impl FnMut(f64) -> ControlFlow<()>,
+) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    // Temporary files are private by default; the result is an ordinary file under the caller's umask.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
+    let mut out = BufWriter::with_capacity(1 << 20, file);
+    write(checkpoint, dtype, path, &mut out, progress)?;
+    let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
+    file.as_file().sync_all().map_err(|error| Error::io(path, error))?;
+    file.persist(path).map_err(|error| Error::io(path, error.error))?;
+    Ok(())
+}
+
 /// Writes every tensor of `checkpoint` in `dtype`, one at a time. `path` only names `out` in messages.
-pub(super) fn write(
-    checkpoint: &Checkpoint,
+fn write(
+    checkpoint: &impl Weights,
     dtype: Dtype,
     path: &Path,
     out: &mut impl Write,
@@ -121,7 +164,7 @@ pub(super) fn write(
     Ok(())
 }
 
-fn header(checkpoint: &Checkpoint, dtype: Dtype) -> Result<String, String> {
+fn header(checkpoint: &impl Weights, dtype: Dtype) -> Result<String, String> {
     let mut end = 0;
     let mut tensors = Vec::new();
     for (name, shape) in checkpoint.parameters() {
@@ -140,9 +183,14 @@ fn header(checkpoint: &Checkpoint, dtype: Dtype) -> Result<String, String> {
             }
         }
     }
-    let architecture = serde_json::to_string(checkpoint.architecture()).map_err(|error| error.to_string())?;
-    let side = checkpoint.picture_side().to_string();
-    let metadata = [(ARCHITECTURE_KEY, architecture), (PICTURE_SIDE_KEY, side)];
+    let metadata = match checkpoint.network() {
+        Stated::Scene(architecture, side) => {
+            vec![(ARCHITECTURE_KEY, serde_json::to_string(architecture)), (PICTURE_SIDE_KEY, Ok(side.to_string()))]
+        }
+        Stated::Depth(architecture) => vec![(DEPTH_ARCHITECTURE_KEY, serde_json::to_string(architecture))],
+    };
+    let stated = metadata.into_iter().map(|(key, value)| Ok((key, value?)));
+    let metadata = stated.collect::<serde_json::Result<Vec<_>>>().map_err(|error| error.to_string())?;
     let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
     let header = Metadata::new(Some(metadata), tensors).map_err(|error| error.to_string())?;
     // By way of a value, whose keys are sorted: the same file every time.
@@ -184,6 +232,7 @@ pub(super) fn too_small(dtype: Dtype, name: &str, value: f32) -> Error {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Checkpoint;
     use super::*;
 
     /// The header at its real length; the values of these networks take gigabytes, the header takes none of them.

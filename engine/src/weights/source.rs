@@ -1,7 +1,8 @@
 //! Where the values of parameters lie.
 
-use super::{checkpoint::Bytes, seeded, tensor::Stored};
-use crate::{Error, Result};
+use super::{Dtype, checkpoint::Bytes, safetensors::too_small, seeded, tensor::Stored};
+use crate::{Error, Result, ops::Q8};
+use std::collections::BTreeMap;
 
 /// The values of a list of parameters.
 #[derive(Debug)]
@@ -44,5 +45,49 @@ impl Source {
             }
             None => Ok(()),
         }
+    }
+
+    /// Reads parameter `index`, a matrix whose rows are whole groups, in 8 bits: as it is stored, or rounded.
+    ///
+    /// # Errors
+    /// As [`Source::read`]; [`Error::Argument`] for a value that is too large to be rounded, and [`Error::Format`] for such a scale.
+    pub fn read_q8(&self, provenance: &str, index: usize, parameters: &[(String, Vec<usize>)]) -> Result<Q8> {
+        let (name, shape) = &parameters[index];
+        match self {
+            Self::Stored { file, tensors } if tensors[index].is_q8() => {
+                let found = tensors[index].read_q8(file);
+                let usable = |scale: f32| scale == 0.0 || Q8::SCALES.contains(&scale);
+                match found.scales.iter().position(|scale| !usable(scale.to_f32())) {
+                    Some(i) => {
+                        let expected = format!("0 or {:?}", Q8::SCALES);
+                        let reason = format!("{name}: found scale {i} of {}, expected {expected}", found.scales[i]);
+                        Err(Error::format(provenance, None, reason))
+                    }
+                    None => Ok(found),
+                }
+            }
+            _ => {
+                let mut values = vec![0.0; shape.iter().product()];
+                self.read(provenance, index, parameters, &mut values)?;
+                let largest = || values.iter().fold(0f32, |most, x| if x.abs() > most.abs() { *x } else { most });
+                Q8::round(&values).ok_or_else(|| too_small(Dtype::Q8, name, largest()))
+            }
+        }
+    }
+
+    /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
+    pub fn stored(&self, parameters: &[(String, Vec<usize>)]) -> BTreeMap<&'static str, u64> {
+        let mut stored = BTreeMap::new();
+        match self {
+            Self::Stored { tensors, .. } => {
+                let kind = |tensor: &Stored| if tensor.is_q8() { Dtype::Q8.name() } else { tensor.dtype.name() };
+                tensors.iter().for_each(|tensor| *stored.entry(kind(tensor)).or_default() += tensor.bytes() as u64);
+            }
+            Self::Seeded { .. } => {
+                let values: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+                stored.insert(Dtype::F32.name(), (size_of::<f32>() * values) as u64);
+            }
+        }
+        stored
     }
 }

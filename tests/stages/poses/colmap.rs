@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use zipsplat::Error;
-use zipsplat::types::poses::{read_cloud, read_poses, write_transforms};
-use zipsplat::types::{Camera, Intrinsics, Pose, quaternion_from_matrix};
+use zipsplat::types::poses::{Frame, read_cloud, read_poses, write_colmap, write_transforms};
+use zipsplat::types::{Camera, Distortion, Intrinsics, Lens, Pose, quaternion_from_matrix};
 
 use super::{LENS, assert_format_error, assert_same_cameras, cameras, of, put_photos};
 
@@ -207,4 +207,50 @@ fn point_clouds_are_found_and_read() {
         let error = read_cloud(path(file)).unwrap_err().to_string();
         assert!(error.contains(reason) && error.contains("points"), "{error}");
     }
+}
+
+#[test]
+fn models_are_written_as_they_are_read() {
+    let (truth, names) = cameras();
+    let folder = tempfile::tempdir().unwrap();
+    let of_lens = |distortion: Distortion| Lens { intrinsics: LENS, distortion };
+    let bent = |k3: f64| Distortion::Perspective {
+        numerator: [-0.05, 0.01, k3, 0.0],
+        denominator: [k3, 0.0, 0.5 * k3],
+        tangential: [1e-3, -2e-3],
+    };
+    let lenses = [
+        None,
+        None,
+        Some(of_lens(bent(0.0))),
+        Some(of_lens(bent(0.002))),
+        Some(of_lens(Distortion::Fisheye([0.01, 0.0, 0.02, 0.0]))),
+    ];
+    let frame = |((camera, name), lens): ((&Camera, &String), &Option<Lens>)| {
+        let intrinsics = lens.map_or(camera.intrinsics, |lens| lens.pinhole("lens").unwrap());
+        Frame { name: name.replace("images/", ""), photo: None, camera: Camera { intrinsics, ..*camera }, lens: *lens }
+    };
+    let mut frames: Vec<Frame> = truth.iter().zip(&names).zip(lenses.iter().cycle()).map(frame).collect();
+    let points = [([1.5, -2.0, 0.1], [1, 2, 3]), ([0.0, 4.0, 8.0], [255, 0, 7])];
+    write_colmap(folder.path(), &frames, &points).unwrap();
+    let read = read_poses(folder.path()).unwrap();
+    assert_eq!(read.frames.len(), frames.len());
+    for (read, frame) in read.frames.iter().zip(&frames) {
+        assert_eq!((&read.name, read.lens, read.camera.intrinsics), (&frame.name, frame.lens, frame.camera.intrinsics));
+    }
+    assert_same_cameras(&of(&read), &frames.iter().map(|frame| frame.camera).collect::<Vec<_>>());
+    let cloud = read_cloud(read.points.unwrap()).unwrap();
+    assert_eq!(cloud.positions.into_iter().zip(cloud.colors).collect::<Vec<_>>(), points);
+    // Two frames of one lens share its line.
+    let lines = fs::read_to_string(folder.path().join("cameras.txt")).unwrap();
+    assert_eq!(lines.lines().filter(|line| !line.starts_with('#')).count(), frames.len().min(4), "{lines}");
+
+    frames[1].name = "two words.png".into();
+    let refused = |frames: &[Frame]| write_colmap(folder.path(), frames, &[]).unwrap_err().to_string();
+    assert!(refused(&frames).contains("two words.png"));
+    let ninth =
+        Distortion::Perspective { numerator: [0.0, 0.0, 0.0, 1e-3], denominator: [0.0; 3], tangential: [0.0; 2] };
+    frames.truncate(1);
+    frames[0].lens = Some(of_lens(ninth));
+    assert!(refused(&frames).contains("r^8"));
 }

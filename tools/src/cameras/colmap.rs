@@ -1,6 +1,6 @@
 //! COLMAP as a program: which there is, the command of each step, and what its words say of how far it is.
 
-use super::find::{Finding, Pairs};
+use super::find::{Pairs, Searching};
 use crate::process;
 use std::{
     fmt,
@@ -95,8 +95,8 @@ impl Colmap {
     ///
     /// # Errors
     /// [`Error::Argument`] with the command that installs it where it does not run.
-    pub fn of(finding: &Finding) -> Result<Self> {
-        let tried = match (&finding.python, &finding.colmap) {
+    pub fn of(searching: &Searching) -> Result<Self> {
+        let tried = match (&searching.python, &searching.colmap) {
             (Some(python), _) => Self::pycolmap(python),
             (None, Some(program)) => Self::native(program),
             (None, None) => {

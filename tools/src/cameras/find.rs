@@ -1,10 +1,11 @@
-//! Cameras of photos that have none, found by COLMAP.
+//! Cameras of photos that have none, found by COLMAP or by a network of Depth Anything 3.
 
 use super::{
     colmap::{Colmap, Mapping, Step, Told},
     work::{Work, make_folder},
 };
 use crate::{
+    depth::{CamerasFrom, Seen},
     outputs::LOG_START,
     photos::names,
     process,
@@ -28,8 +29,11 @@ use zipsplat::{
     },
 };
 
-/// The word that stands for a file of cameras where they are to be found.
+/// The words that stand for a file of cameras where they are to be found.
 const FIND: &str = "find";
+const DA3: &str = "da3";
+/// Longer side of the photos in which COLMAP looks for points, where nobody says.
+const SIDE: u32 = 1600;
 /// Most photos of which all pairs are matched where nobody says: their number goes with the square.
 const ALL_PAIRS: usize = 100;
 /// Most photos of which none should be lost without another try.
@@ -46,6 +50,18 @@ const TELLING: f64 = 0.04;
 /// How cameras are found.
 #[derive(Args, Clone, Default)]
 pub struct Finding {
+    #[command(flatten)]
+    pub search: Searching,
+    #[command(flatten)]
+    pub cameras: CamerasFrom,
+    /// Weights of Depth Anything 3 for --poses da3, as `depth` takes them
+    #[arg(long, value_name = "PATH|seeded:NAME")]
+    pub depth_weights: Option<String>,
+}
+
+/// How photos are searched for what they have in common.
+#[derive(Args, Clone, Default)]
+pub struct Searching {
     /// COLMAP's program, 3.x or 4.x, where cameras are to be found [default: colmap, else the pycolmap of python3]
     #[arg(long, value_name = "PROGRAM")]
     pub colmap: Option<PathBuf>,
@@ -55,9 +71,19 @@ pub struct Finding {
     /// Photos that are searched for the same points [default: all pairs of up to 100 photos, else near]
     #[arg(long, value_enum, value_name = "WHICH")]
     pub pairs: Option<Pairs>,
-    /// Longer side of the photos in which points are looked for; larger photos are scaled down to it
-    #[arg(long, value_name = "PIXELS", default_value = "1600", value_parser = clap::value_parser!(u32).range(64..=32_768))]
-    pub find_size: u32,
+    /// Longer side of the photos in which cameras are looked for; COLMAP takes smaller photos as they are [default: 1600, for
+    /// Depth Anything 3 504]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
+    pub find_size: Option<u32>,
+}
+
+/// The finder of cameras.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Finder {
+    /// COLMAP, by points that photos have in common
+    Colmap,
+    /// A network of Depth Anything 3, in one pass
+    Da3,
 }
 
 /// Pairs of photos that are matched.
@@ -76,8 +102,10 @@ pub struct Known {
     pub found: Option<Found>,
 }
 
-/// How cameras were found. COLMAP's files, the points among them, last as long as this.
+/// How cameras were found. The file of their points lasts as long as this.
 pub struct Found {
+    /// What a network saw, where one found them.
+    pub seen: Option<Box<Seen>>,
     /// Photos that have no camera.
     pub lost: Vec<PathBuf>,
     /// Photos with a camera.
@@ -92,8 +120,9 @@ pub struct Found {
     /// The program that found them.
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    pub(super) log: Log,
-    _work: TempDir,
+    /// All that COLMAP said, where it found them.
+    pub(super) log: Option<Log>,
+    pub(super) _work: TempDir,
 }
 
 /// All that COLMAP said.
@@ -110,40 +139,56 @@ struct Search<'a> {
     times: Vec<(&'static str, Duration)>,
 }
 
-impl Known {
-    /// The cameras of a file, or where `poses` is `find` those that COLMAP finds for `photos`, which is noted.
+impl Finder {
+    /// The one that a word in place of a file of cameras stands for; a file of that name is `./find`.
+    pub fn named(poses: &Path) -> Option<Self> {
+        let finders = [(FIND, Self::Colmap), (DA3, Self::Da3)];
+        finders.into_iter().find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
+    }
+
+    /// Finds the cameras of photos. Frames have the names of the photos' files, or of several that share one their paths.
     ///
     /// # Errors
-    /// As [`read_poses`] and [`Found::of`].
-    pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
-        if !Self::to_find(poses) {
-            return Ok(Self { poses: read_poses(poses)?, found: None });
+    /// As [`Found::by_colmap`] and [`Found::by_network`].
+    pub fn find(self, session: &mut Session<'_>, photos: &[PathBuf], finding: &Finding) -> Result<(Poses, Found)> {
+        match self {
+            Self::Colmap => Found::by_colmap(session, photos, &finding.search),
+            Self::Da3 => Found::by_network(session, photos, finding),
         }
-        let (poses, found) = Found::of(session, photos, finding)?;
+    }
+}
+
+impl Known {
+    /// The cameras of a file, or where `poses` is a [`Finder`]'s word those that it finds for `photos`, which is noted.
+    ///
+    /// # Errors
+    /// As [`read_poses`] and [`Finder::find`].
+    pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
+        let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: read_poses(poses)?, found: None }) };
+        let (poses, found) = finder.find(session, photos, finding)?;
         session.note(format!("cameras found: {}", found.told()));
         Ok(Self { poses, found: Some(found) })
     }
 
-    /// True where cameras are to be found; a file of that name is `./find`.
+    /// True where cameras are to be found.
     pub fn to_find(poses: &Path) -> bool {
-        poses == Path::new(FIND)
+        Finder::named(poses).is_some()
     }
 }
 
 impl Found {
-    /// The cameras of photos, in a world and unit of COLMAP's choice. Frames have the names of the photos' files, or of several that
-    /// share one their paths.
+    /// The cameras of photos, in a world and unit of COLMAP's choice.
     ///
     /// # Errors
     /// [`Error::Argument`] where COLMAP is missing or finds no cameras, with the likely reason; [`Error::Io`] where it fails, with
     /// the path of its log; of photos as [`Image::size`]; [`Error::Cancelled`].
-    pub fn of(session: &mut Session<'_>, photos: &[PathBuf], finding: &Finding) -> Result<(Poses, Self)> {
-        let colmap = Colmap::of(finding)?;
+    fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
+        let colmap = Colmap::of(searching)?;
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
         }
         let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, stage))?;
-        let mut search = Search::new(finding, &colmap, &work)?;
+        let mut search = Search::new(searching, &colmap, &work)?;
         for step in [Step::Features, Step::Matches] {
             if let Some(status) = search.run(session, step, work.folder.path())? {
                 return Err(search.failure(step, status));
@@ -158,7 +203,8 @@ impl Found {
         let (poses, lost) = work.named(model)?;
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let (program, count, focal) = (colmap.to_string(), poses.frames.len(), focal(&poses.frames));
-        Ok((poses, Self { lost, count, groups, points, focal, mappings, program, times, log, _work: work.folder }))
+        let (log, _work) = (Some(log), work.folder);
+        Ok((poses, Self { seen: None, lost, count, groups, points, focal, mappings, program, times, log, _work }))
     }
 
     /// The outcome in words.
@@ -187,9 +233,9 @@ impl Found {
 }
 
 impl<'a> Search<'a> {
-    fn new(finding: &Finding, colmap: &'a Colmap, work: &'a Work) -> Result<Self> {
-        let pairs = finding.pairs.unwrap_or(if work.photos.len() > ALL_PAIRS { Pairs::Near } else { Pairs::All });
-        let side = finding.find_size;
+    fn new(searching: &Searching, colmap: &'a Colmap, work: &'a Work) -> Result<Self> {
+        let pairs = searching.pairs.unwrap_or(if work.photos.len() > ALL_PAIRS { Pairs::Near } else { Pairs::All });
+        let side = searching.find_size.unwrap_or(SIDE);
         Ok(Self { colmap, work, pairs, side, log: Log::new()?, told: Told::default(), times: Vec::new() })
     }
 
@@ -265,7 +311,7 @@ impl<'a> Search<'a> {
 }
 
 /// The median focal length of photos as a share of their longer sides.
-fn focal(frames: &[Frame]) -> f64 {
+pub(super) fn focal(frames: &[Frame]) -> f64 {
     let focal = |Frame { camera: Camera { intrinsics, .. }, .. }: &Frame| {
         intrinsics.fx / f64::from(intrinsics.width.max(intrinsics.height))
     };

@@ -1,11 +1,15 @@
-//! Cameras: of photos, from files or found by COLMAP, and along paths around a scene.
+//! Cameras: of photos, from files or found by COLMAP or a network, and along paths around a scene.
 
 mod colmap;
 mod find;
+mod network;
 mod paths;
 mod place;
+mod similarity;
 mod work;
 
-pub use find::{Finding, Found, Known};
+pub use find::{Finder, Finding, Found, Known, Searching};
 pub use paths::{CameraArgs, origin};
-pub use place::{Place, path_from};
+pub use place::{ModelOption, Place, path_from};
+pub use similarity::Similarity;
+pub use work::lenses;

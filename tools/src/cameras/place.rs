@@ -1,17 +1,19 @@
 //! The files of found cameras.
 
 use super::Found;
-use crate::outputs::Overwrite;
+use crate::outputs::{Overwrite, check_folder, make_folder};
+use clap::Args;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{
-        poses::{Frame, Poses, read_cloud, write_frames},
+        PointCloud,
+        poses::{Frame, Poses, colmap_files, read_cloud, write_colmap, write_frames},
         write_atomic, write_points,
     },
 };
 
-/// The files of found cameras: `transforms.json`, and beside it the points and COLMAP's log.
+/// The files of found cameras: `transforms.json`, and beside it the points, and COLMAP's log where it found them.
 pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {
@@ -51,18 +53,19 @@ impl Place<'_> {
         overwrite.check_file(self.0)
     }
 
-    /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points and the log.
+    /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points, and COLMAP's log.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file that cannot be written.
     pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
         let [cameras, points, log] = self.files();
         if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
-            let colored = cloud.positions.into_iter().zip(cloud.colors);
-            write_points(&points, &colored.collect::<Vec<_>>())?;
+            write_points(&points, &colored(cloud))?;
         }
-        let said = std::fs::read(found.log.path()).map_err(|source| Error::io(found.log.path(), source))?;
-        write_atomic(&log, |out| out.write_all(&said))?;
+        if let Some(said) = &found.log {
+            let said = std::fs::read(said.path()).map_err(|source| Error::io(said.path(), source))?;
+            write_atomic(&log, |out| out.write_all(&said))?;
+        }
         let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = |frame: &Frame| {
             let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
@@ -71,6 +74,53 @@ impl Place<'_> {
         let frames = poses.frames.iter().map(name).collect::<Result<Vec<Frame>>>()?;
         let points = points.file_name().unwrap_or_default().to_string_lossy();
         write_frames(&cameras, &frames, Some(&points))
+    }
+}
+
+/// The points of a cloud, each with its colour.
+fn colored(cloud: PointCloud) -> Vec<([f32; 3], [u8; 3])> {
+    cloud.positions.into_iter().zip(cloud.colors).collect()
+}
+
+/// The export of cameras to programs that read COLMAP's models.
+#[derive(Args)]
+pub struct ModelOption {
+    /// Also write cameras and points as a COLMAP model in text (cameras.txt, images.txt, points3D.txt) to this folder. Photos are
+    /// named as from the folder that they share
+    #[arg(long, value_name = "FOLDER")]
+    colmap_model: Option<PathBuf>,
+}
+
+impl ModelOption {
+    /// Checks that the model can be written, before anything is computed for it.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where it is no folder, or files of others would be replaced.
+    pub fn check(&self, overwrite: Overwrite) -> Result<()> {
+        let Some(folder) = &self.colmap_model else { return Ok(()) };
+        check_folder(folder)?;
+        overwrite.check_replaced(colmap_files(folder))
+    }
+
+    /// Writes the model, where it is asked for. Frames have their photos.
+    ///
+    /// # Errors
+    /// As [`write_colmap`].
+    pub fn save(&self, frames: &[Frame], points: Option<&Path>) -> Result<()> {
+        let Some(folder) = &self.colmap_model else { return Ok(()) };
+        let photos = frames.iter().map(|frame| frame.photo.as_deref().unwrap_or(Path::new(&frame.name)));
+        let shared = photos.clone().filter_map(Path::parent).map(Path::to_owned).reduce(|a, b| {
+            let common = a.components().zip(b.components()).take_while(|(a, b)| a == b);
+            common.map(|(folder, _)| folder).collect()
+        });
+        let shared = shared.unwrap_or_default();
+        let named = |(frame, photo): (&Frame, &Path)| {
+            let name = photo.strip_prefix(&shared).unwrap_or(photo).to_string_lossy().replace('\\', "/");
+            Frame { name, ..frame.clone() }
+        };
+        let named: Vec<Frame> = frames.iter().zip(photos.clone()).map(named).collect();
+        make_folder(folder)?;
+        write_colmap(folder, &named, &points.map(read_cloud).transpose()?.map(colored).unwrap_or_default())
     }
 }
 

@@ -32,12 +32,10 @@ impl Work {
     pub fn new(photos: &[PathBuf], stage: &Stage<'_>) -> Result<Self> {
         let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
         let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
-        let mut cameras = HashMap::new();
+        let cameras = lenses(photos)?;
         let mut work = Self { folder, photos: Vec::new() };
         stage.each(&photos.iter().enumerate().collect::<Vec<_>>(), |(number, photo)| {
-            let count = cameras.len();
-            let camera = *cameras.entry((Image::size_as_stored(photo)?, optics(photo))).or_insert(count);
-            let kind = kind(photo)?;
+            let (kind, camera) = (kind(photo)?, cameras[*number]);
             let name = format!("{camera}/{number:06}.{}", kind.unwrap_or("png"));
             let path = work.folder.path().join("images").join(&name);
             make_folder(path.parent().unwrap_or(&path))?;
@@ -115,6 +113,19 @@ fn link(photo: &Path, to: &Path) -> Result<()> {
     #[cfg(not(unix))]
     let linked = std::fs::hard_link(&photo, to).or_else(|_| std::fs::copy(&photo, to).map(drop));
     linked.map_err(failed)
+}
+
+/// The number of each photo's lens, from 0 on: photos of one size, and one camera and focal length by their EXIF, share one.
+///
+/// # Errors
+/// Those of photos that cannot be read.
+pub fn lenses(photos: &[PathBuf]) -> Result<Vec<usize>> {
+    let mut known = HashMap::new();
+    let lens = |photo: &PathBuf| {
+        let count = known.len();
+        Ok(*known.entry((Image::size_as_stored(photo)?, optics(photo))).or_insert(count))
+    };
+    photos.iter().map(lens).collect()
 }
 
 /// Camera and lens as a photo's EXIF has them: photos of a phone may be of several lenses.

@@ -1,7 +1,9 @@
 //! `zipsplat cameras`: the cameras of photos that have none.
 
 use crate::{
-    cameras::{Finding, Found, Place},
+    cameras::{Finder, Finding, ModelOption, Place, Searching},
+    depth::CamerasFrom,
+    options::refuse,
     outputs::Overwrite,
     photos::{self, PhotoArgs},
     session::Session,
@@ -13,18 +15,23 @@ use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::Result;
 
-/// The cameras of photos that have none, found by COLMAP
+/// The cameras of photos that have none, found by COLMAP or by Depth Anything 3
 ///
 /// COLMAP, an open program for structure from motion, is installed apart: version 3 or 4, or pycolmap, in Python. It runs on the
 /// CPU and needs no display. What it finds is written as transforms.json, with the distortion of the lens, so that the photos
 /// stay as they are, and beside it points.ply, from which `refine --start points` begins, and colmap.log. Of photos in several groups
 /// that nothing joins the largest group is taken; where that has fewer than four fifths of the photos, or of up to 12 not all, COLMAP
 /// tries up to twice more, with other random numbers and looser thresholds. Photos of one size, camera and focal length share a lens.
+///
+/// With --with da3 a network of Depth Anything 3 sees all photos at once and says where they were taken, also where photos are two, or
+/// have little in common, or show little texture. It needs its --weights and no other program. Cameras are less exact than COLMAP's
+/// where that succeeds; points.ply has the points of all pixels that the network is confident of, in a unit of the network's.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json
   zipsplat cameras clip.mp4 --views 24 -o clip/transforms.json
-  zipsplat cameras photos/ --python ~/venv/bin/python -o transforms.json")]
+  zipsplat cameras photos/ --python ~/venv/bin/python -o transforms.json
+  zipsplat cameras photos/ --with da3 --weights da3-base.safetensors -o transforms.json")]
 pub struct Cameras {
     #[command(flatten)]
     input: PhotoArgs,
@@ -37,20 +44,36 @@ pub struct Cameras {
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
+    /// The program or network that finds them
+    #[arg(long, value_enum, value_name = "FINDER", default_value = "colmap")]
+    with: Finder,
+    /// Weights of Depth Anything 3, as `depth` takes them
+    #[arg(long, value_name = "PATH|seeded:NAME", required_if_eq("with", "da3"))]
+    weights: Option<String>,
     #[command(flatten)]
-    finding: Finding,
+    cameras: CamerasFrom,
+    #[command(flatten)]
+    search: Searching,
+    #[command(flatten)]
+    model: ModelOption,
 }
 
 impl Cameras {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let place = Place(&self.output);
         place.check(self.overwrite)?;
+        self.model.check(self.overwrite)?;
+        let unused = self.with == Finder::Colmap && self.weights.is_some();
+        refuse("--weights", unused, "COLMAP, which needs none", "--with da3")?;
         let (mut photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
         if let Some(views) = self.views {
             photos = photos::spread(photos, views as usize);
         }
-        let (poses, found) = Found::of(session, &photos, &self.finding)?;
+        let (search, depth_weights) = (self.search.clone(), self.weights.clone());
+        let finding = Finding { search, cameras: self.cameras, depth_weights };
+        let (poses, found) = self.with.find(session, &photos, &finding)?;
         place.save(&poses, &found)?;
+        self.model.save(&poses.frames, poses.points.as_deref())?;
         frames.iter_mut().for_each(FrameFolder::keep);
         poses.notes.iter().for_each(|note| session.note(note));
         let seconds: serde_json::Map<_, _> =

@@ -8,12 +8,12 @@ use crate::{
 };
 use clap::Args;
 use indicatif::HumanCount;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{SceneFormat, WriteOptions, read_world, spz_coarsening},
-    weights::Dtype,
+    weights::{DepthCheckpoint, Dtype},
 };
 
 /// A scene to another format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
@@ -28,9 +28,10 @@ use zipsplat::{
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
   zipsplat convert zipsplat.pt small.safetensors --dtype q8
   zipsplat convert tensors.safetensors named.safetensors --variant vitb
+  zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, .splat or glTF), checkpoint, or seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, or seeded:VARIANT[:KEY]
     input: String,
     /// File to write
     output: PathBuf,
@@ -92,23 +93,38 @@ impl Convert {
         refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
         refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
+        if DepthCheckpoint::is_meant(&self.input) {
+            return self.depth_checkpoint(session, dtype);
+        }
         let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
-        let written = self.written()?;
         let architecture = checkpoint.architecture();
+        self.report(session, (&architecture.name, json!(architecture)), architecture.parameter_count(), dtype)
+    }
+
+    fn depth_checkpoint(&self, session: &mut Session<'_>, dtype: Dtype) -> Result<()> {
+        refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
+        let checkpoint = DepthCheckpoint::parse_whole(&self.input)?;
+        session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
+        let architecture = checkpoint.architecture();
+        self.report(session, (&architecture.name, json!(architecture)), architecture.parameter_count(), dtype)
+    }
+
+    /// The outcome of a checkpoint.
+    fn report(
+        &self,
+        session: &mut Session<'_>,
+        (name, architecture): (&str, Value),
+        parameters: usize,
+        dtype: Dtype,
+    ) -> Result<()> {
+        let written = self.written()?;
         let json = json!({
-            "output": self.output, "architecture": architecture, "parameters": architecture.parameter_count(),
-            "dtype": dtype.name(), "bytes": written,
+            "output": self.output, "architecture": architecture, "parameters": parameters, "dtype": dtype.name(), "bytes": written,
         });
-        let text = format!(
-            "{}: {}, {} parameters in {}, {}",
-            self.output.display(),
-            architecture.name,
-            HumanCount(architecture.parameter_count() as u64),
-            dtype.name(),
-            bytes(written)
-        );
+        let (output, count) = (self.output.display(), HumanCount(parameters as u64));
+        let text = format!("{output}: {name}, {count} parameters in {}, {}", dtype.name(), bytes(written));
         session.report(&json, text)
     }
 

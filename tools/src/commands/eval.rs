@@ -64,9 +64,9 @@ pub struct Eval {
     /// of a data set, or folders of them
     #[arg(required = true, value_name = "FOLDER")]
     folders: Vec<PathBuf>,
-    /// Cameras of the photos: transforms.json, a COLMAP model's folder, or find, where COLMAP finds them [default: those in the
-    /// folder]
-    #[arg(long, value_name = "PATH|find")]
+    /// Cameras of the photos: transforms.json, a COLMAP model's folder, find, where COLMAP finds them, or da3, where Depth Anything 3
+    /// does [default: those in the folder]
+    #[arg(long, value_name = "PATH|find|da3")]
     poses: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,

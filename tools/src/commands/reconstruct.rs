@@ -1,13 +1,14 @@
 //! `zipsplat reconstruct`: photos to a scene.
 
 mod forward;
+mod pixels;
 mod placed;
 mod refined;
 
 use super::render::Render;
 use crate::{
-    cameras::{Finding, Found, Known, Place},
-    options::{Quality, Weights, parse_length, refuse},
+    cameras::{Finder, Finding, Found, Known, Place},
+    options::{Network, Quality, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::{self, PhotoArgs},
     refinement::{self, RefineOptions, Start, placed, save_cameras},
@@ -33,6 +34,11 @@ use zipsplat::{
     },
 };
 
+/// Headings of `--help`.
+const NETWORK: &str = "Network";
+const CAMERAS: &str = "Cameras";
+const REFINEMENT: &str = "Refinement";
+
 /// Photos of one place to a scene of 3D Gaussians
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
@@ -56,41 +62,41 @@ pub struct Reconstruct {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = NETWORK)]
     weights: Weights,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = NETWORK)]
     quality: Quality,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = NETWORK)]
     fit: FitOption,
     /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, where COLMAP finds
-    /// them
-    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
+    /// them, or da3, where Depth Anything 3 does
+    #[arg(long, help_heading = CAMERAS, visible_alias = "cameras", value_name = "PATH|find|da3")]
     poses: Option<PathBuf>,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the cameras that were found as transforms.json: with --poses find COLMAP's, points and log beside it; without --poses
+    /// Write the cameras that were found as transforms.json: with --poses find or da3 those, points and log beside it; without --poses
     /// those that follow from where the scene has what each photo shows, in the scene's world
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
     /// the cameras look at, else the distance between cameras]
-    #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
+    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
     /// World of the scene
-    #[arg(long, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
+    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
     world: WorldName,
     /// Also print the stages that ran, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineOptions,
     /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
-    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
     #[arg(long, value_name = "FOLDER")]
@@ -109,8 +115,8 @@ struct Captured {
     poses: Option<Poses>,
     /// Frames of a video.
     frame_folder: Option<FrameFolder>,
-    /// COLMAP's files, the points among them.
-    _found: Option<Found>,
+    /// How cameras were found; the file of their points lasts as long.
+    found: Option<Found>,
 }
 
 /// The world that a scene is in.
@@ -135,7 +141,7 @@ impl WorldName {
 /// The warning where positions in the world of the cameras are coarse, by the unit of a network's scene.
 fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
     // Positions are f32.
-    let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length());
+    let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length);
     (step > COARSE * length).then(|| {
         let world = "the world of the cameras begins far from them";
         format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away")
@@ -146,10 +152,9 @@ impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
         let drawing = self.drawing()?;
-        let checkpoint = self.weights.open()?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
-        self.quality.check(checkpoint.architecture())?;
-        let Captured { photos, poses, mut frame_folder, _found } = self.captured(session)?;
+        let network = self.weights.open_network()?;
+        self.check_network(session, &network)?;
+        let Captured { photos, poses, mut frame_folder, mut found } = self.captured(session, &network)?;
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let first = frames.first().map(|frame| frame.camera.pose);
         let steps = self.refine.steps();
@@ -160,17 +165,28 @@ impl Reconstruct {
             _ => None,
         };
         let start = steps.map(|steps| self.start_of(steps, cloud.as_ref()));
-        let forward = match start {
+        let captured = (&photos[..], poses.as_ref(), &frames[..]);
+        let (forward, device) = match (start, &network) {
             // Points are enough: the network has nothing to add.
-            Some(From::Scene(Start::Points)) => None,
-            _ => Some(Forward::plan(self, session, &checkpoint, (&photos, poses.as_ref(), &frames))?),
+            (Some(From::Scene(Start::Points)), _) => (None, session.device()?),
+            (_, Network::Tokens(checkpoint)) => {
+                let plan = Forward::plan(self, session, checkpoint, captured)?;
+                let device = session.device()?;
+                (Some(plan.run(session, &device)?), device)
+            }
+            (_, Network::Pixels(checkpoint)) => {
+                let seen = found.as_mut().and_then(|found| found.seen.take());
+                (Some(Forward::of_pixels(self, session, checkpoint, seen, captured)?), session.device()?)
+            }
         };
-        let device = session.device()?;
-        let forward = forward.map(|plan| plan.run(session, &device)).transpose()?;
 
         let refined = match (steps, start) {
             (Some(steps), Some(start)) => {
-                let given = Given { device: &device, checkpoint: &checkpoint, forward: forward.as_ref() };
+                let checkpoint = match &network {
+                    Network::Tokens(checkpoint) => Some(checkpoint),
+                    Network::Pixels(_) => None,
+                };
+                let given = Given { device: &device, checkpoint, forward: forward.as_ref() };
                 Some(self.refine_scene(session, (steps, start), given, cloud.as_ref(), (&photos, &frames))?)
             }
             _ => None,
@@ -207,7 +223,7 @@ impl Reconstruct {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
             let as_made = refined.is_none() && !matches!(world, Some(World::Cameras(_)));
-            let own = forward.as_ref().filter(|_| as_made).and_then(Forward::on_device);
+            let own = forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
             let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
                 Some(gaussians) => renderer.show(gaussians),
                 None => renderer.load(&scene),
@@ -216,12 +232,11 @@ impl Reconstruct {
         });
         let drawn = drawn.transpose()?;
 
-        let mut times: Vec<(&str, Duration)> = forward.iter().flat_map(Forward::times).collect();
-        times.extend(refined.iter().map(|made| ("refine", made.refined.took)));
-        times.push(("write", write));
-        let seconds: serde_json::Map<_, _> =
-            times.iter().map(|(s, t)| (s.to_string(), json!(t.as_secs_f64()))).collect();
-        let peaks = forward.iter().map(|forward| forward.result.peak_bytes);
+        let mut times: Vec<(String, Duration)> = forward.iter().flat_map(|forward| forward.times.clone()).collect();
+        times.extend(refined.iter().map(|made| ("refine".to_owned(), made.refined.took)));
+        times.push(("write".to_owned(), write));
+        let seconds: serde_json::Map<_, _> = times.iter().map(|(s, t)| (s.clone(), json!(t.as_secs_f64()))).collect();
+        let peaks = forward.iter().map(|forward| forward.peak_bytes);
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
         let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
@@ -233,13 +248,13 @@ impl Reconstruct {
                 let steps = counted(made.refined.best_step, "step");
                 format!(" from {}, refined for {steps} against {}", made.started, counted(photos.len(), "photo"))
             }
-            (None, Some(forward)) => forward.views_told(),
+            (None, Some(forward)) => forward.views_told.clone(),
             (None, None) => String::new(),
         };
         let mut text = format!("{}: {}{of}\n", self.output.display(), counted(scene.len(), "Gaussian"));
         if let Some(forward) = &forward {
-            text += &forward.told();
-            forward.add_to(&mut json);
+            text += &forward.told;
+            forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
         }
         text += &format!("at most {} of {}\n", bytes(peak_bytes), device.limits().name);
         for (stage, took) in &times {
@@ -247,7 +262,9 @@ impl Reconstruct {
             // Writing to a string cannot fail.
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
         }
-        if let (true, Some(explanation)) = (self.explain, forward.as_ref().map(Forward::explanation)) {
+        if let (true, Some(explanation)) =
+            (self.explain, forward.as_ref().and_then(|forward| forward.explanation.as_ref()))
+        {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
@@ -265,6 +282,22 @@ impl Reconstruct {
         session.report(&json, text)
     }
 
+    /// Refuses what this network cannot be asked for.
+    fn check_network(&self, session: &mut Session<'_>, network: &Network) -> Result<()> {
+        match network {
+            Network::Tokens(checkpoint) => {
+                session.notes(checkpoint.notes());
+                self.quality.check(checkpoint.architecture())?;
+            }
+            Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
+        }
+        let Some(place) = &self.cameras_out else { return Ok(()) };
+        let finds = self.finds(network);
+        let known = self.poses.is_some() && !finds;
+        refuse("--cameras-out", known, "cameras that are known", "--poses find, or no --poses")?;
+        if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
+    }
+
     /// Refuses whatever can be refused before anything that takes time.
     fn check(&self) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
@@ -272,33 +305,43 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
-        if let Some(place) = &self.cameras_out {
-            let known = self.poses.is_some() && !self.finds();
-            refuse("--cameras-out", known, "cameras that are known", "--poses find, or no --poses")?;
-            match self.finds() {
-                true => Place(place).check(self.overwrite)?,
-                false => Place(place).check_alone(self.overwrite)?,
-            }
-        }
         self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         self.refine.check()
     }
 
-    fn finds(&self) -> bool {
-        self.poses.as_deref().is_some_and(Known::to_find)
+    /// Whether cameras are to be found before a scene is made.
+    fn finds(&self, network: &Network) -> bool {
+        self.poses.as_deref().is_some_and(Known::to_find) || self.finds_by_itself(network)
+    }
+
+    /// Whether the network that makes the scene finds the cameras, too.
+    fn finds_by_itself(&self, network: &Network) -> bool {
+        let finder = self.poses.as_deref().map(Finder::named);
+        let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
+        own && matches!(network, Network::Pixels(_))
     }
 
     /// The photos that are asked for and have cameras, where these are known or found.
-    fn captured(&self, session: &mut Session<'_>) -> Result<Captured> {
+    fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
         let named_in =
             self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
         let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
-        if let (true, Some(views)) = (self.finds(), self.views) {
+        if let (true, Some(views)) = (self.finds(network), self.views) {
             photos = photos::spread(photos, views as usize);
         }
-        let of_photos = |path: &PathBuf| Known::of(session, path, &photos, &self.finding);
-        let known = self.poses.as_ref().map(of_photos).transpose()?;
-        let (poses, found) = known.map_or((None, None), |known| (Some(known.poses), known.found));
+        let (poses, found) = match (network, &self.poses) {
+            // One run is enough for cameras and scene.
+            (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
+                let (poses, found) = Found::by_question(session, &photos, self.question(checkpoint))?;
+                session.note(format!("cameras found: {}", found.told()));
+                (Some(poses), Some(found))
+            }
+            (_, Some(path)) => {
+                let known = Known::of(session, path, &photos, &self.finding)?;
+                (Some(known.poses), known.found)
+            }
+            (_, None) => (None, None),
+        };
         if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, &found) {
             Place(place).save(poses, found)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
@@ -314,7 +357,7 @@ impl Reconstruct {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument("views", photos.len(), expected));
         }
-        Ok(Captured { photos, poses, frame_folder, _found: found })
+        Ok(Captured { photos, poses, frame_folder, found })
     }
 
     /// The drawing of --pictures, checked before anything that takes time.

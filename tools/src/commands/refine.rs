@@ -48,9 +48,9 @@ pub struct Refine {
     overwrite: Overwrite,
     #[command(flatten)]
     input: SceneInput,
-    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, with --start
-    /// points, where COLMAP finds them
-    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
+    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; with --start points also
+    /// find, where COLMAP finds them, or da3, where Depth Anything 3 does
+    #[arg(long, visible_alias = "cameras", value_name = "PATH|find|da3")]
     poses: PathBuf,
     #[command(flatten)]
     finding: Finding,
@@ -106,7 +106,7 @@ impl Refine {
         let (scene, files) = self.files();
         if Known::to_find(&self.poses) && self.start != Start::Points {
             let expected = "--start points: the scene is in another world than cameras that are found anew";
-            return Err(Error::argument("--poses find", "with a scene", expected));
+            return Err(Error::argument(format!("--poses {}", self.poses.display()), "with a scene", expected));
         }
         let photos = photos::list(session, files)?;
         let Known { poses, found } = Known::of(session, &self.poses, &photos, &self.finding)?;

@@ -30,7 +30,6 @@ pub use height_field::HeightField;
 pub use path::PathKind;
 pub use photos::{Crop, Photos};
 pub use shape::{Primitive, Shape};
-pub use splats::add_view;
 pub use survey::{LEAST_OVERLAP, WITNESSES};
 pub use world::World;
 

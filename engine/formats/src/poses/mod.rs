@@ -18,6 +18,7 @@ use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion
 use super::{Image, Lens, PointCloud, file::read_file};
 use crate::{Error, Result};
 
+pub use colmap::{colmap_files, write_colmap};
 pub use transforms::{write_frames, write_frames_with, write_transforms};
 pub use unit::{Source, Unit};
 

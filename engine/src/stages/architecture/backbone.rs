@@ -1,9 +1,11 @@
 //! The part of a network that turns pictures into tokens, as its backbone needs to know it.
 
 use crate::ops::Ffn;
+use serde::{Deserialize, Serialize};
 
 /// The sizes and switches of a transformer over all views. Blocks count from 0.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct BackboneArchitecture {
     /// What the names of its parameters begin with.
     pub root: String,
@@ -37,7 +39,8 @@ pub struct BackboneArchitecture {
 }
 
 /// The sizes of the encoder that turns known cameras into tokens.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CameraEncoderArchitecture {
     /// What the names of its parameters begin with.
     pub root: String,

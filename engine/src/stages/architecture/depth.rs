@@ -7,13 +7,15 @@ use crate::{
     ops::{Arithmetic, Ffn, ParameterLayout},
     stages::DepthStages,
 };
+use serde::{Deserialize, Serialize};
 
 /// The released networks by their names.
 pub const DEPTH_MODELS: [&str; 6] =
     ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large"];
 
 /// Everything that a forward pass to depth needs to know about a network besides its weights. Source: Depth Anything 3.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DepthArchitecture {
     /// The network's name in messages; one of [`DEPTH_MODELS`] where it is that network.
     pub name: String,
@@ -126,6 +128,11 @@ impl DepthArchitecture {
         expect(quads(self.features, of), "features", self.features.to_string(), &format!("a multiple of {of}"))?;
         let channels = self.channels.iter().all(|&channels| quads(channels, 4));
         expect(channels, "channels", format!("{:?}", self.channels), "multiples of 4")
+    }
+
+    /// Number of values of all parameters.
+    pub fn parameter_count(&self) -> usize {
+        self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }
 
     /// Names and shapes of the parameters that depth needs, as the stages declare them.

@@ -3,6 +3,7 @@
 use super::{Eval, alignment::Alignment};
 use crate::{
     capture::{Capture, Choice, Posed, Score, draw},
+    options::refuse,
     refinement::{self, Refinable, Start, Steps},
     session::Session,
     views::Seeing,
@@ -87,7 +88,17 @@ impl<'a> Judge<'a> {
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
         let made = match eval.theirs.make(session, name, choice, &capture)? {
-            Some(made) => {
+            Some(mut made) => {
+                if let Some(Steps { count, tokens }) = eval.refine {
+                    refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
+                    let cloud = choice.points(&capture.unit)?;
+                    let start = eval.start.unwrap_or(Start::Scene);
+                    made.started = start.name();
+                    let scene = start.scene(Some(made.scene), cloud.as_ref(), &capture.learnt().1)?;
+                    let arena = Arena::new(&self.device);
+                    let refined = refine(eval, session, &arena, Refinable::Scene(&scene), &capture, count)?;
+                    (made.scene, made.refined) = (refined.scene.clone(), Some(refined));
+                }
                 self.renderer.load(&made.scene)?;
                 made
             }

@@ -2,17 +2,18 @@
 
 use super::{depth, judge::Made};
 use crate::{
+    cameras::Similarity,
     capture::{Capture, Choice},
     options::{SceneInput, parse_length},
     session::Session,
 };
 use clap::{Args, ValueEnum};
-use glam::{DMat3, DQuat, DVec3, DVec4};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Pose, Scene, SceneFormat, World,
+        Pose, Scene, SceneFormat, World,
         poses::{Frame, Poses, read_poses},
         read_world,
     },
@@ -30,10 +31,13 @@ pub struct Theirs {
     scene: Option<PathBuf>,
     /// Judge a scene of one Gaussian for each pixel that a network would see of the input photos, as pixel-aligned methods make it, here at
     /// the exact depth: FOLDER/NAME.npy beside each photo NAME, f32 [height, width], z in the cameras' unit, 0 where there is none, as
-    /// `scene` writes it; with --protocol FOLDER/SCENE/NAME.npy. Nothing is reconstructed
-    #[arg(long, value_name = "FOLDER",
-        conflicts_with_all = ["scene", "refine", "ratio", "keep", "disturb", "fit", "pose_free"])]
+    /// `scene` writes it; with --protocol FOLDER/SCENE/NAME.npy. Nothing is reconstructed; --refine starts from it
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "keep", "disturb", "fit", "pose_free"])]
     from_depth: Option<PathBuf>,
+    /// Give that depth an error, to see what quality of depth a scene needs: so many percent of it, standard deviation, smooth over
+    /// patches of 14 pixels, as networks err, and another one in each photo
+    #[arg(long, value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
+    noise: f64,
     /// World of that scene [default: aligned with --scene-cameras, else what its file says, else first]
     #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
     world: Option<Whose>,
@@ -70,10 +74,10 @@ enum Opacities {
     Plain,
 }
 
-/// A similarity: a point x of another world stands at `pose(scale x)`.
-struct Similarity {
-    scale: f64,
-    pose: Pose,
+/// Percent that leave a depth above 0.
+fn parse_noise(text: &str) -> Result<f64, String> {
+    let percent = text.parse().ok().filter(|percent| (0.0..=30.0).contains(percent));
+    percent.ok_or_else(|| "expected percent from 0 to 30".into())
 }
 
 impl Theirs {
@@ -89,8 +93,8 @@ impl Theirs {
 
     /// The options as figures depend on them.
     pub fn told(&self) -> String {
-        let Self { scene, from_depth, world, scene_cameras, scene_unit, opacities, .. } = self;
-        format!("{scene:?} {from_depth:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
+        let Self { scene, from_depth, noise, world, scene_cameras, scene_unit, opacities, .. } = self;
+        format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
     /// The scene of a capture, in its world and unit, where it is not to be reconstructed. `name` is the capture's in a data set.
@@ -107,7 +111,7 @@ impl Theirs {
         match (&self.from_depth, self.file(name)?) {
             (Some(folder), _) => {
                 let folder = name.map_or_else(|| folder.clone(), |name| folder.join(name));
-                depth::scene(&folder, choice, capture).map(|scene| Some(Made::given(scene)))
+                depth::scene(&folder, self.noise / 100.0, choice, capture).map(|scene| Some(Made::given(scene)))
             }
             (None, Some(file)) => self.read(session, &file, name, choice, capture).map(Some),
             (None, None) => Ok(None),
@@ -216,73 +220,16 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
 }
 
 /// The similarity from the world of a scene's cameras to that of the same photos' frames, and how far cameras then are apart, as a
-/// share of their spread. Turns are averaged; length and place are those of least squares.
+/// share of their spread.
 fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {
         let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
         pairs.extend(theirs.frame_of(photo)?.map(|other| (other.camera, frame.camera)));
     }
-    let centre = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
-    let (from, to) = (centre(|(theirs, _)| theirs.pose.translation), centre(|(_, ours)| ours.pose.translation));
-    let rotation = mean_turn(pairs.iter().map(|(theirs, ours)| ours.pose.rotation * theirs.pose.rotation.transpose()));
-    let arms: Vec<[DVec3; 2]> = (pairs.iter())
-        .map(|(theirs, ours)| [rotation * (theirs.pose.translation - from), ours.pose.translation - to])
-        .collect();
-    let [reach, spread] = [0, 1].map(|k| arms.iter().map(|arm| arm[k].length_squared()).sum::<f64>());
-    let scale = arms.iter().map(|[theirs, ours]| theirs.dot(*ours)).sum::<f64>() / reach;
-    if pairs.len() < 2 || !(scale.is_finite() && scale > 0.0) {
+    Similarity::between(&pairs).ok_or_else(|| {
         let found = format!("{} of the {} input photos, of which no length follows", pairs.len(), frames.len());
         let expected = "at least 2 input photos, by file name, taken at different places as in the capture";
-        return Err(Error::argument("--scene-cameras", found, expected));
-    }
-    let apart = arms.iter().map(|[theirs, ours]| (scale * *theirs - *ours).length_squared()).sum::<f64>();
-    let pose = Pose { rotation, translation: to - rotation * (scale * from) };
-    Ok((Similarity { scale, pose }, (apart / spread).sqrt()))
-}
-
-/// The mean of turns that are nearly one: of their quaternions on one side. The places of cameras on a line would leave a turn open.
-fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
-    let mut sum = DVec4::ZERO;
-    for turn in turns {
-        let quat = DVec4::from(DQuat::from_mat3(&turn));
-        sum += if quat.dot(sum) < 0.0 { -quat } else { quat };
-    }
-    DMat3::from_quat(DQuat::from_vec4(sum).normalize())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use zipsplat::types::Intrinsics;
-
-    #[test]
-    fn cameras_of_another_world_are_aligned() {
-        let intrinsics = Intrinsics::from_fov(8, 8, 1.0, 1.0);
-        let truth = Similarity {
-            scale: 2.5,
-            pose: Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(1.0, -2.0, 3.0) },
-        };
-        let theirs = [0.0, 0.4, 1.1].map(|k: f64| Pose {
-            rotation: DMat3::from_rotation_x(k) * DMat3::from_rotation_z(3.0 * k),
-            translation: DVec3::new(k, 0.0, 0.0),
-        });
-        let frame = |(i, pose): (usize, &Pose)| Frame {
-            name: format!("{i}.png"),
-            photo: None,
-            camera: Camera { intrinsics, pose: *pose },
-            lens: None,
-        };
-        let poses = Poses { frames: theirs.iter().enumerate().map(frame).collect(), ..Poses::default() };
-        let moved = theirs.map(|pose| Pose {
-            rotation: truth.pose.rotation * pose.rotation,
-            translation: truth.pose.transform(truth.scale * pose.translation),
-        });
-        let frames: Vec<Frame> = moved.iter().enumerate().map(frame).collect();
-        let (found, apart) = aligned(&poses, &frames.iter().collect::<Vec<_>>()).expect("aligned");
-        assert!((found.scale - truth.scale).abs() < 1e-12 && apart < 1e-12, "{} {apart}", found.scale);
-        assert!(found.pose.translation.distance(truth.pose.translation) < 1e-12);
-        assert!(found.pose.rotation.abs_diff_eq(truth.pose.rotation, 1e-12));
-        assert!(aligned(&poses, &[&frames[0]]).is_err(), "one camera has no length");
-    }
+        Error::argument("--scene-cameras", found, expected)
+    })
 }

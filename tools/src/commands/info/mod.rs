@@ -11,13 +11,13 @@ use crate::{
 };
 use clap::{Arg, ArgGroup, Args};
 use indicatif::HumanCount;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
     gpu::{Limits, Matrices, MatrixShape, list_devices},
     types::{SceneFormat, World, read_world},
-    weights::Checkpoint,
+    weights::{Checkpoint, DepthCheckpoint},
 };
 
 /// Devices, or what is in a checkpoint or scene, or the memory that a reconstruction will take
@@ -30,10 +30,11 @@ use zipsplat::{
   zipsplat info zipsplat.safetensors
   zipsplat info scene.ply
   zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto
-  zipsplat info --plan --weights seeded:vitg --views 24 --refine 252x252 --lpips-weight 0.05"
+  zipsplat info --plan --weights seeded:vitg --views 24 --refine 252x252 --lpips-weight 0.05
+  zipsplat info --plan --weights seeded:da3-base --views 24 --size 504x336"
 )]
 pub struct Info {
-    /// Checkpoint, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
+    /// Checkpoint of ZipSplat or Depth Anything 3, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
     file: Option<String>,
     #[command(flatten)]
     scene_input: SceneInput,
@@ -84,7 +85,10 @@ impl Info {
             (Some(file), _) if is_scene(Path::new(file))? => scene(session, file, &self.scene_input),
             (Some(file), _) => {
                 refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
-                checkpoint(session, &self.weights.open_unless_scene(file)?)
+                match DepthCheckpoint::is_meant(file) {
+                    true => depth_checkpoint(session, &DepthCheckpoint::parse_whole(file)?),
+                    false => checkpoint(session, &self.weights.open_unless_scene(file)?),
+                }
             }
             (None, Some(views)) => plan::show(session, self, views),
             (None, None) => devices(session),
@@ -154,20 +158,40 @@ fn matrices(limits: &Limits) -> String {
 
 fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> {
     checkpoint.notes().iter().for_each(|note| session.note(note));
-    let architecture = checkpoint.architecture();
+    let (architecture, tensors) = (checkpoint.architecture(), checkpoint.parameters().len());
     let json = json!({
-        "source": checkpoint.provenance(), "architecture": architecture, "tensors": checkpoint.parameters().len(),
+        "source": checkpoint.provenance(), "architecture": architecture, "tensors": tensors,
         "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(), "stored": checkpoint.stored(),
     });
-    let stored: Vec<_> =
-        checkpoint.stored().into_iter().map(|(kind, size)| format!("{kind} {}", bytes(size))).collect();
+    weights(session, &json, checkpoint.provenance(), &architecture.name)
+}
+
+fn depth_checkpoint(session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<()> {
+    let (architecture, tensors) = (checkpoint.architecture(), checkpoint.parameters().len());
+    let json = json!({
+        "source": checkpoint.provenance(), "kind": "Depth Anything 3", "architecture": architecture, "tensors": tensors,
+        "cameras": architecture.multi_view(), "sky": !architecture.multi_view(), "gaussians": architecture.gaussians,
+        "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(), "stored": checkpoint.stored(),
+    });
+    let what = match architecture.multi_view() {
+        true => "depth, rays and cameras of photos seen at once",
+        false => "depth and sky of each photo by itself, no cameras",
+    };
+    let more = if architecture.gaussians { ", a Gaussian a pixel" } else { "" };
+    let name = format!("{} of Depth Anything 3: {what}{more}", architecture.name);
+    weights(session, &json, checkpoint.provenance(), &name)
+}
+
+/// The sizes of weights, and the fields of their architecture.
+fn weights(session: &mut Session<'_>, json: &Value, source: &str, name: &str) -> Result<()> {
+    let number = |value: &Value| value.as_u64().unwrap_or_default();
+    let stored = json["stored"].as_object().into_iter().flatten();
+    let stored: Vec<String> = stored.map(|(kind, size)| format!("{kind} {}", bytes(number(size)))).collect();
     let mut text = format!(
-        "{}: {}, {} parameters in {} tensors, {} ({})\n",
-        checkpoint.provenance(),
-        architecture.name,
-        HumanCount(architecture.parameter_count() as u64),
-        checkpoint.parameters().len(),
-        bytes(checkpoint.bytes()),
+        "{source}: {name}, {} parameters in {} tensors, {} ({})\n",
+        HumanCount(number(&json["parameters"])),
+        json["tensors"],
+        bytes(number(&json["bytes"])),
         stored.join(", ")
     );
     let mut table = Table::new(2, &["architecture", ""]);
@@ -177,7 +201,7 @@ fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> 
         }
     }
     text += &table.to_string();
-    session.report(&json, text)
+    session.report(json, text)
 }
 
 fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()> {

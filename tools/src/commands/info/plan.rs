@@ -2,7 +2,7 @@
 
 use super::Info;
 use crate::{
-    options::{Quality, Size},
+    options::{Network as Weights, Quality, Size, refuse},
     refinement::Steps,
     session::Session,
     table::{Table, bytes, counted},
@@ -12,10 +12,13 @@ use serde_json::json;
 use std::str::FromStr;
 use zipsplat::{
     Error, Result,
-    gpu::{Arena, Device, Limits, Plan},
+    depth::DepthNetwork,
+    gpu::{Arena, ArenaRow, Device, Limits, Plan},
     reconstruct::{Network, NetworkPlan, Shape},
     refine::{Moved, Refine, RefinePlan, plan_refinement},
     stages::render::{RenderRequest, plan_pictures},
+    types::DEFAULT_BOUND,
+    weights::DepthCheckpoint,
 };
 
 /// Tensors that are shown where not all are asked for.
@@ -43,7 +46,10 @@ impl FromStr for Refinement {
 
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
     let Quality { ratio, select, arithmetic, .. } = &info.quality;
-    let checkpoint = info.weights.open()?;
+    let checkpoint = match info.weights.open_network()? {
+        Weights::Tokens(checkpoint) => checkpoint,
+        Weights::Pixels(checkpoint) => return show_depth(session, info, views, &checkpoint),
+    };
     checkpoint.notes().iter().for_each(|note| session.note(note));
     info.quality.check(checkpoint.architecture())?;
     let size = info.quality.size_for(&checkpoint);
@@ -77,30 +83,20 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     // What as many arenas as there are plans under way would take.
     let own = refined.as_ref().map_or(0, RefinePlan::arena_bytes);
     let separate = weights + scene + kept + plan.arena_bytes() + own + Arena::LANES as u64 * of_pictures;
-    let mut rows = plan.arena_map();
+    let rows = plan.arena_map();
     let json = json!({
         "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
         "precision": precision.name(), "peak_bytes": weights + scene + arena + kept, "weight_bytes": weights,
         "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own), "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
-    let count = rows.len();
-    if !info.all {
-        rows.sort_by_key(|row| std::cmp::Reverse(row.bytes));
-        rows.truncate(LARGEST);
-    }
-    let mut table = Table::new(1, &["tensor", "bytes", "block", "offset", "first use", "last use"]);
-    for row in &rows {
-        let numbers = [row.bytes, row.block.into(), row.offset, row.first_use.into(), row.last_use.into()];
-        let [bytes, block, offset, first, last] = numbers.map(|n| n.to_string());
-        table.row([row.name.clone(), bytes, block, offset, first, last]);
-    }
+    let (table, smaller) = table(rows, info.all);
     let mut text = format!(
         "{} of {size}, {} of {}, {} precision, on {}: {} at most\n",
         counted(views, "view"),
         HumanCount(shape.tokens as u64),
         counted(shape.grid.tokens(), "token"),
         precision.name(),
-        if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name },
+        device_name(&limits),
         bytes(weights + scene + arena + kept)
     );
     text += &format!(
@@ -122,10 +118,69 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
             bytes(own)
         );
     }
-    if rows.len() < count {
-        text += &format!("and {}: --all shows them", counted(count - rows.len(), "smaller tensor"));
+    session.report(&json, text + &smaller)
+}
+
+/// The map of a plan from photos to depth, and to the patches that are kept.
+fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: &DepthCheckpoint) -> Result<()> {
+    for (option, given) in [("--pictures", info.pictures.is_some()), ("--refine", info.refine.is_some())] {
+        refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
     }
+    let Quality { ratio, select, arithmetic, .. } = &info.quality;
+    let size = info.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND));
+    let device = device(session)?;
+    let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
+    let (precision, arithmetic) = match &device {
+        Some(device) => arithmetic.choose(session, device)?,
+        None => arithmetic.planned(&limits),
+    };
+    let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
+    let shape = network.shape(views, [size.0, size.1], (*ratio, select), info.poses, None)?;
+    let (plan, _) = network.plan(&limits, shape)?;
+    let (weights, arena, rows) = (network.weight_bytes(), plan.arena_bytes(), plan.arena_map());
+    let json = json!({
+        "device": limits.name, "network": checkpoint.architecture().name, "views": views, "tokens": shape.tokens,
+        "commands": plan.len(), "flops": plan.flops(), "precision": precision.name(), "peak_bytes": weights + arena,
+        "weight_bytes": weights, "arena_bytes": arena, "rows": rows,
+    });
+    let (table, smaller) = table(rows, info.all);
+    let text = format!(
+        "{}: depth of {} of {size}, {} precision, on {}: {} at most\nweights {}, arena {}; {} commands, {:.1} GFLOP\n\n{table}{smaller}",
+        checkpoint.architecture().name,
+        counted(views, "view"),
+        precision.name(),
+        device_name(&limits),
+        bytes(weights + arena),
+        bytes(weights),
+        bytes(arena),
+        plan.len(),
+        plan.flops() as f64 / 1e9
+    );
     session.report(&json, text)
+}
+
+/// The tensors of a map, the largest or all by first use, and what is said of the others.
+fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
+    let count = rows.len();
+    if !all {
+        rows.sort_by_key(|row| std::cmp::Reverse(row.bytes));
+        rows.truncate(LARGEST);
+    }
+    let mut table = Table::new(1, &["tensor", "bytes", "block", "offset", "first use", "last use"]);
+    for row in &rows {
+        let numbers = [row.bytes, row.block.into(), row.offset, row.first_use.into(), row.last_use.into()];
+        let [bytes, block, offset, first, last] = numbers.map(|n| n.to_string());
+        table.row([row.name.clone(), bytes, block, offset, first, last]);
+    }
+    let smaller = match count - rows.len() {
+        0 => String::new(),
+        left => format!("and {}: --all shows them", counted(left, "smaller tensor")),
+    };
+    (table, smaller)
+}
+
+fn device_name(limits: &Limits) -> &str {
+    if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name }
 }
 
 /// The device; none where there is none and none was asked for, or where the plan is to be an ordinary device's.

@@ -10,11 +10,11 @@ use crate::{
     views::Views,
 };
 use indicatif::HumanCount;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::{path::PathBuf, time::Duration};
 use zipsplat::{
     Result,
-    gpu::Device,
+    gpu::{Arena, Device},
     ops::Precision,
     reconstruct::{Model, Reconstruction, Request, SceneTokens, Shape},
     stages::render::DeviceScene,
@@ -39,29 +39,35 @@ pub struct Planned<'a> {
     shape: Shape,
 }
 
-/// The outcome of a forward pass, and how it came about.
+/// The outcome of a network's run, and how it came about.
 pub struct Forward {
-    /// The network: what comes next runs in its arena.
-    pub model: Model,
-    pub result: Reconstruction,
+    /// The network's arena, where it is still there: what comes next runs in it.
+    pub arena: Option<Arena>,
     /// The tokens, where these are to be moved.
     pub tokens: Option<SceneTokens>,
     /// The Gaussians on the host, thinned where that was asked for.
     pub scene: Scene,
+    /// The same on the device, where they are there.
+    pub on_device: Option<DeviceScene>,
     /// The cameras that follow from the scene, where they are asked for.
     pub found: Option<Placed>,
-    /// The scene is not as the device has it: its world was turned.
-    turned: bool,
-    views: usize,
-    size: Size,
-    all_tokens: usize,
-    unit: Option<Unit>,
-    precision: Precision,
-    provenance: serde_json::Value,
-    times: [(&'static str, Duration); 2],
-    found_in: Option<Duration>,
-    /// Bytes of the weights.
-    weights: u64,
+    /// The length in the cameras' unit that the network took for 1.
+    pub length: f64,
+    /// Time of each stage.
+    pub times: Vec<(String, Duration)>,
+    /// The account of stages for `--explain`.
+    pub explanation: Option<Explanation>,
+    pub peak_bytes: u64,
+    /// The views that the scene comes from, in words.
+    pub views_told: String,
+    /// The tokens and cameras in words, and the unit.
+    pub told: String,
+    /// Bytes of weights that were loaded a second.
+    pub rate: u64,
+    /// What it says for programs.
+    pub json: Vec<(&'static str, Value)>,
+    /// The network, whose weights stay on the device as the plan says.
+    pub _model: Option<Model>,
 }
 
 impl Forward {
@@ -96,73 +102,9 @@ impl Forward {
         Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
     }
 
-    /// The Gaussians that are on the device as the host has them.
-    pub fn on_device(&self) -> Option<&DeviceScene> {
-        Some(&self.result.gaussians).filter(|gaussians| !self.turned && gaussians.len() == self.scene.len())
-    }
-
-    /// The length in the cameras' unit that the network took for 1.
-    pub fn length(&self) -> f64 {
-        self.unit.as_ref().map_or(1.0, |unit| unit.length)
-    }
-
-    /// Time of each stage.
-    pub fn times(&self) -> impl Iterator<Item = (&str, Duration)> {
-        let stages = self.result.times.0.iter().map(|(stage, took)| (stage.as_str(), *took));
-        self.times.into_iter().chain(stages).chain(self.found_in.map(|took| ("find cameras", took)))
-    }
-
-    /// The account of stages for `--explain`.
-    pub fn explanation(&self) -> Explanation {
-        Explanation::of_stages(&self.result.times, &self.result.outline, self.result.left_out.clone())
-    }
-
-    /// The views that the scene comes from, in words.
-    pub fn views_told(&self) -> String {
-        format!(" from {} of {}", counted(self.views, "view"), self.size)
-    }
-
-    /// The tokens in words, and the unit.
-    pub fn told(&self) -> String {
-        let (tokens, all) = (HumanCount(self.result.tokens as u64), counted(self.all_tokens, "token"));
-        let each = counted(self.each(), "Gaussian");
-        let unit = self.unit.as_ref().map(|unit| format!("{unit}\n")).unwrap_or_default();
-        let cameras = self.found.as_ref().map(Placed::told).unwrap_or_default();
-        format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}{cameras}", self.precision.name())
-    }
-
     /// How fast the weights were loaded, in words.
     pub fn rate_told(&self) -> String {
-        format!("  ({}/s)", bytes(self.rate()))
-    }
-
-    /// Adds what it says for programs.
-    pub fn add_to(&self, json: &mut serde_json::Value) {
-        for (name, value) in [
-            ("weights", self.provenance.clone()),
-            ("views", json!(self.views)),
-            ("width", json!(self.size.0)),
-            ("height", json!(self.size.1)),
-            ("tokens", json!(self.result.tokens)),
-            ("all_tokens", json!(self.all_tokens)),
-            ("unit", json!(self.length())),
-            ("unit_from", json!(self.unit.as_ref().map(|unit| &unit.source))),
-            ("gaussians_per_token", json!(self.each())),
-            ("weights_bytes_per_second", json!(self.rate())),
-            ("precision", json!(self.precision.name())),
-            ("cameras", self.found.as_ref().map_or(json!(null), Placed::as_json)),
-        ] {
-            json[name] = value;
-        }
-    }
-
-    fn each(&self) -> usize {
-        self.result.gaussians.len() / self.result.tokens
-    }
-
-    fn rate(&self) -> u64 {
-        let [_, (_, load_weights)] = self.times;
-        (self.weights as f64 / load_weights.as_secs_f64().max(1e-9)) as u64
+        format!("  ({}/s)", bytes(self.rate))
     }
 }
 
@@ -197,22 +139,62 @@ impl Planned<'_> {
         let (found, found_in) = found.transpose()?.unzip();
         quality.prune(&mut scene, checkpoint.architecture());
         turned.iter().for_each(|first| scene.place(1.0, first));
+        let as_made = turned.is_none() && result.gaussians.len() == scene.len();
+        let each = result.gaussians.len() / result.tokens;
+        let rate = rate(checkpoint.bytes(), load_weights);
+        let told = told(&result, shape.grid.tokens(), each, precision, unit.as_ref(), found.as_ref());
+        let json = vec![
+            ("weights", json!(checkpoint.provenance())),
+            ("views", json!(images.len())),
+            ("width", json!(size.0)),
+            ("height", json!(size.1)),
+            ("tokens", json!(result.tokens)),
+            ("all_tokens", json!(shape.grid.tokens())),
+            ("unit", json!(length)),
+            ("unit_from", json!(unit.as_ref().map(|unit| &unit.source))),
+            ("gaussians_per_token", json!(each)),
+            ("weights_bytes_per_second", json!(rate)),
+            ("precision", json!(precision.name())),
+            ("cameras", found.as_ref().map_or(json!(null), Placed::as_json)),
+        ];
+        let mut times = vec![("load photos".to_owned(), load_photos), (LOAD_WEIGHTS.to_owned(), load_weights)];
+        times.extend(result.times.0.iter().cloned());
+        times.extend(found_in.map(|took| ("find cameras".to_owned(), took)));
         Ok(Forward {
-            model,
-            result,
+            arena: Some(model.arena().clone()),
             tokens,
             scene,
+            on_device: as_made.then(|| result.gaussians.clone()),
             found,
-            turned: turned.is_some(),
-            views: images.len(),
-            size,
-            all_tokens: shape.grid.tokens(),
-            unit,
-            precision,
-            provenance: json!(checkpoint.provenance()),
-            times: [("load photos", load_photos), (LOAD_WEIGHTS, load_weights)],
-            found_in,
-            weights: checkpoint.bytes(),
+            length,
+            times,
+            explanation: Some(Explanation::of_stages(&result.times, &result.outline, result.left_out.clone())),
+            peak_bytes: result.peak_bytes,
+            views_told: format!(" from {} of {size}", counted(images.len(), "view")),
+            told,
+            rate,
+            json,
+            _model: Some(model),
         })
     }
+}
+
+/// The tokens of a scene in words, and the unit.
+fn told(
+    result: &Reconstruction,
+    all: usize,
+    each: usize,
+    precision: Precision,
+    unit: Option<&Unit>,
+    found: Option<&Placed>,
+) -> String {
+    let (tokens, all, each) = (HumanCount(result.tokens as u64), counted(all, "token"), counted(each, "Gaussian"));
+    let unit = unit.map(|unit| format!("{unit}\n")).unwrap_or_default();
+    let cameras = found.map(Placed::told).unwrap_or_default();
+    format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}{cameras}", precision.name())
+}
+
+/// Bytes a second.
+pub fn rate(bytes: u64, took: Duration) -> u64 {
+    (bytes as f64 / took.as_secs_f64().max(1e-9)) as u64
 }

@@ -25,7 +25,8 @@ pub enum From {
 /// The things that a refinement may need.
 pub struct Given<'a> {
     pub device: &'a Device,
-    pub checkpoint: &'a Checkpoint,
+    /// The network's weights, where it has tokens.
+    pub checkpoint: Option<&'a Checkpoint>,
     /// The network's results, where it ran.
     pub forward: Option<&'a Forward>,
 }
@@ -67,10 +68,12 @@ impl Reconstruct {
         let (photos, _) =
             session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let request = self.refine.request(steps);
-        let arena = given.forward.map_or_else(|| Arena::new(given.device), |forward| forward.model.arena().clone());
-        let (refined, started) = match (start, given.forward.and_then(|forward| forward.tokens.as_ref())) {
-            (From::Tokens, Some(tokens)) => {
-                let head = FrozenHead::load(given.device, given.checkpoint)?;
+        let arena = given.forward.and_then(|forward| forward.arena.clone());
+        let arena = arena.unwrap_or_else(|| Arena::new(given.device));
+        let tokens = given.forward.and_then(|forward| forward.tokens.as_ref());
+        let (refined, started) = match (start, tokens.zip(given.checkpoint)) {
+            (From::Tokens, Some((tokens, checkpoint))) => {
+                let head = FrozenHead::load(given.device, checkpoint)?;
                 let from = Refinable::Tokens(&head, tokens);
                 (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
             }

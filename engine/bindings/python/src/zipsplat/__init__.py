@@ -15,6 +15,7 @@ from ._native import text as _text
 from .cameras import Camera, Capture, Photo, cameras
 from .command import Evaluation, Page, evaluate, find_cameras
 from .context import Context, Device, default_context, devices
+from .depth import DepthModel, Depths
 from .errors import (
     ArgumentError,
     CancelledError,
@@ -46,6 +47,8 @@ __all__ = [
     "Capture",
     "CommandError",
     "Context",
+    "DepthModel",
+    "Depths",
     "Device",
     "DeviceLostError",
     "DriverError",

@@ -211,12 +211,16 @@ class Capture(Sequence[Photo]):
     def _photo(self, index: int) -> Photo:
         found, name, path = structure("camera"), ffi.new("char **"), ffi.new("char **")
         call("zs_capture_get", self._handle.pointer, index, found, name, path)
-        pose = np.eye(4)
-        pose[:3, :3] = np.reshape(list(found.rotation), (3, 3))
-        pose[:3, 3] = list(found.translation)
-        camera = Camera(found.width, found.height, found.fx, found.fy, found.cx, found.cy, pose)
         where = Path(os.fsdecode(ffi.string(path[0]))) if path[0] else None
-        return Photo(text(name[0]), where, camera)
+        return Photo(text(name[0]), where, from_native(found))
+
+
+def from_native(found: Any) -> Camera:
+    """A camera of the library's."""
+    pose = np.eye(4)
+    pose[:3, :3] = np.reshape(list(found.rotation), (3, 3))
+    pose[:3, 3] = list(found.translation)
+    return Camera(found.width, found.height, found.fx, found.fy, found.cx, found.cy, pose)
 
 
 def native(cameras: Sequence[Camera]) -> Any:

@@ -16,7 +16,7 @@ from .scene import Refining, Scene, relative
 
 Progress = Callable[[float, str], Optional[bool]]
 
-_PRECISIONS = {
+PRECISIONS = {
     "best": lib.ZS_PRECISION_BEST,
     "exact": lib.ZS_PRECISION_EXACT,
     "fast": lib.ZS_PRECISION_FAST,
@@ -51,7 +51,7 @@ class Model:
         self.patch: int = info.patch
         self.gaussians_per_token: int = info.gaussians_per_token
         self.sh_degree: int = info.sh_degree
-        self.precision = next(name for name, number in _PRECISIONS.items() if number == info.precision)
+        self.precision = next(name for name, number in PRECISIONS.items() if number == info.precision)
         self.weight_bytes: int = info.weight_bytes
         self.notes: list[str] = text(info.notes).splitlines()
 
@@ -80,7 +80,7 @@ class Model:
             NoDeviceError, WeightsError, FormatError, IoError, OutOfMemoryError, ArgumentError.
         """
         context, told = context or default_context(), Told(progress)
-        made = options("model", precision=_choose("precision", precision, _PRECISIONS))
+        made = options("model", precision=choose("precision", precision, PRECISIONS))
         name = ffi.NULL if variant is None else ffi.new("char[]", variant.encode())
         made.variant, made.progress, made.user_data = name, native_progress, told.handle
         pointer = context._handle.pointer
@@ -138,10 +138,10 @@ class Model:
         width, height = (0, 0) if size is None else size
         made = options(
             "reconstruct",
-            world=_choose("world", world, _WORLDS),
+            world=choose("world", world, _WORLDS),
             ratio=NUMBERS["ZS_RATIO_AUTO"] if ratio == "auto" else float(ratio),
             unit=NUMBERS["ZS_UNIT_AUTO"] if unit == "auto" else float(unit),
-            selection=_choose("select", select, _SELECTIONS),
+            selection=choose("select", select, _SELECTIONS),
             width=width,
             height=height,
             seed=seed,
@@ -175,7 +175,7 @@ def _refining_as(progress: Progress) -> Callable[[Refining], Optional[bool]]:
     return tell
 
 
-def _choose(name: str, found: str, names: dict[str, int]) -> int:
+def choose(name: str, found: str, names: dict[str, int]) -> int:
     if found not in names:
         raise ValueError(f"{name}: found {found!r}, expected one of {', '.join(map(repr, names))}")
     return names[found]

@@ -1,5 +1,9 @@
 //! COLMAP models, text and binary: world-to-camera poses with OpenCV axes.
 
+mod write;
+
+pub use write::{colmap_files, write_colmap};
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::str::SplitAsciiWhitespace;

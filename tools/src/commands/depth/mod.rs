@@ -1,29 +1,30 @@
 //! `zipsplat depth`: depth, points and cameras of photos, by a network of Depth Anything 3.
 
+mod truth;
+
 use crate::{
-    cameras::path_from,
+    cameras::{ModelOption, path_from},
+    depth::{CamerasFrom, Question, Seen},
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
-    session::{Session, Stage},
+    session::Session,
     table::{counted, time},
     video::FrameFolder,
 };
-use clap::{Args, ValueEnum};
+use clap::Args;
 use safetensors::{Dtype, tensor::TensorView};
 use serde_json::json;
 use std::{
     collections::HashMap,
     path::{Path, PathBuf},
 };
+use truth::{Errors, Truth};
 use zipsplat::{
-    Camera, Error, Image, Result,
-    depth::{DepthModel, DepthRequest, DepthView, Depths},
-    gpu::Progress,
+    Error, Image, Result,
+    depth::{DepthRequest, DepthView, Depths},
     types::{
-        bounded_views,
         poses::{Frame, read_poses, write_frames},
-        preprocess::View,
         write_atomic, write_points,
     },
     weights::DepthCheckpoint,
@@ -39,7 +40,8 @@ use zipsplat::{
   zipsplat depth photos/ --weights da3-base.safetensors -o depth/
   zipsplat refine --start points photos/ --poses depth/transforms.json -o scene.ply
   zipsplat reconstruct photos/ --poses depth/transforms.json -o scene.ply
-  zipsplat depth photos/ --weights da3-base.safetensors --poses transforms.json -o depth/")]
+  zipsplat depth photos/ --weights da3-base.safetensors --poses transforms.json -o depth/
+  zipsplat depth capture/images --weights da3-base.safetensors --truth capture/ -o depth/")]
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
@@ -55,9 +57,12 @@ pub struct Depth {
     /// Known cameras of all photos, for networks that see all photos at once
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
-    /// How cameras follow from what the network says
-    #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]
+    #[command(flatten)]
     cameras: CamerasFrom,
+    /// Depth in metres, by da3metric-large: it needs the cameras' focal lengths, and their positions in metres. Without it depth of a
+    /// network that sees each photo by itself is brought to the points beside the cameras
+    #[arg(long, requires = "poses")]
+    metres: bool,
     /// The photo, counted from 1, that the world is about [default: the network's choice]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     reference: Option<u32>,
@@ -71,16 +76,13 @@ pub struct Depth {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
     #[command(flatten)]
+    model: ModelOption,
+    /// Also say how far off cameras and depth are from those of this capture: transforms.json or a COLMAP model, and depth/NAME.npy for
+    /// each photo, where there is any, as `scene` writes it
+    #[arg(long, value_name = "CAPTURE")]
+    truth: Option<PathBuf>,
+    #[command(flatten)]
     arithmetic: ArithmeticOption,
-}
-
-/// The source of cameras.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum CamerasFrom {
-    /// The network's camera decoder
-    Decoder,
-    /// The rays of all pixels, with a principal point of their own
-    Rays,
 }
 
 /// Files of the folder.
@@ -88,112 +90,94 @@ const VALUES: &str = "depths.safetensors";
 const CAMERAS: &str = "transforms.json";
 const POINTS: &str = "points.ply";
 
-/// The photos of a run.
-struct Photos {
-    files: Vec<PathBuf>,
-    /// What their pictures are called.
-    names: Vec<String>,
-    /// Their frames among known cameras.
-    known: Option<Vec<Frame>>,
-    /// As the network sees them.
-    views: Vec<View>,
-    /// Those views' known cameras.
-    cameras: Option<Vec<Camera>>,
-}
-
 impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = DepthCheckpoint::parse(&self.weights, false)?;
         let place = self.output.join(CAMERAS);
         let (files, mut folder) = self.input.list(session, self.views, Some((&place, self.overwrite)))?;
-        let photos = self.photos(session, files)?;
-        let images: Vec<Image> = photos.views.iter().map(|view| view.image.clone()).collect();
-
-        let device = session.device()?;
-        let (_, arithmetic) = self.arithmetic.choose(session, &device)?;
-        let load = |stage: &Stage<'_>| DepthModel::load(&device, &checkpoint, arithmetic, |done| stage.at(done));
-        let (model, loaded) = session.stage("load weights", load)?;
-        let reference = self.reference.map(|photo| photo as usize - 1);
-        let request = DepthRequest { cameras: photos.cameras.clone(), reference };
-        let (mut depths, took) = session.stage("depth", |stage| {
-            model.depths(&images, &request, |progress: Progress<'_>| {
-                stage.name(progress.scope);
-                stage.at(progress.fraction)
-            })
-        })?;
-        let cameras = match &photos.cameras {
-            Some(cameras) => {
-                if let Err(error) = depths.bring_to(cameras) {
-                    session.note(format!("lengths stay in the network's unit: {error}"));
-                }
-                Some(cameras.clone())
-            }
-            None if model.architecture().multi_view() => Some(self.cameras_of(&depths)?),
-            None => None,
+        let files = self.views.map_or(files.clone(), |views| photos::spread(files, views as usize));
+        let known = self.known(&files)?;
+        self.check(&files)?;
+        let truth = self.truth.as_deref().map(Truth::open).transpose()?;
+        let request = DepthRequest { reference: self.reference.map(|photo| photo as usize - 1), ..Default::default() };
+        let question = Question {
+            checkpoint: &checkpoint,
+            side: Some(self.size),
+            cameras: self.cameras,
+            arithmetic: &self.arithmetic,
+            request,
         };
+        let frames: Vec<&Frame> = known.iter().flat_map(|(frames, _)| frames).collect();
+        let mut seen = question.ask(session, &files, &frames)?;
+        seen.scale(self.metres, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
+        let errors = truth.map(|truth| truth.errors(&seen, self.poses.is_none())).transpose()?;
+        if !seen.lost.is_empty() {
+            session.note(format!("without a camera, and left out: {}", photos::names(&seen.lost)));
+        }
 
         make_folder(&self.output)?;
-        let frames = cameras.as_ref().map(|cameras| self.frames(&photos, cameras)).transpose()?;
-        save_values(&self.output.join(VALUES), &depths, &photos.names)?;
-        let levels = self.save_pictures(&depths, &photos.names)?;
-        let mut points = Vec::new();
-        if let (Some(cameras), Some(frames)) = (&cameras, frames) {
-            points = depths.points(cameras, &images, self.points);
-            write_points(self.output.join(POINTS), &points)?;
+        let names = names(&seen.photos);
+        let frames = known.map_or_else(|| seen.frames(), |(frames, _)| Ok(frames))?;
+        save_values(&self.output.join(VALUES), &seen.depths, &names)?;
+        let levels = self.save_pictures(&seen.depths, &names)?;
+        let points = seen.points(self.points);
+        if seen.cameras.is_some() {
+            let cloud = self.output.join(POINTS);
+            write_points(&cloud, &points)?;
+            self.model.save(&frames, Some(&cloud))?;
+            let named = |(frame, file): (Frame, &PathBuf)| Ok(Frame { name: path_from(&self.output, file)?, ..frame });
+            let frames = frames.into_iter().zip(&seen.photos).map(named).collect::<Result<Vec<_>>>()?;
             write_frames(place, &frames, Some(POINTS))?;
         }
         folder.iter_mut().for_each(FrameFolder::keep);
+        self.report(session, &seen, (levels, points.len()), errors.as_ref())
+    }
+
+    fn report(
+        &self,
+        session: &mut Session<'_>,
+        seen: &Seen,
+        (levels, points): (f32, usize),
+        errors: Option<&Errors>,
+    ) -> Result<()> {
+        let Seen { depths, cameras, times, .. } = seen;
+        let seconds: serde_json::Map<_, _> =
+            times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
         let json = json!({
-            "output": self.output, "network": model.architecture().name, "views": images.len(),
-            "width": depths.width, "height": depths.height, "levels_per_unit": levels, "points": points.len(),
-            "cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes,
-            "seconds": { "load": loaded.as_secs_f64(), "depth": took.as_secs_f64() },
+            "output": self.output, "network": seen.network, "views": depths.views.len(),
+            "width": depths.width, "height": depths.height, "levels_per_unit": levels, "points": points,
+            "cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": seconds,
+            "errors": errors.map(Errors::as_json),
         });
-        let more = cameras.map_or(String::new(), |_| format!(", their cameras, {}", counted(points.len(), "point")));
+        let took = times.last().map(|(_, took)| time(*took)).unwrap_or_default();
+        let more = cameras.as_ref().map_or(String::new(), |_| format!(", their cameras, {}", counted(points, "point")));
         let (output, size) = (self.output.display(), format!("{} x {}", depths.width, depths.height));
-        let text = format!("{output}: depth of {} at {size} in {}{more}", counted(images.len(), "view"), time(took));
+        let text = format!("{output}: depth of {} at {size} in {took}{more}", counted(depths.views.len(), "view"));
+        let text = text + &errors.map_or_else(String::new, |errors| format!("\n{}", errors.told()));
         session.report(&json, text)
     }
 
-    /// The photos, once it is sure that what is made of them can be written.
-    fn photos(&self, session: &mut Session<'_>, files: Vec<PathBuf>) -> Result<Photos> {
-        let files = self.views.map_or(files.clone(), |views| photos::spread(files, views as usize));
-        let names = names(&files);
+    /// Checks that what is made of photos can be written.
+    fn check(&self, files: &[PathBuf]) -> Result<()> {
+        let names = names(files);
         let pictures = names.iter().flat_map(|name| [picture(name, "depth"), picture(name, "colors")]);
         let all = pictures.chain([VALUES, CAMERAS, POINTS].map(String::from)).map(|name| self.output.join(name));
         check_folder(&self.output)?;
         self.overwrite.check_replaced(all)?;
-        if let Some(photo) = self.reference.filter(|photo| *photo as usize > files.len()) {
-            return Err(Error::argument("--reference", photo, format!("1 to {}, the photos", files.len())));
+        self.model.check(self.overwrite)?;
+        match self.reference.filter(|photo| *photo as usize > files.len()) {
+            Some(photo) => Err(Error::argument("--reference", photo, format!("1 to {}, the photos", files.len()))),
+            None => Ok(()),
         }
-        let known = self.poses.as_ref().map(|poses| frames_of(poses, &files)).transpose()?;
-        let frames: Vec<&Frame> = known.iter().flatten().collect();
-        let (seen, _) =
-            session.stage("read photos", |stage| photos::read(&files, &frames, stage, |_, photo| Ok(photo)))?;
-        let views = bounded_views(&seen, self.size)?;
-        let cameras = known.as_ref().map(|frames| of_views(frames, &views)).transpose()?;
-        Ok(Photos { files, names, known, views, cameras })
     }
 
-    /// The photos' frames: known ones, or cameras of their views as those of the photos as they are stored.
-    fn frames(&self, photos: &Photos, cameras: &[Camera]) -> Result<Vec<Frame>> {
-        let frame = |(i, file): (usize, &PathBuf)| {
-            let name = path_from(&self.output, file)?;
-            if let Some(known) = &photos.known {
-                return Ok(Frame { name, ..known[i].clone() });
-            }
-            let upright = Camera { intrinsics: photos.views[i].map.undo(&cameras[i].intrinsics), ..cameras[i] };
-            Ok(Frame { name, photo: None, camera: Image::camera_as_stored(file, &upright)?, lens: None })
-        };
-        photos.files.iter().enumerate().map(frame).collect()
-    }
-
-    /// The cameras that the network says.
-    fn cameras_of(&self, depths: &Depths) -> Result<Vec<Camera>> {
-        match self.cameras {
-            CamerasFrom::Decoder => depths.cameras(),
-            CamerasFrom::Rays => depths.cameras_of_rays()?.into_iter().map(|found| Ok(found?.camera)).collect(),
-        }
+    /// The frames of photos whose cameras are known, and the points beside them.
+    fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<Frame>, Option<PathBuf>)>> {
+        let Some(poses) = &self.poses else { return Ok(None) };
+        let poses = read_poses(poses)?;
+        let frames = poses.frames_of(files)?.into_iter().zip(files);
+        let frames = frames.map(|(frame, file)| Frame { photo: Some(file.clone()), ..frame.clone() }).collect();
+        Ok(Some((frames, poses.points)))
     }
 
     /// Writes depths in 16 bits, one scale for all, and colours of each by itself; gives the levels of a unit.
@@ -208,19 +192,6 @@ impl Depth {
         }
         Ok(levels)
     }
-}
-
-/// The known cameras of photos.
-fn frames_of(poses: &Path, files: &[PathBuf]) -> Result<Vec<Frame>> {
-    Ok(read_poses(poses)?.frames_of(files)?.into_iter().cloned().collect())
-}
-
-/// Known cameras of photos as those of their views.
-fn of_views(frames: &[Frame], views: &[View]) -> Result<Vec<Camera>> {
-    let camera = |(frame, view): (&Frame, &View)| {
-        Ok(Camera { intrinsics: view.map.apply(&frame.camera.intrinsics, &frame.name)?, ..frame.camera })
-    };
-    frames.iter().zip(views).map(camera).collect()
 }
 
 /// What files of photos are called by: their names, with their number where several share one.

@@ -1,0 +1,74 @@
+//! Writing a COLMAP model, as text.
+
+use std::path::{Path, PathBuf};
+
+use super::super::Frame;
+use crate::{Distortion, Error, Intrinsics, Result, file::write_atomic, quaternion_from_matrix};
+
+/// The first line of each file, by which a program knows that it may replace them.
+const MADE_BY: &str = "# generator: zipsplat\n";
+
+/// The files of a model in a folder: `cameras.txt`, `images.txt` and `points3D.txt`.
+pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
+    ["cameras.txt", "images.txt", "points3D.txt"].map(|name| folder.as_ref().join(name))
+}
+
+/// Writes posed photos and their points as a COLMAP model in text, [`colmap_files`] of a folder that exists. Frames of one lens share a
+/// camera. Points have no tracks, and images no points of their own: nobody matched any.
+///
+/// # Errors
+/// [`Error::Argument`] when a camera is not valid, a name has spaces, which the format has no room for, or COLMAP has no model of a lens;
+/// [`Error::Io`] when a file cannot be written.
+pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
+    let mut lenses: Vec<String> = Vec::new();
+    let mut images = format!("{MADE_BY}# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of its points\n");
+    for (i, frame) in frames.iter().enumerate() {
+        frame.camera.validate(&format!("camera {i}"))?;
+        if frame.name.is_empty() || frame.name.contains(char::is_whitespace) {
+            return Err(Error::argument(
+                "name of a photo for COLMAP",
+                format!("{:?}", frame.name),
+                "one without spaces",
+            ));
+        }
+        let lens = camera(frame)?;
+        let place = lenses.iter().position(|other| *other == lens).unwrap_or(lenses.len());
+        lenses.extend((place == lenses.len()).then_some(lens));
+        let to_camera = frame.camera.pose.inverse();
+        let ([w, x, y, z], t) = (quaternion_from_matrix(&to_camera.rotation), to_camera.translation);
+        let pose = format!("{w} {x} {y} {z} {} {} {}", t.x, t.y, t.z);
+        images += &format!("{} {pose} {} {}\n\n", i + 1, place + 1, frame.name);
+    }
+    let mut cameras = format!("{MADE_BY}# CAMERA_ID MODEL WIDTH HEIGHT PARAMS\n");
+    lenses.iter().enumerate().for_each(|(i, lens)| cameras += &format!("{} {lens}\n", i + 1));
+    let mut cloud = format!("{MADE_BY}# POINT3D_ID X Y Z R G B ERROR TRACK\n");
+    for (i, ([x, y, z], [r, g, b])) in points.iter().enumerate() {
+        cloud += &format!("{} {x} {y} {z} {r} {g} {b} 0\n", i + 1);
+    }
+    for (file, text) in colmap_files(folder).iter().zip([cameras, images, cloud]) {
+        write_atomic(file, |out| out.write_all(text.as_bytes()))?;
+    }
+    Ok(())
+}
+
+/// A frame's model, size and parameters.
+fn camera(frame: &Frame) -> Result<String> {
+    let Intrinsics { width, height, fx, fy, cx, cy } =
+        frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
+    let (model, coefficients) = match frame.lens.map(|lens| lens.distortion) {
+        None => ("PINHOLE", Vec::new()),
+        Some(Distortion::Fisheye(k)) => ("OPENCV_FISHEYE", k.to_vec()),
+        Some(Distortion::Perspective { numerator: [k1, k2, k3, above], denominator, tangential: [p1, p2] }) => {
+            if above != 0.0 {
+                let found = format!("a coefficient of r^8, {above}");
+                return Err(Error::argument(format!("lens of {}", frame.name), found, "none, as COLMAP's models have"));
+            }
+            let [k4, k5, k6] = denominator;
+            let all = vec![k1, k2, p1, p2, k3, k4, k5, k6];
+            let few = all[4..].iter().all(|k| *k == 0.0);
+            if few { ("OPENCV", all[..4].to_vec()) } else { ("FULL_OPENCV", all) }
+        }
+    };
+    let parameters = [vec![fx, fy, cx, cy], coefficients].concat();
+    Ok(parameters.iter().fold(format!("{model} {width} {height}"), |line, value| line + &format!(" {value}")))
+}

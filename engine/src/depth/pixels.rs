@@ -1,0 +1,104 @@
+//! One round Gaussian a pixel, from depth and colour alone, for networks without a head for Gaussians.
+
+use super::{DepthView, Depths, output::SKY, pixel_gaussians};
+use crate::types::{Camera, Image, Scene};
+use glam::DVec3;
+
+/// First spherical harmonic, which is constant.
+const SH0: f32 = 0.282_094_79;
+/// Standard deviation of a Gaussian in pixels of the photo that it is from: neighbours overlap without a visible grid.
+const SIGMA: f64 = 0.6;
+/// Opacity of a pixel whose depth is sure.
+const OPACITY: f32 = 0.95;
+/// Opacities below which a pixel is left out.
+const FAINT: f32 = 0.05;
+
+/// Adds one round Gaussian for every pixel of a photo whose depth along the camera's axis is above 0, in the world of `camera`: as wide
+/// as depth over focal length makes a pixel, of the pixel's colour.
+pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
+    let shown = depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
+    shown.for_each(|(at, depth)| add_pixel(scene, camera, image, at, (*depth, OPACITY)));
+}
+
+/// Adds the Gaussian of one pixel.
+fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (depth, opacity): (f32, f32)) {
+    let (lens, z, width) = (camera.intrinsics, f64::from(depth), image.width as usize);
+    let (x, y) = ((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
+    let point = camera.pose.transform(DVec3::new((x - lens.cx) / lens.fx * z, (y - lens.cy) / lens.fy * z, z));
+    scene.means.push(point.as_vec3().to_array());
+    scene.scales.push([(SIGMA * z / lens.fx) as f32; 3]);
+    scene.quats.push([1.0, 0.0, 0.0, 0.0]);
+    scene.opacities.push(opacity);
+    let rgb: [u8; 3] = std::array::from_fn(|c| image.rgb[3 * at + c]);
+    scene.sh_coeffs.push(rgb.map(|value| (f32::from(value) / 255.0 - 0.5) / SH0));
+}
+
+impl Depths {
+    /// One Gaussian for every pixel that the network is confident of, in the world of the views' cameras. With a head for Gaussians they
+    /// are what it says; else they are round, as wide as depth over focal length makes a pixel, of the colours of `images`, and as opaque
+    /// as the network is confident: from the confidence on that [`Depths::points`] asks for they are fully so. Pixels of sky and those
+    /// without a depth are left out. Where patches were chosen to stand for all ([`Depths::patches`]), their pixels are all that counts;
+    /// of each patch those `keep` Gaussians are kept that show most.
+    pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
+        let of_head = self.views.iter().any(|view| view.gaussians.is_some());
+        let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };
+        let (columns, side) = (self.width as usize / self.patch, self.patch);
+        let patches = columns * (self.height as usize / side);
+        let all: Vec<u32> = (0..(self.views.len() * patches) as u32).collect();
+        let kept = self.patches.as_deref().unwrap_or(&all);
+        // Of the patch with this index in a view, row by row.
+        let pixels = |patch: usize| {
+            let corner = (patch / columns * columns * side + patch % columns) * side;
+            (0..side * side).map(move |i| corner + i / side * columns * side + i % side)
+        };
+        let least = self.least_confidence();
+        for (i, view) in self.views.iter().enumerate() {
+            let of_view = kept.iter().map(|patch| *patch as usize).filter(|patch| patch / patches == i);
+            let at: Vec<usize> = of_view.flat_map(|patch| pixels(patch % patches)).collect();
+            let mut made = match &view.gaussians {
+                Some(values) => {
+                    let mut whole = pixel_gaussians(&view.depth, values, &cameras[i]);
+                    whole.keep(&at);
+                    whole
+                }
+                None => {
+                    let mut round = Scene::default();
+                    let shown = |at: usize| (view.depth[at], view.opacity(at, least));
+                    at.iter().for_each(|&at| add_pixel(&mut round, &cameras[i], &images[i], at, shown(at)));
+                    round
+                }
+            };
+            // So that they show least of all, whatever they would have been.
+            for (i, _) in at.iter().enumerate().filter(|(_, at)| !view.shows(**at)) {
+                (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
+            }
+            scene.append(made);
+        }
+        if let Some(keep) = keep {
+            scene.keep_most_visible(side * side, keep);
+        }
+        let shown: Vec<usize> = (0..scene.len()).filter(|&i| scene.opacities[i] >= FAINT).collect();
+        scene.keep(&shown);
+        scene
+    }
+}
+
+impl DepthView {
+    /// The mean confidence of the depth, 1 where the network says none.
+    pub fn mean_confidence(&self) -> f64 {
+        let all = self.confidence.as_deref().unwrap_or(&[1.0]);
+        all.iter().map(|value| f64::from(*value)).sum::<f64>() / all.len().max(1) as f64
+    }
+
+    /// Whether a pixel shows something that has a place.
+    pub(super) fn shows(&self, at: usize) -> bool {
+        let sky = self.sky.as_ref().is_some_and(|sky| sky[at] >= SKY);
+        !sky && self.depth[at].is_finite() && self.depth[at] > 0.0
+    }
+
+    /// How opaque a pixel is, where `least` is the confidence from which it is fully so: in proportion to what is above 1.
+    fn opacity(&self, at: usize, least: f32) -> f32 {
+        let Some(confidence) = &self.confidence else { return OPACITY };
+        if least > 1.0 { OPACITY * ((confidence[at] - 1.0) / (least - 1.0)).clamp(0.0, 1.0) } else { OPACITY }
+    }
+}

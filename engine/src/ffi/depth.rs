@@ -1,0 +1,350 @@
+//! Depth: photos to the depth of every pixel, and to the cameras that took them.
+
+use super::{
+    context::zs_context,
+    model::{report, zs_model_options, zs_precision, zs_progress},
+    picture::{zs_camera, zs_image},
+    pointers::{
+        POINTER, Versioned, borrow, destroy, produce, read_array, read_versioned, text, write_defaults, write_versioned,
+    },
+    scene::zs_scene,
+    status::{Failure, guard, zs_status},
+};
+use crate::{
+    Error,
+    cameras::share_focal_lengths,
+    depth::{DepthModel, DepthRequest, DepthView, Depths},
+    gpu::Progress,
+    reconstruct::MAX_VIEWS,
+    tune::Chosen,
+    types::{
+        Camera, DEFAULT_BOUND, Image, bounded_views,
+        preprocess::{PixelMap, View},
+    },
+    weights::DepthCheckpoint,
+};
+use std::{
+    ffi::{c_char, c_void},
+    ptr::null,
+};
+
+/// A network of Depth Anything 3 with its weights on a context's device. Any number of threads may use it at the same time.
+pub struct zs_depth_model {
+    model: DepthModel,
+}
+
+/// Depth of photos, and the cameras that took them, in host memory. It never changes, so any number of threads may use it at the same
+/// time.
+pub struct zs_depths {
+    depths: Depths,
+    /// The pictures that the network saw.
+    images: Vec<Image>,
+    /// The cameras of these and of the photos; none where nobody knows them.
+    cameras: Vec<Option<[Camera; 2]>>,
+}
+
+/// Sources of the cameras that a network finds.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_cameras_from {
+    /// The network's camera decoder.
+    ZS_CAMERAS_FROM_DECODER = 0,
+    /// The rays of all pixels, principal point included. Photos whose rays agree on none have no camera.
+    ZS_CAMERAS_FROM_RAYS = 1,
+}
+
+pub(super) type zs_cameras_from_value = i32;
+
+/// Options of finding depth.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_depth_options {
+    /// sizeof(zs_depth_options); zs_depth_options_default sets it.
+    pub struct_size: u32,
+    /// Longer side of the photos as the network sees them, 14 to 8192 pixels: whole, each side the nearest multiple of 14. Of photos of
+    /// different shapes it sees the middle that all have. Default 504.
+    pub side: u32,
+    /// Source of the cameras, where none are given. Default ZS_CAMERAS_FROM_DECODER.
+    pub cameras_from: zs_cameras_from_value,
+    /// 1 where photos of one size may have different focal lengths; 0 gives them one, the median, weighted by how confident the network
+    /// is of each photo's depth. Default 0.
+    pub own_focal_lengths: u32,
+    /// Number of `cameras`: 0, or one for each photo. Default 0.
+    pub camera_count: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Cameras of the whole photos as you pass them, where they are known, for networks that see all photos at once. Depth is then in
+    /// their unit, and they are the cameras that are found. Default NULL.
+    pub cameras: *const zs_camera,
+    /// Told how far it is; may stop it. Default NULL.
+    pub progress: zs_progress,
+    /// Given to `progress`.
+    pub user_data: *mut c_void,
+}
+
+/// The depth of a photo, in the memory of its zs_depths, there until that is destroyed. Arrays are `[height][width]`.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_depth_view {
+    /// sizeof(zs_depth_view); set it before the call.
+    pub struct_size: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Along the camera's axis, in one unit for all photos that were seen at once: that of the cameras.
+    pub depth: *const f32,
+    /// From 1 on, where the network sees all photos at once; else NULL.
+    pub confidence: *const f32,
+    /// From 0 on, above 0.3 sky, where the network sees each photo by itself; else NULL.
+    pub sky: *const f32,
+}
+
+// SAFETY: repr(C), six pairs of 32 bits and pointers: no padding.
+unsafe impl Versioned for zs_depth_options {
+    const NAME: &str = "zs_depth_options";
+    const FIRST_SIZE: usize = 24 + 3 * POINTER;
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>() as u32,
+            side: DEFAULT_BOUND,
+            cameras_from: zs_cameras_from::ZS_CAMERAS_FROM_DECODER as i32,
+            own_focal_lengths: 0,
+            camera_count: 0,
+            reserved: 0,
+            cameras: null(),
+            progress: None,
+            user_data: std::ptr::null_mut(),
+        }
+    }
+}
+
+// SAFETY: repr(C), two pairs of 32 bits and pointers: no padding.
+unsafe impl Versioned for zs_depth_view {
+    const NAME: &str = "zs_depth_view";
+    const FIRST_SIZE: usize = 16 + 3 * POINTER;
+    fn defaults() -> Self {
+        let struct_size = size_of::<Self>() as u32;
+        Self { struct_size, reserved: 0, width: 0, height: 0, depth: null(), confidence: null(), sky: null() }
+    }
+}
+
+// SAFETY: the arrays are those of an object that never changes.
+unsafe impl Sync for zs_depth_view {}
+
+/// Loads a network of Depth Anything 3 onto a context's device: a released file (model.safetensors) at `path` (UTF-8), or random numbers
+/// for "seeded:NAME", such as "seeded:da3-small". Of `options`, which may be NULL, `variant` has to be NULL and `tokens` 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_model_open(
+    context: *const zs_context,
+    path: *const c_char,
+    options: *const zs_model_options,
+    model: *mut *mut zs_depth_model,
+) -> zs_status {
+    let load = || {
+        // SAFETY: the caller's objects.
+        let (context, path, options) =
+            unsafe { (borrow(context, "context")?, text(path, "path")?, read_versioned(options)?) };
+        if !options.variant.is_null() || options.tokens != 0 || options.reserved != 0 {
+            let found = "a variant or tokens";
+            return Err(Failure::argument(
+                "options of a depth model",
+                found,
+                "NULL and 0, which are for zs_model_open",
+            ));
+        }
+        let chosen = Chosen::of(&context.device, zs_precision::wanted(options.precision)?)?;
+        let checkpoint = DepthCheckpoint::parse_whole(path)?;
+        let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
+        Ok(zs_depth_model { model: DepthModel::load(&context.device, &checkpoint, chosen.arithmetic, progress)? })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(model, load) }
+}
+
+/// Destroys a depth model. NULL is allowed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
+    // SAFETY: an object that the caller gives up, or NULL.
+    unsafe { destroy(model) }
+}
+
+/// Fills `options` with the defaults. `size` is sizeof(zs_depth_options).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_options_default(options: *mut zs_depth_options, size: usize) -> zs_status {
+    // SAFETY: the caller's structure of that size.
+    unsafe { write_defaults(options, size) }
+}
+
+/// Finds the depth of 1 to 192 photos of one place, and, with a network that sees all of them at once, the cameras that took them, in a
+/// world about one of them. It returns when all is there. `options` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_find(
+    model: *const zs_depth_model,
+    images: *const zs_image,
+    image_count: usize,
+    options: *const zs_depth_options,
+    depths: *mut *mut zs_depths,
+) -> zs_status {
+    let find = || {
+        // SAFETY: an object or NULL; a structure or NULL.
+        let (zs_depth_model { model }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
+        if !(1..=MAX_VIEWS).contains(&image_count) {
+            return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
+        }
+        let by_rays = options.by_rays()?;
+        // SAFETY: the caller's arrays.
+        let (images, known) = unsafe {
+            let count = options.camera_count as usize;
+            (read_array(images, image_count, "images")?, read_array(options.cameras, count, "cameras")?)
+        };
+        if !known.is_empty() && known.len() != images.len() {
+            return Err(Failure::argument("number of cameras", known.len(), format!("0 or {image_count}")));
+        }
+        let known: Vec<Camera> = known.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        // SAFETY: the caller's pixels.
+        let photo = |(i, image): (usize, &zs_image)| unsafe { image.image(&format!("image {i}")) };
+        let photos = images.iter().enumerate().map(photo).collect::<Result<Vec<Image>, _>>()?;
+        let views = bounded_views(&photos, options.side)?;
+        drop(photos);
+        let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
+        let told = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
+        let request = DepthRequest { cameras: told.clone(), ..DepthRequest::default() };
+        let progress = |now: Progress<'_>| report(options.progress, options.user_data, now.fraction, now.scope);
+        let mut depths = model.depths(&images, &request, progress)?;
+        let cameras = match told {
+            Some(told) => {
+                // Cameras at one place tell no unit: lengths stay the network's.
+                depths.bring_to(&told).or_else(|error| if told.len() > 1 { Err(error) } else { Ok(()) })?;
+                told.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
+            }
+            None if !model.architecture().multi_view() => vec![None; images.len()],
+            None => found_cameras(&depths, &views, by_rays, options.own_focal_lengths == 0)?,
+        };
+        Ok(zs_depths { depths, images, cameras })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(depths, find) }
+}
+
+/// Says what was found of photo number `index`: its depth, and the camera that took it, of the whole photo, in the world of all; of a photo
+/// whose camera nobody knows width and height are 0. Either may be NULL. Set their struct_size before the call.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depths_get(
+    depths: *const zs_depths,
+    index: usize,
+    view: *mut zs_depth_view,
+    camera: *mut zs_camera,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_depths { depths, cameras, .. } = unsafe { borrow(depths, "depths") }?;
+        let expected = || format!("a number below {}", depths.views.len());
+        let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
+        if !view.is_null() {
+            let DepthView { depth, confidence, sky, .. } = found;
+            let found = zs_depth_view {
+                width: depths.width,
+                height: depths.height,
+                depth: depth.as_ptr(),
+                confidence: values(confidence),
+                sky: values(sky),
+                ..Versioned::defaults()
+            };
+            // SAFETY: the caller's structure.
+            unsafe { write_versioned(view, found) }?;
+        }
+        if !camera.is_null() {
+            let found = cameras[index].map_or_else(Versioned::defaults, |[_, of_photo]| zs_camera::from(&of_photo));
+            // SAFETY: the caller's structure.
+            unsafe { write_versioned(camera, found) }?;
+        }
+        Ok(())
+    })
+}
+
+/// Makes a scene of the depth of photos with cameras: a Gaussian for each pixel that the network is confident of, in the world of the
+/// cameras; of each patch of 14 x 14 pixels at most `keep`, those that show most, or all for 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, scene: *mut *mut zs_scene) -> zs_status {
+    let make = || {
+        // SAFETY: an object or NULL.
+        let zs_depths { depths, images, cameras } = unsafe { borrow(depths, "depths") }?;
+        let posed: Vec<usize> = (0..images.len()).filter(|&i| cameras[i].is_some()).collect();
+        if posed.is_empty() {
+            let expected = "photos whose cameras were given, or found by a network that sees all photos at once";
+            return Err(Failure::argument("cameras of the depths", "none", expected));
+        }
+        let mut seen = depths.clone();
+        seen.keep_views(&cameras.iter().map(Option::is_some).collect::<Vec<_>>());
+        let of_views: Vec<Camera> = cameras.iter().flatten().map(|[of_view, _]| *of_view).collect();
+        let images: Vec<Image> = posed.iter().map(|&i| images[i].clone()).collect();
+        Ok(seen.scene(&of_views, &images, (keep > 0).then_some(keep as usize)).into())
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, make) }
+}
+
+/// Destroys depths. NULL is allowed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depths_destroy(depths: *mut zs_depths) {
+    // SAFETY: an object that the caller gives up, or NULL.
+    unsafe { destroy(depths) }
+}
+
+impl zs_depth_options {
+    /// Checks the numbers; whether cameras come from rays.
+    fn by_rays(&self) -> Result<bool, Failure> {
+        if self.reserved != 0 {
+            return Err(Failure::argument("zs_depth_options, reserved", self.reserved, "0"));
+        }
+        if self.own_focal_lengths > 1 {
+            return Err(Failure::argument("own_focal_lengths", self.own_focal_lengths, "0 or 1"));
+        }
+        match self.cameras_from {
+            0 => Ok(false),
+            1 => Ok(true),
+            other => Err(Failure::argument("cameras_from", other, "a zs_cameras_from")),
+        }
+    }
+}
+
+/// Cameras of whole photos as those of their views.
+fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
+    let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
+        let label = format!("camera {i}");
+        camera.validate(&label)?;
+        Ok(Camera { intrinsics: view.map.apply(&camera.intrinsics, &label)?, ..*camera })
+    };
+    cameras.iter().zip(views).enumerate().map(of_view).collect()
+}
+
+/// The cameras that a network says, of views and of whole photos.
+fn found_cameras(
+    depths: &Depths,
+    views: &[View],
+    by_rays: bool,
+    shared: bool,
+) -> Result<Vec<Option<[Camera; 2]>>, Error> {
+    let found: Vec<Option<Camera>> = match by_rays {
+        true => depths.cameras_of_rays()?.into_iter().map(|found| Some(found.ok()?.camera)).collect(),
+        false => depths.cameras()?.into_iter().map(Some).collect(),
+    };
+    let posed: Vec<usize> = (0..views.len()).filter(|&i| found[i].is_some()).collect();
+    let mut cameras: Vec<Camera> = found.iter().flatten().copied().collect();
+    if shared {
+        let maps: Vec<PixelMap> = posed.iter().map(|&i| views[i].map).collect();
+        // Photos of one size are of one lens.
+        let size = |i: &usize| views.iter().position(|view| view.map.from == views[*i].map.from).unwrap_or(*i);
+        let weights: Vec<f64> = posed.iter().map(|&i| depths.views[i].mean_confidence()).collect();
+        share_focal_lengths(&mut cameras, &maps, &posed.iter().map(size).collect::<Vec<_>>(), &weights);
+    }
+    let mut all = vec![None; views.len()];
+    for (i, camera) in posed.into_iter().zip(cameras) {
+        all[i] = Some([camera, Camera { intrinsics: views[i].map.undo(&camera.intrinsics), ..camera }]);
+    }
+    Ok(all)
+}

@@ -1,0 +1,166 @@
+//! Depth of photos by way of C: what Rust gives, and what is refused.
+
+use crate::calls::*;
+use std::{
+    ops::ControlFlow::Continue,
+    path::Path,
+    ptr::{null, null_mut},
+};
+use zipsplat::{
+    Camera,
+    depth::{DepthModel, DepthRequest},
+    ffi::{zs_status::*, *},
+    ops::Arithmetic,
+    types::Image,
+    weights::{DepthCheckpoint, Dtype},
+};
+use zipsplat_tests::{architectures, device::device};
+
+fn options() -> zs_depth_options {
+    let mut options = std::mem::MaybeUninit::uninit();
+    // SAFETY: room for the options, which are filled where it succeeds.
+    unsafe {
+        ok(zs_depth_options_default(options.as_mut_ptr(), size_of::<zs_depth_options>()));
+        options.assume_init()
+    }
+}
+
+/// The weights of a small network in a file, and on a context's device.
+fn model(context: &Object<zs_context>, folder: &Path, alone: bool) -> (DepthCheckpoint, Object<zs_depth_model>) {
+    let network = if alone { architectures::depth_micro_alone() } else { architectures::depth_micro() };
+    let checkpoint = DepthCheckpoint::seeded(network, "micro").expect("a network");
+    let path = folder.join("micro.safetensors");
+    checkpoint.save_with(&path, Dtype::F32, |_| Continue(())).expect("weights can be written");
+    let path = c_string(path.to_str().expect("UTF-8"));
+    let mut of_model = model_options();
+    of_model.precision = zs_precision::ZS_PRECISION_EXACT as i32;
+    // SAFETY: a live context, a path, options, and where to put it.
+    let open = |out| unsafe { zs_depth_model_open(context.handle, path.as_ptr(), &of_model, out) };
+    (checkpoint, Object::new(zs_depth_model_destroy, open))
+}
+
+fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depths> {
+    let images: Vec<zs_image> = photos.iter().map(image_of).collect();
+    // SAFETY: a live model, pictures, options, and where to put it.
+    Object::new(zs_depths_destroy, |out| unsafe {
+        zs_depth_find(model.handle, images.as_ptr(), images.len(), options, out)
+    })
+}
+
+/// The depth and the camera of a photo; numbers of which 0 is one.
+fn get(depths: &Object<zs_depths>, index: usize) -> (zs_depth_view, zs_camera) {
+    // SAFETY: structures of numbers and pointers, of which 0 is one.
+    let (mut view, mut camera): (zs_depth_view, zs_camera) = unsafe { (std::mem::zeroed(), std::mem::zeroed()) };
+    view.struct_size = size_of::<zs_depth_view>() as u32;
+    camera.struct_size = size_of::<zs_camera>() as u32;
+    // SAFETY: live depths and structures that say their size.
+    ok(unsafe { zs_depths_get(depths.handle, index, &mut view, &mut camera) });
+    (view, camera)
+}
+
+#[test]
+fn depth_is_that_of_rust() {
+    let (folder, context) = (tempfile::tempdir().expect("a folder"), context());
+    let (checkpoint, model) = model(&context, folder.path(), false);
+    let photos = photos(2);
+    let own = zs_depth_options { side: SIDE, own_focal_lengths: 1, ..options() };
+    let depths = find(&model, &photos, &own);
+    let rust = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).expect("a model");
+    let truth = rust.depths(&photos, &DepthRequest::default(), |_| Continue(())).expect("depth");
+    let cameras = truth.cameras().expect("a decoder");
+    for (i, (of_view, camera)) in truth.views.iter().zip(&cameras).enumerate() {
+        let (view, found) = get(&depths, i);
+        assert_eq!((view.width, view.height, found.width), (SIDE, SIDE, SIDE));
+        // SAFETY: arrays of the depths, which live.
+        let [depth, confidence] = [view.depth, view.confidence]
+            .map(|values| unsafe { std::slice::from_raw_parts(values, (SIDE * SIDE) as usize) });
+        assert!(depth == of_view.depth && Some(confidence) == of_view.confidence.as_deref() && view.sky.is_null());
+        assert_eq!((found.fx, found.cy), (camera.intrinsics.fx, camera.intrinsics.cy));
+        assert_eq!(found.rotation, camera.pose.rotation.transpose().to_cols_array());
+        assert_eq!(found.translation, camera.pose.translation.to_array());
+    }
+    // One focal length, where nobody says.
+    let shared = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
+    let lenses = [0, 1].map(|i| get(&shared, i).1).map(|camera| [camera.fx, camera.fy]);
+    assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
+    assert_ne!(lenses[0], [cameras[0].intrinsics.fx, cameras[0].intrinsics.fy]);
+
+    // The scene is that of Rust, too.
+    // SAFETY: live depths, and where to put it.
+    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_depths_scene(depths.handle, 3, out) });
+    let expected = truth.scene(&cameras, &photos, Some(3));
+    assert!(expected.len() > 20);
+    assert!(read(&scene) == expected);
+
+    // Cameras that are given are those that come back, and depth is in their unit.
+    let given: Vec<zs_camera> = cameras
+        .iter()
+        .map(|camera: &Camera| {
+            let mut camera = *camera;
+            camera.pose.translation *= 10.0;
+            zs_camera::from(&camera)
+        })
+        .collect();
+    let known = zs_depth_options { side: SIDE, cameras: given.as_ptr(), camera_count: 2, ..options() };
+    let told = find(&model, &photos, &known);
+    assert_eq!(get(&told, 1).1.translation, given[1].translation);
+}
+
+#[test]
+fn photos_by_themselves_have_sky_and_no_cameras() {
+    let (folder, context) = (tempfile::tempdir().expect("a folder"), context());
+    let (_, model) = model(&context, folder.path(), true);
+    let depths = find(&model, &photos(1), &zs_depth_options { side: SIDE, ..options() });
+    let (view, camera) = get(&depths, 0);
+    assert!(view.confidence.is_null() && !view.sky.is_null() && !view.depth.is_null());
+    assert_eq!((camera.width, camera.height), (0, 0));
+    // SAFETY: live depths, and where to put it.
+    let status = unsafe { zs_depths_scene(depths.handle, 0, &mut null_mut()) };
+    fails(status, ZS_ERROR_ARGUMENT, &["cameras of the depths", "none"]);
+}
+
+#[test]
+fn wrong_arguments_are_named() {
+    let (folder, context) = (tempfile::tempdir().expect("a folder"), context());
+    let (_, model) = model(&context, folder.path(), false);
+    let photos = photos(2);
+    let images: Vec<zs_image> = photos.iter().map(image_of).collect();
+    let camera = zs_camera::from(&zipsplat_tests::scenes::camera(SIDE, SIDE));
+    for (options, words) in [
+        (zs_depth_options { side: 13, ..options() }, ["longest side", "13"]),
+        (zs_depth_options { cameras_from: 2, ..options() }, ["cameras_from", "zs_cameras_from"]),
+        (zs_depth_options { own_focal_lengths: 2, ..options() }, ["own_focal_lengths", "0 or 1"]),
+        (zs_depth_options { reserved: 1, ..options() }, ["reserved", "expected 0"]),
+        (zs_depth_options { cameras: &camera, camera_count: 1, ..options() }, ["number of cameras", "0 or 2"]),
+    ] {
+        // SAFETY: a live model, pictures, options, and where to put it.
+        let status = unsafe { zs_depth_find(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
+        fails(status, ZS_ERROR_ARGUMENT, &words);
+    }
+    let depths = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
+    // SAFETY: live objects; what is missing is NULL, which every entry point takes for every pointer.
+    unsafe {
+        for status in [
+            zs_depth_model_open(null(), null(), null(), null_mut()),
+            zs_depth_options_default(null_mut(), size_of::<zs_depth_options>()),
+            zs_depth_find(null(), null(), 0, null(), null_mut()),
+            zs_depths_get(null(), 0, null_mut(), null_mut()),
+            zs_depths_scene(null(), 0, null_mut()),
+        ] {
+            fails(status, ZS_ERROR_ARGUMENT, &["NULL"]);
+        }
+        zs_depth_model_destroy(null_mut());
+        zs_depths_destroy(null_mut());
+        fails(
+            zs_depths_get(depths.handle, 2, null_mut(), null_mut()),
+            ZS_ERROR_ARGUMENT,
+            &["number of a photo", "below 2"],
+        );
+        let path = c_string("seeded:vits");
+        let status = zs_depth_model_open(context.handle, path.as_ptr(), null(), &mut null_mut());
+        fails(status, ZS_ERROR_ARGUMENT, &["vits", "da3-small"]);
+        let with_tokens = zs_model_options { tokens: 1, ..model_options() };
+        let status = zs_depth_model_open(context.handle, path.as_ptr(), &with_tokens, &mut null_mut());
+        fails(status, ZS_ERROR_ARGUMENT, &["options of a depth model", "tokens"]);
+    }
+}

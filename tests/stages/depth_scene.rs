@@ -1,0 +1,132 @@
+//! Scenes and scales of depth that is known, without a network.
+
+use glam::{DMat3, DVec3};
+use zipsplat::depth::{DepthView, Depths, add_view};
+use zipsplat::gpu::StageTimes;
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
+
+/// Two views of 2 x 1 patches of 2 x 2 pixels.
+const SIZE: [u32; 2] = [4, 2];
+const PIXELS: usize = 8;
+
+fn depths(of: impl Fn(usize) -> DepthView) -> Depths {
+    let views = (0..2).map(of).collect();
+    let times = StageTimes::default();
+    Depths { width: SIZE[0], height: SIZE[1], views, patch: 2, patches: None, times, peak_bytes: 0 }
+}
+
+/// A view whose pixel `i` has the depth `at` says.
+fn view(depth: impl Fn(usize) -> f32) -> DepthView {
+    let depth = (0..PIXELS).map(depth).collect();
+    DepthView { depth, confidence: None, rays: None, sky: None, encoding: None, gaussians: None }
+}
+
+fn cameras() -> [Camera; 2] {
+    let intrinsics = Intrinsics { width: SIZE[0], height: SIZE[1], fx: 3.0, fy: 2.5, cx: 2.25, cy: 0.75 };
+    let rotation = DMat3::from_rotation_y(0.4) * DMat3::from_rotation_x(-0.2);
+    let pose = Pose { rotation, translation: DVec3::new(0.5, -1.0, 2.0) };
+    [Camera { intrinsics, pose: Pose::IDENTITY }, Camera { intrinsics, pose }]
+}
+
+fn images() -> [Image; 2] {
+    [0, 100].map(|first| Image::new(SIZE[0], SIZE[1], (0..3 * PIXELS as u8).map(|i| first + 4 * i).collect()).unwrap())
+}
+
+/// The pixel of `camera` that a Gaussian's mean is in, and its depth.
+fn pixel(camera: &Camera, mean: [f32; 3]) -> (usize, f64) {
+    let at = camera.pose.inverse().transform(mean.map(f64::from).into());
+    let lens = camera.intrinsics;
+    let (x, y) = (lens.fx * at.x / at.z + lens.cx, lens.fy * at.y / at.z + lens.cy);
+    assert!((x.fract() - 0.5).abs() < 1e-5 && (y.fract() - 0.5).abs() < 1e-5, "{x} {y} is no middle of a pixel");
+    (y as usize * SIZE[0] as usize + x as usize, at.z)
+}
+
+/// The views and pixels of a scene's Gaussians, by whose depth `10 view + pixel + 1` they are.
+fn pixels(scene: &Scene) -> Vec<usize> {
+    let place = |mean: &[f32; 3]| {
+        let found = cameras().iter().enumerate().find_map(|(view, camera)| {
+            let z = camera.pose.inverse().transform(mean.map(f64::from).into()).z;
+            let whole = (z - z.round()).abs() < 1e-4 && (z.round() as usize) / 10 == view;
+            whole.then(|| (10 * view, pixel(camera, *mean)))
+        });
+        let (view, (pixel, z)) = found.expect("a depth of some view");
+        assert_eq!(z.round() as usize, view + pixel + 1);
+        view + pixel
+    };
+    scene.means.iter().map(place).collect()
+}
+
+fn numbered() -> Depths {
+    depths(|v| view(move |i| (10 * v + i + 1) as f32))
+}
+
+#[test]
+fn each_pixel_is_where_its_depth_has_it() {
+    let scene = numbered().scene(&cameras(), &images(), None);
+    // A patch after the other, each row by row.
+    assert_eq!(pixels(&scene), [0, 1, 4, 5, 2, 3, 6, 7, 10, 11, 14, 15, 12, 13, 16, 17]);
+    scene.validate().unwrap();
+    // As wide as a pixel at its depth, of its colour, and the same as of depth that is given.
+    let mut given = Scene::default();
+    add_view(&mut given, &cameras()[0], &images()[0], &numbered().views[0].depth);
+    assert!((given.scales[4][0] - 0.6 * 5.0 / 3.0).abs() < 1e-6 && given.opacities.iter().all(|o| *o == 0.95));
+    let order = [0, 1, 4, 5, 2, 3, 6, 7];
+    given.keep(&order);
+    assert_eq!(scene.means[..8], given.means[..]);
+    assert_eq!((&scene.scales[..8], &scene.sh_coeffs[..8]), (&given.scales[..], &given.sh_coeffs[..]));
+    assert_ne!(scene.sh_coeffs[0], scene.sh_coeffs[1]);
+}
+
+#[test]
+fn sky_and_what_has_no_depth_are_left_out() {
+    let mut depths = numbered();
+    depths.views[0].depth[1] = f32::INFINITY;
+    depths.views[0].depth[2] = 0.0;
+    depths.views[1].sky = Some([0.0, 0.31, 0.29, 0.0, 0.5, 0.0, 0.0, 0.0].into());
+    let scene = depths.scene(&cameras(), &images(), None);
+    assert_eq!(pixels(&scene), [0, 4, 5, 3, 6, 7, 10, 15, 12, 13, 16, 17]);
+    // Nor do they take the place of others of their patch.
+    depths.views[1].depth[1] = f32::NAN;
+    let kept = depths.scene(&cameras(), &images(), Some(2));
+    assert_eq!(pixels(&kept), [4, 5, 6, 7, 10, 15, 16, 17]);
+}
+
+#[test]
+fn opacity_follows_confidence() {
+    let mut depths = numbered();
+    // The fortieth to ninetieth percentile of all bounds what 1.05 is: here 1.2, from which pixels are fully opaque.
+    let sure = [1.0, 1.01, 1.1, 1.2, 1.2, 1.2, 1.3, 9.0];
+    depths.views.iter_mut().for_each(|view| view.confidence = Some(sure.into()));
+    let scene = depths.scene(&cameras(), &images(), None);
+    assert_eq!(pixels(&scene), [4, 5, 2, 3, 6, 7, 14, 15, 12, 13, 16, 17]);
+    let expected = [0.95, 0.95, 0.475, 0.95, 0.95, 0.95];
+    for (found, expected) in scene.opacities.iter().zip(expected.iter().cycle()) {
+        assert!((found - expected).abs() < 1e-4, "{:?}", scene.opacities);
+    }
+}
+
+#[test]
+fn chosen_patches_stand_for_all() {
+    let mut depths = numbered();
+    depths.patches = Some(vec![1, 2]);
+    assert_eq!(pixels(&depths.scene(&cameras(), &images(), None)), [2, 3, 6, 7, 10, 11, 14, 15]);
+    // Views that are left out take their patches along.
+    depths.keep_views(&[false, true]);
+    assert_eq!((depths.views.len(), &depths.patches), (1, &Some(vec![0])));
+    let scene = depths.scene(&cameras()[1..], &images()[1..], None);
+    assert_eq!(pixels(&scene), [10, 11, 14, 15]);
+}
+
+#[test]
+fn depth_of_each_view_is_brought_to_points() {
+    let truth = numbered();
+    let points: Vec<[f32; 3]> = truth.scene(&cameras(), &images(), None).means;
+    let mut depths = depths(|v| view(move |i| (10 * v + i + 1) as f32 * [0.5, 7.0][v]));
+    depths.scale_to(&cameras(), &points).unwrap();
+    for (found, truth) in depths.views.iter().zip(&truth.views) {
+        // Points of the other view that happen to be seen do not decide.
+        assert!(found.depth.iter().zip(&truth.depth).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{:?}", found.depth);
+    }
+    let behind = [[0.0, 0.0, -1.0]; 3];
+    assert_eq!(depths.scale_to(&cameras()[..1], &behind), Err(0));
+}

@@ -1,0 +1,70 @@
+//! Cameras of photos as a network of Depth Anything 3 says them.
+
+use super::find::{Finding, Found, focal};
+use crate::{
+    depth::{POINTS, Question},
+    options::ArithmeticOption,
+    session::Session,
+};
+use std::path::PathBuf;
+use zipsplat::{
+    Error, Result,
+    depth::DepthRequest,
+    types::{poses::Poses, write_points},
+    weights::DepthCheckpoint,
+};
+
+impl Found {
+    /// The cameras of photos as a network of Depth Anything 3 sees them, in a world about one of them, and the points of confident pixels.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where there are no weights, or they are of a network that sees each photo by itself; those of
+    /// [`Question::ask`]; [`Error::Io`].
+    pub(super) fn by_network(
+        session: &mut Session<'_>,
+        photos: &[PathBuf],
+        finding: &Finding,
+    ) -> Result<(Poses, Self)> {
+        let expected = "--depth-weights FILE, weights of Depth Anything 3 (model.safetensors of da3-small or da3-base)";
+        let none = || Error::argument("cameras of a network", "no weights", expected);
+        let checkpoint = DepthCheckpoint::parse(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
+        let arithmetic = &ArithmeticOption::default();
+        let (side, cameras, request) = (finding.search.find_size, finding.cameras, DepthRequest::default());
+        let question = Question { checkpoint: &checkpoint, side, cameras, arithmetic, request };
+        Self::by_question(session, photos, question)
+    }
+
+    /// As [`Found::by_network`], by a question of the caller's.
+    ///
+    /// # Errors
+    /// As [`Found::by_network`].
+    pub fn by_question(session: &mut Session<'_>, photos: &[PathBuf], question: Question<'_>) -> Result<(Poses, Self)> {
+        let network = question.checkpoint.architecture();
+        if !network.multi_view() {
+            let found = format!("{}, which sees each photo by itself and has no camera decoder", network.name);
+            let expected =
+                "da3-small, da3-base, da3-large or da3-giant, which see all photos at once; or known cameras";
+            return Err(Error::argument("network that finds cameras", found, expected));
+        }
+        let seen = question.ask(session, photos, &[])?;
+        let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
+        let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
+        let (points, path) = (seen.points(POINTS), folder.path().join("points.ply"));
+        write_points(&path, &points)?;
+        let poses = Poses { frames: seen.frames()?, points: Some(path), ..Poses::default() };
+        let found = Self {
+            lost: seen.lost.clone(),
+            count: poses.frames.len(),
+            groups: Vec::new(),
+            points: points.len(),
+            focal: focal(&poses.frames),
+            mappings: 1,
+            program: seen.network.clone(),
+            times: seen.times.clone(),
+            seen: Some(Box::new(seen)),
+            log: None,
+            _work: folder,
+        };
+        Ok((poses, found))
+    }
+}

@@ -1,0 +1,75 @@
+//! The similarity between two worlds in which the same cameras stand.
+
+use glam::{DMat3, DQuat, DVec3, DVec4};
+use zipsplat::{Camera, types::Pose};
+
+/// A similarity: a point x of another world stands at `pose(scale x)`.
+pub struct Similarity {
+    pub scale: f64,
+    pub pose: Pose,
+}
+
+impl Similarity {
+    /// The similarity that brings cameras of another world to the same ones here, pairs of both, and how far they then are apart, as a
+    /// share of their spread. Turns are averaged; length and place are those of least squares. None where no length follows: of one
+    /// place, or places that nothing brings together.
+    pub fn between(pairs: &[(Camera, Camera)]) -> Option<(Self, f64)> {
+        let centre = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
+        let (from, to) = (centre(|(theirs, _)| theirs.pose.translation), centre(|(_, ours)| ours.pose.translation));
+        let rotation =
+            mean_turn(pairs.iter().map(|(theirs, ours)| ours.pose.rotation * theirs.pose.rotation.transpose()));
+        let arms: Vec<[DVec3; 2]> = (pairs.iter())
+            .map(|(theirs, ours)| [rotation * (theirs.pose.translation - from), ours.pose.translation - to])
+            .collect();
+        let [reach, spread] = [0, 1].map(|k| arms.iter().map(|arm| arm[k].length_squared()).sum::<f64>());
+        let scale = arms.iter().map(|[theirs, ours]| theirs.dot(*ours)).sum::<f64>() / reach;
+        let apart = arms.iter().map(|[theirs, ours]| (scale * *theirs - *ours).length_squared()).sum::<f64>();
+        let pose = Pose { rotation, translation: to - rotation * (scale * from) };
+        let usable = pairs.len() >= 2 && scale.is_finite() && scale > 0.0;
+        usable.then(|| (Self { scale, pose }, (apart / spread).sqrt()))
+    }
+
+    /// A camera of the other world, here.
+    pub fn apply(&self, camera: &Camera) -> Camera {
+        let translation = self.pose.transform(self.scale * camera.pose.translation);
+        Camera { pose: Pose { rotation: self.pose.rotation * camera.pose.rotation, translation }, ..*camera }
+    }
+}
+
+/// The mean of turns that are nearly one: of their quaternions on one side. The places of cameras on a line would leave a turn open.
+fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
+    let mut sum = DVec4::ZERO;
+    for turn in turns {
+        let quat = DVec4::from(DQuat::from_mat3(&turn));
+        sum += if quat.dot(sum) < 0.0 { -quat } else { quat };
+    }
+    DMat3::from_quat(DQuat::from_vec4(sum).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zipsplat::types::Intrinsics;
+
+    #[test]
+    fn cameras_of_another_world_are_aligned() {
+        let truth = Similarity {
+            scale: 2.5,
+            pose: Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(1.0, -2.0, 3.0) },
+        };
+        let pair = |k: f64| {
+            let pose = Pose {
+                rotation: DMat3::from_rotation_x(k) * DMat3::from_rotation_z(3.0 * k),
+                translation: DVec3::new(k, 0.0, 0.0),
+            };
+            let theirs = Camera { intrinsics: Intrinsics::from_fov(8, 8, 1.0, 1.0), pose };
+            (theirs, truth.apply(&theirs))
+        };
+        let pairs = [0.0, 0.4, 1.1].map(pair);
+        let (found, apart) = Similarity::between(&pairs).expect("aligned");
+        assert!((found.scale - truth.scale).abs() < 1e-12 && apart < 1e-12, "{} {apart}", found.scale);
+        assert!(found.pose.translation.distance(truth.pose.translation) < 1e-12);
+        assert!(found.pose.rotation.abs_diff_eq(truth.pose.rotation, 1e-12));
+        assert!(Similarity::between(&pairs[..1]).is_none(), "one camera has no length");
+    }
+}

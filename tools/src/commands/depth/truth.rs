@@ -1,0 +1,206 @@
+//! The errors of depth and cameras, where a capture has their truth.
+
+use crate::{cameras::Similarity, depth::Seen, npy};
+use glam::DQuat;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Camera, Error, Result,
+    depth::DepthView,
+    types::{
+        poses::{Poses, read_poses},
+        preprocess::PixelMap,
+    },
+};
+
+/// The truth of a capture: its cameras, and the exact depth of photos beside them.
+pub struct Truth {
+    poses: Poses,
+    folder: PathBuf,
+}
+
+/// How far off a network was: medians over photos.
+pub struct Errors {
+    /// Photos with a camera here and there.
+    photos: usize,
+    /// Degrees, the distance as a share of the cameras' extent, and the focal length as a share of itself, after a similarity; none where
+    /// cameras were given, or are at one place.
+    cameras: Option<[f64; 3]>,
+    /// Mean error of depth as a share of depth (AbsRel), each photo's, of one scale for all; and the share of pixels that are within a
+    /// factor of 1.25. None where the capture has no depth.
+    depth: Option<[f64; 2]>,
+}
+
+impl Truth {
+    /// Reads the cameras of a capture.
+    ///
+    /// # Errors
+    /// As [`read_poses`].
+    pub fn open(folder: &Path) -> Result<Self> {
+        Ok(Self { poses: read_poses(folder)?, folder: folder.to_owned() })
+    }
+
+    /// The errors of what a network said; its cameras are only judged where it `found` them.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where no photo is among the capture's; those of depth that cannot be read.
+    pub fn errors(&self, seen: &Seen, found: bool) -> Result<Errors> {
+        let (mut pairs, mut depths) = (Vec::new(), Vec::new());
+        let frames = seen.frames()?;
+        for (i, photo) in seen.photos.iter().enumerate() {
+            let Some(frame) = self.poses.frame_of(photo)? else { continue };
+            pairs.extend(frames.get(i).map(|ours| (ours.camera, frame.camera)));
+            let stem = Path::new(&frame.name).file_stem().unwrap_or_default();
+            let file = self.folder.join("depth").join(stem).with_extension("npy");
+            if file.is_file() {
+                depths.push(ratios(&seen.depths.views[i], &seen.views[i].map, &npy::read(&file)?));
+            }
+        }
+        if pairs.is_empty() && depths.is_empty() {
+            let found = format!("none of {}", seen.photos.len());
+            return Err(Error::argument("photos with a truth", found, format!("some in {}", self.folder.display())));
+        }
+        Ok(Errors { photos: pairs.len(), cameras: cameras(&pairs).filter(|_| found), depth: depth(depths) })
+    }
+}
+
+impl Errors {
+    /// The errors in words, a line.
+    pub fn told(&self) -> String {
+        let mut parts = Vec::new();
+        if let Some([degrees, away, focal]) = self.cameras {
+            let (away, focal) = (100.0 * away, 100.0 * focal);
+            parts
+                .push(format!("cameras {degrees:.2} degrees, {away:.2} % of their extent, focal length {focal:+.1} %"));
+        }
+        if let Some([relative, within]) = self.depth {
+            let (relative, within) = (100.0 * relative, 100.0 * within);
+            parts.push(format!("depth {relative:.1} % (AbsRel), {within:.1} % of pixels within 1.25"));
+        }
+        match parts[..] {
+            [] => format!("off by: nothing to tell of {} photos", self.photos),
+            _ => format!("off by (medians of {} photos): {}", self.photos, parts.join("; ")),
+        }
+    }
+
+    /// The same for programs.
+    pub fn as_json(&self) -> Value {
+        let [degrees, away, focal] = self.cameras.map_or([None; 3], |errors| errors.map(Some));
+        let [abs_rel, within] = self.depth.map_or([None; 2], |errors| errors.map(Some));
+        json!({
+            "photos": self.photos, "degrees": degrees, "position": away, "focal": focal, "abs_rel": abs_rel, "within_1.25": within,
+        })
+    }
+}
+
+/// Medians of the errors of cameras, found and true: turn, distance as a share of the extent, focal length.
+fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
+    let (similarity, _) = Similarity::between(pairs)?;
+    let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
+    let (low, high) = (centres.clone().reduce(|a, b| a.min(b))?, centres.reduce(|a, b| a.max(b))?);
+    let error = |(found, truth): &(Camera, Camera)| {
+        let moved = similarity.apply(found).pose;
+        let turn = DQuat::from_mat3(&moved.relative_to(&truth.pose).rotation).to_scaled_axis().length();
+        let away = moved.translation.distance(truth.pose.translation) / low.distance(high);
+        [turn.to_degrees(), away, found.intrinsics.fx / truth.intrinsics.fx - 1.0]
+    };
+    let errors: Vec<[f64; 3]> = pairs.iter().map(error).collect();
+    Some([0, 1, 2].map(|k| median(errors.iter().map(|error| error[k]).collect())))
+}
+
+/// How many times farther than a view says its pixels truly are, where that is known, nearest sampled.
+fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
+    let ([columns, _], [from_width, from_height]) = (map.to, map.from);
+    let at = |i: usize, axis: usize, from: u32, to: u32| {
+        let of_photo = (i as f64 + 0.5 - map.offset[axis]) / map.scale[axis];
+        (of_photo * f64::from(to) / f64::from(from)).floor().clamp(0.0, f64::from(to - 1)) as usize
+    };
+    let ratio = |(i, depth): (usize, &f32)| {
+        let (x, y) = (i % columns as usize, i / columns as usize);
+        let place = at(y, 1, from_height, *height) * *width as usize + at(x, 0, from_width, *width);
+        let ratio = f64::from(truth[place]) / f64::from(*depth);
+        (ratio.is_finite() && ratio > 0.0).then_some(ratio)
+    };
+    view.depth.iter().enumerate().filter_map(ratio).collect()
+}
+
+/// The medians over photos of the mean error of depth, as a share of depth, and of the share of pixels within a factor of 1.25, of one
+/// scale for all photos: the median of their medians.
+fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
+    let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
+    if photos.is_empty() {
+        return None;
+    }
+    let scale = median(photos.iter().map(|ratios| median(ratios.clone())).collect());
+    let mean = |ratios: &[f64], of: &dyn Fn(f64) -> f64| {
+        ratios.iter().map(|ratio| of(ratio / scale)).sum::<f64>() / ratios.len() as f64
+    };
+    // What is said, over what is true, is the ratio's inverse.
+    let relative = |ratio: f64| (1.0 / ratio - 1.0).abs();
+    let within = |ratio: f64| f64::from(u8::from(ratio.max(1.0 / ratio) < 1.25));
+    let of_photos = |of: &dyn Fn(f64) -> f64| median(photos.iter().map(|ratios| mean(ratios, of)).collect());
+    Some([of_photos(&relative), of_photos(&within)])
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DMat3, DVec3};
+    use zipsplat::types::{Intrinsics, Pose};
+
+    #[test]
+    fn errors_of_cameras_are_those_behind_a_similarity() {
+        let intrinsics = Intrinsics { width: 8, height: 8, fx: 10.0, fy: 10.0, cx: 4.0, cy: 4.0 };
+        let world = Similarity {
+            scale: 0.2,
+            pose: Pose { rotation: DMat3::from_rotation_z(1.0), translation: DVec3::new(3.0, 1.0, -2.0) },
+        };
+        let truth = |k: usize| {
+            let translation = DVec3::new([0.0, 4.0, 0.0, 4.0][k], [0.0, 0.0, 3.0, 3.0][k], 0.0);
+            Camera { intrinsics, pose: Pose { rotation: DMat3::from_rotation_y(0.3 * k as f64), translation } }
+        };
+        let exact: Vec<(Camera, Camera)> = (0..4).map(|k| (world.apply(&truth(k)), truth(k))).collect();
+        assert!(cameras(&exact).expect("places").iter().all(|error| error.abs() < 1e-6));
+        // Two are turned by a degree to each side, and all zoom by a tenth.
+        let mut off = exact.clone();
+        for (k, (found, _)) in off.iter_mut().enumerate() {
+            found.intrinsics.fx *= 1.1;
+            found.pose.rotation *= DMat3::from_rotation_x([1f64, -1.0, 1.0, -1.0][k].to_radians());
+        }
+        let [degrees, away, focal] = cameras(&off).expect("places");
+        assert!((degrees - 1.0).abs() < 0.05 && away < 0.02 && (focal - 0.1).abs() < 1e-9, "{degrees} {away} {focal}");
+    }
+
+    #[test]
+    fn errors_of_depth_are_shares_of_it() {
+        let exact = vec![vec![2.0; 9], vec![2.0; 5]];
+        assert_eq!(depth(exact), Some([0.0, 1.0]));
+        // A photo that says a tenth too much, beside two that are right.
+        let [relative, within] =
+            depth(vec![vec![1.0; 4], vec![1.0, 1.0, 1.0, 1.0 / 1.4], vec![1.0 / 1.1; 4]]).expect("depth");
+        assert!((relative - 0.1).abs() < 1e-9 && within == 1.0, "{relative} {within}");
+        assert_eq!(depth(vec![Vec::new()]), None);
+    }
+
+    #[test]
+    fn pixels_are_found_in_the_truth() {
+        // A photo of 4 x 2 pixels, of which the right half becomes 4 x 4, and whose truth has 8 x 4.
+        let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
+        let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
+        let view = DepthView {
+            depth: vec![1.0; 16],
+            confidence: None,
+            rays: None,
+            sky: None,
+            encoding: None,
+            gaussians: None,
+        };
+        let expected: Vec<f64> = (0..16).map(|i| f64::from(i / 4 * 8 + 4 + i % 4)).collect();
+        assert_eq!(ratios(&view, &map, &([8, 4], truth)), expected);
+    }
+}

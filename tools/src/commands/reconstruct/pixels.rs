@@ -1,0 +1,125 @@
+//! The scene of a depth network: a Gaussian for each pixel of the photos that it is confident of.
+
+use super::{
+    Reconstruct,
+    forward::{Forward, LOAD_WEIGHTS, rate},
+};
+use crate::{
+    depth::{Question, Seen},
+    options::refuse,
+    session::Session,
+    table::counted,
+    views::Fit,
+};
+use serde_json::json;
+use std::path::PathBuf;
+use zipsplat::{
+    Error, Result,
+    depth::DepthRequest,
+    types::{
+        Camera,
+        poses::{Frame, Poses},
+    },
+    weights::DepthCheckpoint,
+};
+
+/// What the options of a network of tokens are refused for.
+const PIXELS: &str = "weights of Depth Anything 3";
+
+impl Reconstruct {
+    /// Refuses what has no meaning where each pixel becomes a Gaussian.
+    pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
+        let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
+        for (option, given) in [
+            ("--fit squares", self.fit.fit == Fit::Squares),
+            ("--unit", self.unit.is_some()),
+            ("--explain", self.explain),
+            ("--refine STEPS:tokens", tokens),
+        ] {
+            refuse(option, given, PIXELS, "weights of ZipSplat")?;
+        }
+        let all = checkpoint.architecture().backbone.patch.pow(2) as u32;
+        match self.quality.kept() {
+            Some(keep) if keep > all => {
+                Err(Error::argument("--keep", keep, format!("1 to {all}, the pixels of a patch")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The question that a network is asked for its scene.
+    pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
+        let (ratio, selection) = (self.quality.ratio, self.quality.select.clone());
+        Question {
+            checkpoint,
+            side: self.quality.side().or(self.finding.search.find_size),
+            cameras: self.finding.cameras,
+            arithmetic: &self.quality.arithmetic,
+            request: DepthRequest { ratio, selection, ..DepthRequest::default() },
+        }
+    }
+}
+
+impl Forward {
+    /// The scene of photos with cameras, in the world of the first one's, by what the network has `seen` where it has found them.    ///
+    /// # Errors
+    /// As [`Question::ask`]; [`Error::Argument`] where nothing tells the scale of each photo's depth, or no pixel is confident.
+    pub fn of_pixels(
+        command: &Reconstruct,
+        session: &mut Session<'_>,
+        checkpoint: &DepthCheckpoint,
+        seen: Option<Box<Seen>>,
+        (photos, poses, frames): (&[PathBuf], Option<&Poses>, &[&Frame]),
+    ) -> Result<Self> {
+        let mut seen = match seen {
+            Some(seen) => *seen,
+            None => command.question(checkpoint).ask(session, photos, frames)?,
+        };
+        seen.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
+        let first = frames[0].camera.pose;
+        let here = |camera: &Camera| Camera { pose: camera.pose.relative_to(&first), ..*camera };
+        let cameras: Vec<Camera> = seen.cameras.iter().flatten().map(here).collect();
+        let images = seen.images();
+        let scene = seen.depths.scene(&cameras, &images, command.quality.kept().map(|keep| keep as usize));
+        if scene.is_empty() {
+            let found = format!("none of {}", counted(images.len(), "photo"));
+            return Err(Error::argument("pixels of which the network is confident", found, "some"));
+        }
+        let Seen { depths, network, precision, times, .. } = seen;
+        let all = images.len() * (depths.width as usize / depths.patch) * (depths.height as usize / depths.patch);
+        let tokens = depths.patches.as_ref().map_or(all, Vec::len);
+        let loading = times.iter().find(|(step, _)| *step == LOAD_WEIGHTS).map(|(_, took)| *took);
+        let rate = rate(checkpoint.bytes(), loading.unwrap_or_default());
+        let json = vec![
+            ("weights", json!(checkpoint.provenance())),
+            ("network", json!(network)),
+            ("views", json!(images.len())),
+            ("width", json!(depths.width)),
+            ("height", json!(depths.height)),
+            ("tokens", json!(tokens)),
+            ("all_tokens", json!(all)),
+            ("weights_bytes_per_second", json!(rate)),
+            ("precision", json!(precision.name())),
+        ];
+        let each = if checkpoint.architecture().gaussians { "by its head" } else { "round" };
+        Ok(Self {
+            arena: None,
+            tokens: None,
+            scene,
+            on_device: None,
+            found: None,
+            length: 1.0,
+            times: times.into_iter().map(|(step, took)| (step.to_owned(), took)).collect(),
+            explanation: None,
+            peak_bytes: depths.peak_bytes,
+            views_told: format!(" from {} of {}x{}", counted(images.len(), "view"), depths.width, depths.height),
+            told: format!(
+                "{network}'s: a Gaussian, {each}, for each confident pixel of {tokens} of {all} patches, {} precision\n",
+                precision.name()
+            ),
+            rate,
+            json,
+            _model: None,
+        })
+    }
+}
