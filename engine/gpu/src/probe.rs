@@ -116,6 +116,8 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     let kind = base.device_type;
     let api = base.api_version;
     let driver_version = text(v12.driver_info_as_c_str().ok());
+    let llvmpipe_major = (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
+        .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0));
     let half_storage = offered.have(&HALVES);
     let matrices = has(khr::cooperative_matrix::NAME)
         && knows(3, 255)
@@ -150,7 +152,8 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         timestamp_bits: queue_family.map_or(0, |f| families[f as usize].timestamp_valid_bits),
         max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
         half_storage,
-        addresses: v12.driver_id == vk::DriverId::MESA_LLVMPIPE && offered.have(&ADDRESSES),
+        // Older ones have not been measured.
+        addresses: llvmpipe_major >= Some(26) && offered.have(&ADDRESSES),
         matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },
         identity: format!(
             "{}-{}-{:x}{}",
@@ -175,8 +178,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         subgroups,
         one_subgroup_size: v13.min_subgroup_size == v13.max_subgroup_size,
         subgroup_control,
-        llvmpipe_major: (v12.driver_id == vk::DriverId::MESA_LLVMPIPE)
-            .then(|| driver_version.split(' ').nth(1).and_then(|v| v.split('.').next()?.parse().ok()).unwrap_or(0)),
+        llvmpipe_major,
     };
     (limits, found)
 }
