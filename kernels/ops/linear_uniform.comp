@@ -1,7 +1,10 @@
 // Linear layer as ops/linear computes it, to the same bits, for drivers of CPUs: all lanes load the same (shared/uniform.glsl).
 //
 // A         [rows, inner] f32
-// Weight    [panels, inner, PANEL_COLUMNS] f32, panels of columns, the last padded (SwiGLU: gate and value columns alternate)
+// Weight    [panels, inner, PANEL_COLUMNS] f32, panels of columns, the last padded (SwiGLU: gate and value columns alternate);
+//           read where not Q8
+// Integers  [panels, inner / 4, PANEL_COLUMNS / 4, 4, 4] i8, of 4 terms those of 4 columns; read where Q8
+// Scales    [panels, inner / Q8_GROUP, PANEL_COLUMNS] f16: what 1 stands for in a group of terms; read where Q8
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
@@ -22,9 +25,10 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
 layout(constant_id = 2) const bool SCALE = false;
 layout(constant_id = 3) const bool ADD = false;
-layout(constant_id = 4) const uint TERMS = 4; // of the sums in one pass of the loop; divides inner
+layout(constant_id = 4) const uint TERMS = 4; // of the sums in one pass of the loop; divides inner, and Q8_GROUP where Q8
 layout(constant_id = 5) const uint TILE_ROWS = 6;
 layout(constant_id = 6) const uint VECTORS = 2; // as many subgroups divide a panel
+layout(constant_id = 7) const bool Q8 = false;
 
 layout(set = 0, binding = 0) readonly buffer A { float a[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
@@ -32,6 +36,8 @@ layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
 layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
 layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
 layout(set = 0, binding = 5) buffer Out { float result[]; };
+layout(set = 0, binding = 6) readonly buffer Integers { uint integers[]; };
+layout(set = 0, binding = 7) readonly buffer Scales { uint scales[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -39,16 +45,30 @@ layout(push_constant) uniform Push {
     uint columns;
     uvec2 a_address;
     uvec2 weight_address;
+    uvec2 integers_address;
+    uvec2 scales_address;
 };
 
 uint64_t row_at[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
 
-// Adds term j of those from `offset` bytes on in each row; their weights lie at `weights`.
-void add_term(uint64_t offset, uint64_t weights, uint j) {
+// The lane's weight of term j of those whose integers lie at `at`, in its column v with this scale.
+float q8_at(uint64_t at, uint j, uint v, float scale) {
+    uint word = shared_word_at(at, j / 4 * PANEL_COLUMNS + v * gl_WorkGroupSize.x + j % 4, 4, 4);
+    return float(int(word << (24 - 8 * (lane % 4))) >> 24) * scale;
+}
+
+// The lane's scale in its column v of those that lie at `at`.
+float scale_at(uint64_t at, uint v) {
+    vec2 two = unpackHalf2x16(shared_word_at(at, v * gl_WorkGroupSize.x / 2, 2, 1));
+    return lane % 2 == 0 ? two.x : two.y;
+}
+
+// Adds term j of those from `offset` bytes on in each row; their weights, or where Q8 their integers, lie at `weights`.
+void add_term(uint64_t offset, uint64_t weights, float scale[VECTORS], uint j) {
     float factor[VECTORS];
     [[unroll]] for (uint v = 0; v < VECTORS; v++) {
-        factor[v] = vector_at(weights, j * PANEL_COLUMNS + v * gl_WorkGroupSize.x);
+        factor[v] = Q8 ? q8_at(weights, j, v, scale[v]) : vector_at(weights, j * PANEL_COLUMNS + v * gl_WorkGroupSize.x);
     }
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         float x = Values(row_at[r] + offset).values[j];
@@ -68,8 +88,12 @@ void main() {
     find_lanes();
     uint first_row = gl_WorkGroupID.x * TILE_ROWS;
     uint first_column = gl_WorkGroupID.y * VECTORS * gl_WorkGroupSize.x;
-    uint panel = first_column / PANEL_COLUMNS;
-    uint64_t weight_at = packUint2x32(weight_address) + 4 * uint64_t(panel * inner * PANEL_COLUMNS + first_column % PANEL_COLUMNS);
+    uint64_t before = first_column / PANEL_COLUMNS * inner * PANEL_COLUMNS;
+    uint within = first_column % PANEL_COLUMNS;
+    // A word has the integers of 4 columns, so that those of 4 terms take PANEL_COLUMNS words.
+    uint64_t weight_at = Q8 ? packUint2x32(integers_address) + before + 4 * within
+                            : packUint2x32(weight_address) + 4 * (before + within);
+    uint64_t scales_at = packUint2x32(scales_address) + 2 * (before / Q8_GROUP + within);
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         row_at[r] = packUint2x32(a_address) + 4 * uint64_t(min(first_row + r, rows - 1) * inner);
         [[unroll]] for (uint v = 0; v < VECTORS; v++) sum[r][v] = 0.0;
@@ -77,7 +101,12 @@ void main() {
     uint k = 0;
     do {
         uint64_t offset = 4 * uint64_t(k);
-        [[unroll]] for (uint j = 0; j < TERMS; j++) add_term(offset, weight_at + offset * PANEL_COLUMNS, j);
+        float scale[VECTORS];
+        [[unroll]] for (uint v = 0; v < VECTORS; v++) {
+            scale[v] = Q8 ? scale_at(scales_at + k / Q8_GROUP * (2 * PANEL_COLUMNS), v) : 1.0;
+        }
+        uint64_t weights = weight_at + uint64_t(k) * PANEL_COLUMNS * (Q8 ? 1 : 4);
+        [[unroll]] for (uint j = 0; j < TERMS; j++) add_term(offset, weights, scale, j);
         k += TERMS;
     } while (k < inner);
 

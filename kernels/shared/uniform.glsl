@@ -12,6 +12,7 @@
 #extension GL_KHR_shader_subgroup_basic : require
 
 layout(buffer_reference, scalar, buffer_reference_align = 4) readonly buffer Values { float values[]; };
+layout(buffer_reference, scalar, buffer_reference_align = 4) readonly buffer Words { uint words[]; };
 
 uint lane;
 bool is_lane[gl_WorkGroupSize.x];
@@ -27,6 +28,16 @@ float vector_at(uint64_t address, uint first) {
     [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
         float value = Values(address).values[first + i];
         mine = mix(mine, value, is_lane[i]);
+    }
+    return mine;
+}
+
+// The lane's word of those from `first` on behind `address`, `stride` words apart, where so many neighbouring lanes share each.
+uint shared_word_at(uint64_t address, uint first, uint lanes, uint stride) {
+    uint mine = 0;
+    [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
+        uint word = Words(address).words[first + i / lanes * stride];
+        mine = mix(mine, word, is_lane[i]);
     }
     return mine;
 }

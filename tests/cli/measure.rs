@@ -26,7 +26,7 @@ fn limits_are_measured_by_work_that_is_done() {
     let rows = rows(&Folder::new(), "peak");
     let matrices = device().limits().matrices;
     let kinds = [matrices.f16, matrices.bf16, matrices.i8].iter().flatten().count();
-    let expected = [vec!["FMA"], vec!["matrices"; kinds], vec!["copy"]].concat();
+    let expected = [vec!["multiply-add"], vec!["matrices"; kinds], vec!["copy"]].concat();
     assert_eq!(rows.len(), expected.len());
     for (row, what) in rows.iter().zip(expected) {
         assert!(row["what"].as_str().is_some_and(|name| name.starts_with(what)), "{row}");
@@ -38,7 +38,7 @@ fn limits_are_measured_by_work_that_is_done() {
         assert_eq!(row["difference"], 0.0, "{row}");
     }
     let text = Folder::new().run("bench peak --warmup 0 --repeats 1").success();
-    assert!(text.contains("FMA, f32") && text.contains("GFLOP/s") && text.contains("GB/s"), "{text}");
+    assert!(text.contains("multiply-add, f32") && text.contains("GFLOP/s") && text.contains("GB/s"), "{text}");
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn pytorch_stands_beside_ours() {
     let line = "bench forward --weights @/micro.safetensors --views 1,2 --size 28x28 --precision exact --warmup 0 --repeats 1 --pytorch @/";
     let text = folder.run(&format!("{line}python")).success();
     for word in [
-        "peak: FMA, f32",
+        "peak: multiply-add, f32",
         "of peak",
         "PyTorch 9.9 on a GPU",
         "3.000 (2.000..4.000)",

@@ -92,6 +92,12 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).collect()
 }
 
+/// The limits, and for a kernel with a twin that reads by address, where the device can, those of a device that cannot.
+pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits> {
+    let bound = (has_twin && limits.addresses).then(|| Limits { addresses: false, ..limits.clone() });
+    [limits.clone()].into_iter().chain(bound).collect()
+}
+
 /// Those that have one for weights of 8 bits, and that.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()

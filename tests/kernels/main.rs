@@ -18,6 +18,7 @@ mod cluster {
     mod mean;
     mod nearest;
     mod origin;
+    mod panels;
 }
 mod gaussians {
     mod activate;

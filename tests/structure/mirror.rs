@@ -6,9 +6,10 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 21] = [
+const STEPS: [(&str, &str); 23] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
+    ("cluster/nearest_uniform", "cluster/nearest"),
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
@@ -16,6 +17,7 @@ const STEPS: [(&str, &str); 21] = [
     ("lpips/normalise_backward", "lpips/normalise"),
     ("lpips/pool_backward", "lpips/pool"),
     ("ops/attention_matrix", "ops/attention"),
+    ("ops/attention_uniform", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
     ("ops/linear_uniform", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),

@@ -6,6 +6,9 @@ use crate::{
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
+/// Queries of a workgroup of ops/attention_uniform, and keys of a lane: sums that stay in a CPU's vector registers.
+const UNIFORM_TILE: [u32; 2] = [6, 2];
+
 /// Heads and their channels.
 #[derive(Clone, Copy, Debug)]
 pub struct Heads {
@@ -58,7 +61,7 @@ pub struct Attention {
 /// The kernel of an attention, which decides the layout of queries, keys and values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
-    /// ops/attention: everything of this type, keys with tokens running fastest.
+    /// ops/attention, or ops/attention_uniform where that is faster: everything of this type, keys with tokens running fastest.
     Lanes(Element),
     /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices of a
     /// subgroup.
@@ -146,10 +149,43 @@ impl Attention {
         let rows = self.sequences * self.queries;
         let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
         match self.kernel {
+            AttentionKernel::Lanes(_) if self.is_uniform(rec.limits()) => self.uniform(rec, tensors, out.tensor),
             AttentionKernel::Lanes(element) => self.lanes(rec, element, tensors, out.tensor),
             AttentionKernel::Matrix(units) => self.matrix(rec, units, tensors, out.tensor),
         }
         out
+    }
+
+    /// Whether ops/attention_uniform computes it, which takes whole subgroups of channels and a whole tile of keys.
+    fn is_uniform(&self, limits: &Limits) -> bool {
+        let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
+        limits.addresses
+            && self.kernel.element() == Element::F32
+            && self.heads.dim.is_multiple_of(lanes)
+            && self.keys >= UNIFORM_TILE[1] as usize * lanes
+            && self.queries.div_ceil(queries) <= limits.max_groups[0] as usize
+    }
+
+    fn uniform(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3], out: Tensor) {
+        let (dim, [tile_rows, key_vectors]) = (self.heads.dim as u32, UNIFORM_TILE);
+        // The more, the fewer times scores are masked.
+        let terms = [16, 8].into_iter().find(|terms| dim.is_multiple_of(*terms)).unwrap_or(4);
+        let kernel = ops::AttentionUniform {
+            q,
+            k,
+            v,
+            out,
+            queries: self.queries as u32,
+            keys: self.keys as u32,
+            sequences: self.sequences as u32,
+            heads: self.heads.count as u32,
+            dim,
+            vectors: dim / rec.limits().subgroup_size,
+            terms,
+            tile_rows,
+            key_vectors,
+        };
+        self.dispatch(rec, kernel, tile_rows as usize);
     }
 
     fn lanes(&self, rec: &mut Recorder, element: Element, [q, k, v]: [Tensor; 3], out: Tensor) {

@@ -185,7 +185,7 @@ impl Linear {
 
     /// Whether ops/linear_uniform computes it.
     fn is_uniform(&self, limits: &Limits, out: Rows) -> bool {
-        let types = [self.element(), out.element] == [Element::F32; 2] && self.kernel.weights() == Weights::Factors;
+        let types = [self.element(), out.element] == [Element::F32; 2];
         limits.addresses && types && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
     }
 
@@ -194,19 +194,23 @@ impl Linear {
         let tile_columns = vectors * rec.limits().subgroup_size;
         // The more, the fewer times sums are masked; always one, since rows are whole vectors of 4 terms.
         let terms = [16, 12, 8, 4].into_iter().find(|terms| self.inner.is_multiple_of(*terms));
+        let [weight, integers, scales] = self.weights();
         let kernel = ops::LinearUniform {
             a: input.tensor,
-            weight: self.weights()[0],
+            weight,
             bias: self.bias,
             gamma: epilogue.gamma.unwrap_or(self.bias),
             residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
             out: out.tensor,
+            integers,
+            scales,
             rows: rows as u32,
             inner: self.inner as u32,
             columns: self.columns as u32,
             activation: epilogue.activation as u32,
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
+            q8: self.kernel.weights() == Weights::Q8,
             terms: terms.expect("whole vectors") as u32,
             tile_rows,
             vectors,

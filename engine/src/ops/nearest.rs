@@ -2,8 +2,11 @@
 
 use super::{Rows, Tile, Units};
 use crate::{
-    gpu::{Recorder, Tensor},
-    kernels::{cluster as kernels, limits::NEAREST_ROWS},
+    gpu::{Limits, Recorder, Tensor},
+    kernels::{
+        cluster as kernels,
+        limits::{NEAREST_ROWS, PANEL_COLUMNS},
+    },
 };
 
 /// Rows whose mean is taken for the middle of all: a fraction of the spread away from it, which costs no digit.
@@ -12,10 +15,14 @@ const ORIGIN_ROWS: usize = 256;
 /// Parts of the targets that different workgroups go through, so that there are enough workgroups.
 const SHARES: usize = 8;
 
+/// Targets that a workgroup of cluster/nearest_uniform measures at a time, and points of a lane: sums that stay in a CPU's vector
+/// registers.
+const UNIFORM_TILE: [u32; 2] = [6, 2];
+
 /// The kernel that finds nearest rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NearestKernel {
-    /// cluster/nearest: differences in f32.
+    /// cluster/nearest, or cluster/nearest_uniform where that is faster: differences in f32.
     Lanes,
     /// cluster/nearest_matrix: products of rows about an origin, each value as two f16.
     Matrix(Units),
@@ -40,7 +47,7 @@ enum Space {
 pub struct NearestRows {
     /// f32.
     rows: Tensor,
-    /// The factors of products: f32, or halves.
+    /// As the kernel reads points: f32, panels of them, or halves.
     values: Tensor,
     /// The scales of halves, see cluster/halves; else of no matter.
     scales: Tensor,
@@ -85,7 +92,8 @@ impl Nearest {
     /// f32 rows as they are now.
     pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
-            return NearestRows { rows, values: rows, scales: rows, norms: rows, count };
+            let values = if is_uniform(rec.limits()) { self.panels(rec, rows, count) } else { rows };
+            return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
         // Read by four.
@@ -114,9 +122,38 @@ impl Nearest {
     /// As [`Nearest::record`], into `out`.
     pub fn record_into(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
         match self.space {
+            Space::Lanes if is_uniform(rec.limits()) => self.uniform(rec, points, targets, out),
             Space::Lanes => self.lanes(rec, points, targets, out),
             Space::Matrix { units, .. } => self.matrix(rec, units, points, targets, out),
         }
+    }
+
+    /// Rows `[count, width]` as cluster/nearest_uniform reads points.
+    fn panels(&self, rec: &mut Recorder, rows: Tensor, count: usize) -> Tensor {
+        let values = count.next_multiple_of(PANEL_COLUMNS as usize) * self.width;
+        let out = rec.tensor::<f32>("panels", values);
+        rec.dispatch(kernels::Panels { source: rows, out, rows: count as u32, width: self.width as u32 }, values);
+        out
+    }
+
+    fn uniform(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
+        let [tile_rows, vectors] = UNIFORM_TILE;
+        // The more, the fewer times sums are masked.
+        let terms = [16, 12, 8].into_iter().find(|terms| self.width.is_multiple_of(*terms)).unwrap_or(4);
+        let kernel = kernels::NearestUniform {
+            points: points.values,
+            targets: targets.rows,
+            out,
+            point_count: points.count as u32,
+            target_count: targets.count as u32,
+            width: self.width as u32,
+            tie: Self::TIE,
+            terms: terms as u32,
+            tile_rows,
+            vectors,
+        };
+        let groups = points.count.div_ceil((vectors * rec.limits().subgroup_size) as usize);
+        rec.dispatch_groups(kernel, groups).flops(self.flops(points, targets));
     }
 
     fn lanes(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
@@ -186,4 +223,9 @@ impl Nearest {
     fn flops(&self, points: NearestRows, targets: NearestRows) -> u64 {
         (2 * points.count * targets.count * self.width) as u64
     }
+}
+
+/// Whether cluster/nearest_uniform computes in f32.
+fn is_uniform(limits: &Limits) -> bool {
+    limits.addresses && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
 }

@@ -5,3 +5,4 @@ pub mod kmeans;
 pub mod mean;
 pub mod nearest;
 pub mod origin;
+pub mod panels;

@@ -3,7 +3,7 @@
 //! Most coordinates are small whole numbers or multiples of 1/64 about an origin, whose squared distances f32 holds exactly, and
 //! so do sums of products of their halves: every kernel agrees with f64 on every distance.
 
-use crate::case::{Case, nearest_kernels, random, random_below};
+use crate::case::{Case, nearest_kernels, random, random_below, with_and_without_addresses};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
@@ -46,8 +46,10 @@ fn nearest(kernel: NearestKernel, points: &[f32], targets: &[f32], width: usize)
 fn check_about(origin: f32, name: &str, points: &[f32], targets: &[f32], width: usize) {
     let truth = reference(&widen(points), &widen(targets), width);
     for kernel in nearest_kernels() {
-        let (found, _) = find(device().limits(), kernel, [points, targets], width, Some(origin));
-        assert_same(&format!("{name} {kernel:?}"), &found, &truth);
+        for limits in with_and_without_addresses(device().limits(), kernel == NearestKernel::Lanes) {
+            let (found, _) = find(&limits, kernel, [points, targets], width, Some(origin));
+            assert_same(&format!("{name} {kernel:?}"), &found, &truth);
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Attention against softmax with every score held in f64.
 
-use crate::case::{Case, attention_kernels, random, stored};
+use crate::case::{Case, attention_kernels, random, stored, with_and_without_addresses};
 use zipsplat::gpu::{Element, Limits};
 use zipsplat::kernels::limits::{ATTENTION_ROWS, GROUP_FOLD};
 use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Rows};
@@ -39,8 +39,11 @@ impl Problem {
         for kernel in attention_kernels() {
             let name = format!("{name} {:?} {kernel:?}", self.shape);
             let tolerance = tolerance(self.shape, kernel.element());
-            let got = self.attended(device().limits(), kernel);
-            assert_close(&name, &got, &self.truth(kernel.element()), tolerance);
+            for limits in with_and_without_addresses(device().limits(), kernel == AttentionKernel::Lanes(Element::F32))
+            {
+                let got = self.attended(&limits, kernel);
+                assert_close(&name, &got, &self.truth(kernel.element()), tolerance);
+            }
         }
     }
 

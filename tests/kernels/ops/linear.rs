@@ -1,6 +1,6 @@
 //! Linear layers and all their epilogues against the plain product in f64.
 
-use crate::case::{Case, elements, linear_kernels, q8_kernels, random, stored};
+use crate::case::{Case, elements, linear_kernels, q8_kernels, random, stored, with_and_without_addresses};
 use zipsplat::{
     gpu::{Element, Limits},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
@@ -124,18 +124,16 @@ fn holdable(factor: Element, values: &[f32], width: usize) -> Vec<f32> {
 fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, scaled: bool, added: bool) {
     for kernel in layer.kernels(activation) {
         for output in elements().into_iter().filter(|output| [Element::F32, kernel.element()].contains(output)) {
-            for limits in with_and_without_addresses(limits, kernel) {
+            for limits in with_and_without_addresses(limits, has_twin(kernel)) {
                 check_kernel(&limits, (kernel, output), rows, layer, activation, scaled, added);
             }
         }
     }
 }
 
-/// The device's limits, and for a kernel that reads by address where it can those of a device that cannot.
-fn with_and_without_addresses(limits: &Limits, kernel: LinearKernel) -> Vec<Limits> {
-    let has_twin = limits.addresses && kernel == LinearKernel::Panels(Element::F32, Weights::Factors);
-    let bound = has_twin.then(|| Limits { addresses: false, ..limits.clone() });
-    [limits.clone()].into_iter().chain(bound).collect()
+/// Whether there is a kernel that reads by address beside it.
+fn has_twin(kernel: LinearKernel) -> bool {
+    kernel == LinearKernel::Panels(Element::F32, Weights::Factors)
 }
 
 fn check_kernel(
@@ -329,7 +327,7 @@ fn reading_by_address_changes_no_bit() {
             if activation == Activation::SwiGlu && !columns.is_multiple_of(4) {
                 continue;
             }
-            let products = with_and_without_addresses(device().limits(), kernel).into_iter().map(|limits| {
+            let products = with_and_without_addresses(device().limits(), has_twin(kernel)).into_iter().map(|limits| {
                 let mut case = Case::within(&limits);
                 let input = layer.rows(&mut case, kernel, &x);
                 let device_layer = layer.input(&mut case, kernel, activation);

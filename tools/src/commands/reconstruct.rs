@@ -34,6 +34,11 @@ use zipsplat::{
     },
 };
 
+/// Headings of `--help`.
+const NETWORK: &str = "Network";
+const CAMERAS: &str = "Cameras";
+const REFINEMENT: &str = "Refinement";
+
 /// Photos of one place to a scene of 3D Gaussians
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
@@ -61,11 +66,11 @@ pub struct Reconstruct {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = NETWORK)]
     weights: Weights,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = NETWORK)]
     quality: Quality,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = NETWORK)]
     fit: FitOption,
     /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
     /// [default: all, and 24 of a video]
@@ -73,29 +78,29 @@ pub struct Reconstruct {
     views: Option<u32>,
     /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, where COLMAP finds
     /// them, or da3, where Depth Anything 3 does
-    #[arg(long, visible_alias = "cameras", value_name = "PATH|find|da3")]
+    #[arg(long, help_heading = CAMERAS, visible_alias = "cameras", value_name = "PATH|find|da3")]
     poses: Option<PathBuf>,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
     /// Write the cameras that were found as transforms.json: with --poses find or da3 those, points and log beside it; without --poses
     /// those that follow from where the scene has what each photo shows, in the scene's world
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
     /// the cameras look at, else the distance between cameras]
-    #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
+    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
     /// World of the scene
-    #[arg(long, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
+    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
     world: WorldName,
     /// Also print the stages that ran, with time and bytes, and what was left out and why
     #[arg(long)]
     explain: bool,
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineOptions,
     /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
-    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
     #[arg(long, value_name = "FOLDER")]

@@ -23,7 +23,7 @@ use zipsplat::{
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
-/// Time of linear layers, exact and fast, beside that of the `gemm` crate on the host in f32
+/// Time of linear layers, exact (also with weights of 8 bits) and fast, beside that of the `gemm` crate on the host in f32
 #[derive(Args)]
 pub struct Gemm {
     /// Threads of the host
@@ -35,7 +35,7 @@ pub struct Gemm {
 
 #[derive(Serialize)]
 struct Row {
-    /// `exact`, or what computes it in `fast`.
+    /// `exact`, `exact q8` with weights of 8 bits, or what computes it in `fast`.
     kernel: String,
     rows: usize,
     inner: usize,
@@ -138,7 +138,10 @@ fn larger_or_nan(most: f32, value: f32) -> f32 {
 fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKernel, Rate)>> {
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
-    let mut kernels = vec![("exact".to_owned(), LinearKernel::Panels(Element::F32, Weights::Factors), lanes.clone())];
+    let exact = [("exact", Weights::Factors), ("exact q8", Weights::Q8)];
+    let exact =
+        exact.map(|(name, weights)| (name.to_owned(), LinearKernel::Panels(Element::F32, weights), lanes.clone()));
+    let mut kernels = Vec::from(exact);
     for element in Element::HALVES.into_iter().filter(|_| limits.half_storage) {
         kernels.push((element.name().into(), LinearKernel::Panels(element, Weights::Factors), lanes.clone()));
     }

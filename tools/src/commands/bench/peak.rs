@@ -118,7 +118,7 @@ pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate>
     let truth: Vec<f64> =
         (0..16).map(|thread| chains(starts(thread), steps, of.factor.into(), of.term.into())).collect();
     Ok(Rate {
-        what: "FMA, f32".into(),
+        what: "multiply-add, f32".into(),
         per_s: ms.rate(of.flops()),
         unit: "GFLOP/s",
         ms,
