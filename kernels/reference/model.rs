@@ -82,8 +82,11 @@ pub struct Model {
     /// The switches.
     pub architecture: Architecture,
     /// Every parameter by its name in a checkpoint: shape and values.
-    pub weights: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    pub weights: Weights,
 }
+
+/// Parameters by their names in a checkpoint: shape and values.
+pub type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 impl Model {
     /// The model of `<config>.manifest.json` with generated weights.
@@ -101,32 +104,37 @@ impl Model {
 
     /// The parameters below `prefix`.
     pub fn scope(&self, prefix: &str) -> Scope<'_> {
-        Scope { model: self, prefix: prefix.to_owned() }
+        Scope::of(&self.weights, prefix)
     }
 }
 
 /// The parameters of one module of the network.
 #[derive(Clone)]
 pub struct Scope<'a> {
-    model: &'a Model,
+    weights: &'a Weights,
     prefix: String,
 }
 
 impl<'a> Scope<'a> {
+    /// The parameters below `prefix`.
+    pub fn of(weights: &'a Weights, prefix: &str) -> Self {
+        Self { weights, prefix: prefix.to_owned() }
+    }
+
     /// The parameters of a part of this module.
     pub fn scope(&self, name: &str) -> Scope<'a> {
-        Scope { model: self.model, prefix: format!("{}.{name}", self.prefix) }
+        Scope::of(self.weights, &format!("{}.{name}", self.prefix))
     }
 
     /// Whether this module has a parameter `name`.
     pub fn has(&self, name: &str) -> bool {
-        self.model.weights.contains_key(&format!("{}.{name}", self.prefix))
+        self.weights.contains_key(&format!("{}.{name}", self.prefix))
     }
 
     /// The values of parameter `name`.
     pub fn get(&self, name: &str) -> &'a [f32] {
         let name = format!("{}.{name}", self.prefix);
-        &self.model.weights.get(&name).unwrap_or_else(|| panic!("no parameter {name}")).1
+        &self.weights.get(&name).unwrap_or_else(|| panic!("no parameter {name}")).1
     }
 
     /// Applies the linear layer `name`.

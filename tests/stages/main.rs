@@ -6,6 +6,7 @@ mod cameras;
 mod depth;
 mod depth_flops;
 mod depth_scene;
+mod depth_twin;
 mod depth_units;
 mod depth_weights;
 mod flops;

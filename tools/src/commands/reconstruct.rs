@@ -42,6 +42,9 @@ const REFINEMENT: &str = "Refinement";
 /// Photos of one place to a scene of 3D Gaussians
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
+///
+/// With weights of Depth Anything 3 each pixel that the network is confident of becomes a Gaussian at its depth, and the cameras are
+/// found on the way; of --size the longer side counts then, and --keep counts the pixels of a patch.
 #[derive(Args)]
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
@@ -50,6 +53,7 @@ const REFINEMENT: &str = "Refinement";
   zipsplat reconstruct photos/ --poses find --refine -o sharp.ply
   zipsplat reconstruct clip.mp4 --views 24 --poses find --cameras-out cameras.json -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
+  zipsplat reconstruct photos/ --weights da3-base.safetensors --ratio 0.25 -o scene.ply
   zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
   zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
 

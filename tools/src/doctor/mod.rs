@@ -18,8 +18,10 @@ mod head_backward;
 mod linear;
 mod loss;
 mod norm;
+mod pixel_shuffle;
 mod positions;
 pub mod report;
+mod resize;
 mod sort;
 mod splatting;
 mod splatting_backward;
@@ -201,6 +203,8 @@ pub fn catalogue() -> Vec<Area> {
         linear::q8_area(),
         norm::area(),
         convolution::area(),
+        pixel_shuffle::area(),
+        resize::area(),
         positions::area(),
         attention::area(),
         cameras::area(),

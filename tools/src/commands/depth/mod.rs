@@ -54,7 +54,7 @@ pub struct Depth {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Known cameras of all photos, for networks that see all photos at once
+    /// Known cameras of all photos. A network that sees all photos at once is told them; of others they place the points
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     #[command(flatten)]
