@@ -1,6 +1,8 @@
 // The compression ratio as a slider: the server keeps the features of the photos and makes a scene of each ratio that is asked for.
 
 const LEAST_RATIO = 0.01;
+// Rises with every request, also of pages opened later: the server drops those below the highest, in whatever order they arrive.
+let lastRequest = Date.now() * 1000;
 
 // An answer of the server, or an error with its words.
 async function asked(address, options) {
@@ -41,7 +43,7 @@ class Live {
         const source = `made/${this.ratio}/${element("precision").value}`;
         element("ratio-label").textContent = `Ratio ${this.ratio}: asked for`;
         try {
-            const { facts, bytes } = await made(source, waiting.signal), received = performance.now();
+            const { facts, bytes } = await made(`${source}?${++lastRequest}`, waiting.signal), received = performance.now();
             await this.page.swap(this.index, { ...facts, source }, bytes);
             if (this.waiting === waiting) this.tell(facts, received - begin, performance.now() - received);
         } catch (error) {

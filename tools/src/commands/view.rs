@@ -164,7 +164,7 @@ impl View {
         let (ratios, precision) = (self.from.ratios(ready.live.grid().tokens())?, ready.live.first_precision());
         let (mut made, _) = session.stage("reconstruct", |stage| {
             stage.each(&ratios, |ratio| {
-                let mut made = ready.live.make(*ratio, precision)?;
+                let mut made = ready.live.make(*ratio, precision, None)?;
                 made.shown.name = format!("ratio {ratio}");
                 Ok(made)
             })

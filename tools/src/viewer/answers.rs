@@ -82,7 +82,7 @@ impl Served<'_> {
         Ok(Some(("image/jpeg", ready.view(i)?)))
     }
 
-    /// The scene at `made/RATIO/PRECISION`, which a later one overtakes unless it is to be `kept`, or at `refined`.
+    /// The scene at `made/RATIO/PRECISION?NUMBER`, which one of a higher number overtakes unless it is to be `kept`, or at `refined`.
     fn made(&self, path: &str, kept: bool) -> Result<Option<Made>> {
         if path == "refined" {
             return Ok(self.watched.and_then(Watched::scene));
@@ -90,8 +90,8 @@ impl Served<'_> {
         let (Some(live), Some(asked)) = (self.live(), path.strip_prefix("made/").and_then(asked)) else {
             return Ok(None);
         };
-        let (ratio, precision) = asked;
-        if kept { live.make_unless(ratio, precision, || false) } else { live.make(ratio, precision) }.map(Some)
+        let (ratio, precision, number) = asked;
+        if kept { live.make_unless(ratio, precision, || false) } else { live.make(ratio, precision, number) }.map(Some)
     }
 
     fn record(&self, body: &[u8]) -> Result<Answer> {
@@ -114,8 +114,10 @@ fn number(path: &str, folder: &str) -> Option<usize> {
     path.strip_prefix(folder)?.parse().ok()
 }
 
-fn asked(words: &str) -> Option<(f64, Precision)> {
+/// `RATIO/PRECISION`, and `?NUMBER` behind it or not.
+fn asked(words: &str) -> Option<(f64, Precision, Option<u64>)> {
+    let (words, number) = words.split_once('?').map_or((words, None), |(words, number)| (words, Some(number)));
     let (ratio, name) = words.split_once('/')?;
     let precision = Precision::ALL.into_iter().find(|precision| precision.name() == name)?;
-    Some((ratio.parse().ok()?, precision))
+    Some((ratio.parse().ok()?, precision, number.map(str::parse).transpose().ok()?))
 }

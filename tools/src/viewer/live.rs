@@ -40,7 +40,7 @@ pub struct Live<'a> {
     pub(super) name: String,
     /// The network's features in each precision that was asked for so far, the first of them the one to begin with.
     pub(super) sources: Mutex<Vec<Source>>,
-    /// The number of the last request.
+    /// The highest number of a request.
     pub(super) latest: AtomicU64,
     /// Set when the command should stop.
     pub(super) cancelled: &'a AtomicBool,
@@ -77,13 +77,15 @@ impl Made {
 }
 
 impl Live<'_> {
-    /// The scene of a ratio, unless a later call overtakes this one.
+    /// The scene of a ratio, unless a later call overtakes this one: one of a higher `number`, which is the next where nobody says,
+    /// as requests do not arrive in the order in which they were sent.
     ///
     /// # Errors
     /// As [`Model::reconstruct_features`], and [`Error::Cancelled`] where it was overtaken.
-    pub fn make(&self, ratio: f64, precision: Precision) -> Result<Made> {
-        let own = self.latest.fetch_add(1, Ordering::SeqCst) + 1;
-        self.make_unless(ratio, precision, || self.latest.load(Ordering::SeqCst) != own)
+    pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<Made> {
+        let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst) + 1);
+        self.latest.fetch_max(own, Ordering::SeqCst);
+        self.make_unless(ratio, precision, || self.latest.load(Ordering::SeqCst) > own)
     }
 
     /// The scene of a ratio, unless `overtaken`.

@@ -216,7 +216,7 @@ impl FromPhotos {
         let frames: Vec<&Frame> = ready.frames.iter().collect();
         let (photos, _) =
             session.stage("load photos", |stage| photos::read(&ready.photos, &frames, stage, |_, photo| Ok(photo)))?;
-        let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision());
+        let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
         let (start, tokens) = if steps.tokens {
             let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
             (Started::Tokens(live.tokens()?), Some(shown))
