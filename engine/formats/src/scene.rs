@@ -47,7 +47,7 @@ impl Scene {
     /// Adds the Gaussians of another scene of the same degree of harmonics behind these.
     ///
     /// # Panics
-    /// Where the degrees differ.
+    /// The degrees differ.
     pub fn append(&mut self, mut other: Self) {
         assert_eq!(self.sh_degree, other.sh_degree, "scenes of one degree");
         self.means.append(&mut other.means);

@@ -15,7 +15,7 @@ pub(super) struct Range {
     pub buffer: vk::Buffer,
     pub from: u64,
     pub to: u64,
-    /// Where it begins in the device's memory, where [`Limits::addresses`](super::Limits::addresses) is.
+    /// The range's beginning in the device's memory, on devices with [`Limits::addresses`](super::Limits::addresses).
     pub address: u64,
 }
 

@@ -27,7 +27,7 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
-    /// Of the device, where [`Limits::addresses`](super::Limits::addresses) is.
+    /// The buffer's address, on devices with [`Limits::addresses`](super::Limits::addresses).
     address: u64,
     /// Whether it counts as the device's memory: what the host sees and caches is the host's on discrete GPUs.
     counted: bool,

@@ -90,7 +90,7 @@ impl DepthView {
         all.iter().map(|value| f64::from(*value)).sum::<f64>() / all.len().max(1) as f64
     }
 
-    /// Whether a pixel shows something that has a place.
+    /// True where a pixel shows something that has a place.
     pub(super) fn shows(&self, at: usize) -> bool {
         let sky = self.sky.as_ref().is_some_and(|sky| sky[at] >= SKY);
         !sky && self.depth[at].is_finite() && self.depth[at] > 0.0

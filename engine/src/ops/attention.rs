@@ -1,13 +1,13 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
-use super::{Columns, Norm, Rows, Tile, Units};
+use super::{
+    Columns, Norm, Rows, Tile, Units,
+    uniform::{UNIFORM_TILE, terms_of},
+};
 use crate::{
     gpu::{Element, Kernel, Limits, Recorder, Tensor},
     kernels::{limits::ATTENTION_ROWS, ops},
 };
-
-/// Queries of a workgroup of ops/attention_uniform, and keys of a lane: sums that stay in a CPU's vector registers.
-const UNIFORM_TILE: [u32; 2] = [6, 2];
 
 /// Heads and their channels.
 #[derive(Clone, Copy, Debug)]
@@ -156,7 +156,7 @@ impl Attention {
         out
     }
 
-    /// Whether ops/attention_uniform computes it, which takes whole subgroups of channels and a whole tile of keys.
+    /// True where ops/attention_uniform computes the heads, which takes whole subgroups of channels and a whole tile of keys.
     fn is_uniform(&self, limits: &Limits) -> bool {
         let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
@@ -168,8 +168,6 @@ impl Attention {
 
     fn uniform(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3], out: Tensor) {
         let (dim, [tile_rows, key_vectors]) = (self.heads.dim as u32, UNIFORM_TILE);
-        // The more, the fewer times scores are masked.
-        let terms = [16, 8].into_iter().find(|terms| dim.is_multiple_of(*terms)).unwrap_or(4);
         let kernel = ops::AttentionUniform {
             q,
             k,
@@ -181,7 +179,7 @@ impl Attention {
             heads: self.heads.count as u32,
             dim,
             vectors: dim / rec.limits().subgroup_size,
-            terms,
+            terms: terms_of(self.heads.dim),
             tile_rows,
             key_vectors,
         };

@@ -4,6 +4,7 @@ use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
     tile::Tile,
+    uniform::{UNIFORM_TILE, divides_panels, terms_of},
 };
 use crate::{
     gpu::{Element, Limits, Recorder, Tensor},
@@ -13,9 +14,6 @@ use crate::{
     },
 };
 use half::f16;
-
-/// Rows of a workgroup of ops/linear_uniform, and columns of a lane: sums that stay in the 16 vector registers of a CPU.
-const UNIFORM_TILE: [u32; 2] = [6, 2];
 
 /// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, a few rows each along an
 /// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
@@ -183,17 +181,15 @@ impl Linear {
         }
     }
 
-    /// Whether ops/linear_uniform computes it.
+    /// True where ops/linear_uniform computes the layer.
     fn is_uniform(&self, limits: &Limits, out: Rows) -> bool {
         let types = [self.element(), out.element] == [Element::F32; 2];
-        limits.addresses && types && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
+        types && divides_panels(limits)
     }
 
     fn uniform(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
-        // The more, the fewer times sums are masked; always one, since rows are whole vectors of 4 terms.
-        let terms = [16, 12, 8, 4].into_iter().find(|terms| self.inner.is_multiple_of(*terms));
         let [weight, integers, scales] = self.weights();
         let kernel = ops::LinearUniform {
             a: input.tensor,
@@ -211,7 +207,7 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
-            terms: terms.expect("whole vectors") as u32,
+            terms: terms_of(self.inner),
             tile_rows,
             vectors,
         };

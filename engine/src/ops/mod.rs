@@ -16,6 +16,7 @@ mod rows;
 pub mod scan;
 pub mod sort;
 mod tile;
+mod uniform;
 
 pub use arithmetic::{Arithmetic, Precision, Units};
 pub use attention::{Attention, AttentionKernel, Heads, Part};

@@ -1,8 +1,11 @@
 //! The nearest of some rows for each of others, without a matrix of distances.
 
-use super::{Rows, Tile, Units};
+use super::{
+    Rows, Tile, Units,
+    uniform::{UNIFORM_TILE, divides_panels, terms_of},
+};
 use crate::{
-    gpu::{Limits, Recorder, Tensor},
+    gpu::{Recorder, Tensor},
     kernels::{
         cluster as kernels,
         limits::{NEAREST_ROWS, PANEL_COLUMNS},
@@ -14,10 +17,6 @@ const ORIGIN_ROWS: usize = 256;
 
 /// Parts of the targets that different workgroups go through, so that there are enough workgroups.
 const SHARES: usize = 8;
-
-/// Targets that a workgroup of cluster/nearest_uniform measures at a time, and points of a lane: sums that stay in a CPU's vector
-/// registers.
-const UNIFORM_TILE: [u32; 2] = [6, 2];
 
 /// The kernel that finds nearest rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +46,7 @@ enum Space {
 pub struct NearestRows {
     /// f32.
     rows: Tensor,
-    /// As the kernel reads points: f32, panels of them, or halves.
+    /// The rows as the kernel reads points: f32, panels of them, or halves.
     values: Tensor,
     /// The scales of halves, see cluster/halves; else of no matter.
     scales: Tensor,
@@ -92,7 +91,7 @@ impl Nearest {
     /// f32 rows as they are now.
     pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
-            let values = if is_uniform(rec.limits()) { self.panels(rec, rows, count) } else { rows };
+            let values = if divides_panels(rec.limits()) { self.panels(rec, rows, count) } else { rows };
             return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
@@ -122,7 +121,7 @@ impl Nearest {
     /// As [`Nearest::record`], into `out`.
     pub fn record_into(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
         match self.space {
-            Space::Lanes if is_uniform(rec.limits()) => self.uniform(rec, points, targets, out),
+            Space::Lanes if divides_panels(rec.limits()) => self.uniform(rec, points, targets, out),
             Space::Lanes => self.lanes(rec, points, targets, out),
             Space::Matrix { units, .. } => self.matrix(rec, units, points, targets, out),
         }
@@ -138,8 +137,6 @@ impl Nearest {
 
     fn uniform(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
         let [tile_rows, vectors] = UNIFORM_TILE;
-        // The more, the fewer times sums are masked.
-        let terms = [16, 12, 8].into_iter().find(|terms| self.width.is_multiple_of(*terms)).unwrap_or(4);
         let kernel = kernels::NearestUniform {
             points: points.values,
             targets: targets.rows,
@@ -148,7 +145,7 @@ impl Nearest {
             target_count: targets.count as u32,
             width: self.width as u32,
             tie: Self::TIE,
-            terms: terms as u32,
+            terms: terms_of(self.width),
             tile_rows,
             vectors,
         };
@@ -223,9 +220,4 @@ impl Nearest {
     fn flops(&self, points: NearestRows, targets: NearestRows) -> u64 {
         (2 * points.count * targets.count * self.width) as u64
     }
-}
-
-/// Whether cluster/nearest_uniform computes in f32.
-fn is_uniform(limits: &Limits) -> bool {
-    limits.addresses && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
 }
