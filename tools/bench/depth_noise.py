@@ -7,21 +7,10 @@ after, means over places. ZIPSPLAT in the environment is the command.
 """
 
 import argparse
-import json
-import os
-import subprocess
 import tempfile
 from pathlib import Path
 
-ZIPSPLAT = os.environ.get("ZIPSPLAT", str(Path(__file__).parent.parent / "zipsplat"))
-
-
-def zipsplat(*words):
-    """The result of a command, as JSON."""
-    run = subprocess.run([ZIPSPLAT, *map(str, words), "--json"], capture_output=True, text=True, check=False)
-    if run.returncode:
-        raise RuntimeError(run.stderr.strip().splitlines()[-1])
-    return json.loads(run.stdout)
+from command import zipsplat
 
 
 def judged(place, options, *words):

@@ -10,12 +10,10 @@ the folder. Where the machine is shared, --cpu counts CPU time over cores. Needs
 import argparse
 import json
 import os
-import resource
 import shlex
-import subprocess
 from pathlib import Path
 
-ZIPSPLAT = os.environ.get("ZIPSPLAT", str(Path(__file__).parent.parent / "zipsplat"))
+from command import timed
 
 
 def arguments():
@@ -33,14 +31,6 @@ def arguments():
     return parser.parse_args()
 
 
-def zipsplat(*words):
-    """The result of a command, as JSON, and the CPU time that it took."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    run = subprocess.run([*shlex.split(ZIPSPLAT), *map(str, words), "--json", "--quiet"], check=True, capture_output=True, text=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return json.loads(run.stdout), after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
 def run(args, views, ratio):
     """What eval says, with the planned bytes and the CPU time of the forward pass."""
     folder = args.out / f"{args.capture.name}.{views}.{ratio}"
@@ -48,8 +38,8 @@ def run(args, views, ratio):
     if path.exists():
         return json.loads(path.read_text())
     shape = ["--views", views, "--ratio", ratio, "--size", args.size, *shlex.split(args.options)]
-    said, cpu = zipsplat("eval", args.capture, *shape, "--targets", args.targets, "--lpips", "none", "-o", folder, "--overwrite")
-    planned, _ = zipsplat("info", "--plan", "--poses", *shape)
+    said, cpu = timed("eval", args.capture, *shape, "--targets", args.targets, "--lpips", "none", "-o", folder, "--overwrite")
+    planned, _ = timed("info", "--plan", "--poses", *shape)
     said |= {"planned_bytes": planned["peak_bytes"], "flops": planned["flops"], "cpu": cpu / os.cpu_count()}
     path.write_text(json.dumps(said))
     return said

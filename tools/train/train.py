@@ -140,11 +140,11 @@ class Trainer:
 
     def compile(self):
         """Blocks and projection one by one: a few graphs for every number of views and ratio."""
-        import model as network
+        import layers
         import rasterise as drawing
 
         torch._dynamo.config.recompile_limit = 64
-        for kind in (network.Block, network.CrossBlock):
+        for kind in (layers.Block, layers.CrossBlock):
             kind.forward = torch.compile(kind.forward, dynamic=True)
         drawing.project = torch.compile(drawing.project, dynamic=True)
 

@@ -1,0 +1,26 @@
+"""The command zipsplat for scripts: what ZIPSPLAT in the environment says, any words before it included, else the checkout's."""
+
+import json
+import os
+import resource
+import shlex
+import subprocess
+from pathlib import Path
+
+COMMAND = shlex.split(os.environ.get("ZIPSPLAT", "")) or [str(Path(__file__).parent.parent / "zipsplat")]
+
+
+def zipsplat(*words):
+    """The result of a command, as JSON. RuntimeError has the last line that it says where it fails."""
+    run = subprocess.run([*COMMAND, *map(str, words), "--json"], capture_output=True, text=True, check=False)
+    if run.returncode:
+        raise RuntimeError(run.stderr.strip().splitlines()[-1])
+    return json.loads(run.stdout)
+
+
+def timed(*words):
+    """The result of a command, as JSON, and the seconds of CPU time that it took."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    said = zipsplat(*words)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return said, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
