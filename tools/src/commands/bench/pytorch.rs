@@ -10,9 +10,10 @@ use zipsplat::{
 };
 
 /// The files that Python runs, under the names it imports.
-const FILES: [(&str, &str); 3] = [
+const FILES: [(&str, &str); 4] = [
     ("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")),
     ("model.py", include_str!("../../../train/model.py")),
+    ("layers.py", include_str!("../../../train/layers.py")),
     ("weights.py", include_str!("../../../train/weights.py")),
 ];
 
