@@ -4,7 +4,7 @@ use crate::case::{Case, random};
 use zipsplat::{
     gpu::Element,
     kernels::{heads::Convolution, limits::LINEAR_ROWS},
-    ops::{LinearKernel, Weights, pack_matrix},
+    ops::{Lanes, LinearKernel, Weights, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -37,7 +37,12 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     let out = case.output::<f32>(pixels * columns);
     let kernel = Convolution {
         source: case.input(&source[lines[1] * width * channels..]),
-        weight: case.input(&pack_matrix(LinearKernel::Panels(Element::F32, Weights::Factors), &turned, inner, columns)),
+        weight: case.input(&pack_matrix(
+            LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors),
+            &turned,
+            inner,
+            columns,
+        )),
         bias: case.input(&bias),
         residual: case.input(&residual),
         out,

@@ -11,7 +11,7 @@ use zipsplat::{
     Result,
     gpu::{Device, Element},
     kernels::{heads::Convolution, limits::LINEAR_ROWS},
-    ops::{LinearKernel, Weights, pack_matrix},
+    ops::{Lanes, LinearKernel, Weights, pack_matrix},
 };
 use zipsplat_reference::{heads::convolution::convolution, widen};
 
@@ -139,7 +139,8 @@ impl case::Problem for Problem {
             .weight
             .chunks(inner)
             .flat_map(|row| (0..inner).map(|i| row[i % self.channels * taps + i / self.channels]).collect::<Vec<_>>());
-        let (panels, turned) = (LinearKernel::Panels(Element::F32, Weights::Factors), turned.collect::<Vec<_>>());
+        let (panels, turned) =
+            (LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), turned.collect::<Vec<_>>());
         let packed = pack_matrix(panels, &turned, inner, self.columns);
         let pixels = out_height * out_width;
         let mut trial = Trial::new(device);
