@@ -18,7 +18,7 @@ use zipsplat::{
 #[derive(Args)]
 pub struct Weights {
     /// Checkpoint (safetensors or PyTorch), a name of `zipsplat weights list`, or seeded:VARIANT[:KEY] for random numbers
-    /// [default: the model that is built in]
+    /// [default: built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
@@ -54,9 +54,15 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
+    /// The options as arguments of `zipsplat convert`.
+    pub fn as_input(&self) -> Vec<&str> {
+        let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
+        [self.weights.as_deref().unwrap_or(BUILT_IN)].into_iter().chain(variant).collect()
+    }
+
     /// Whether they are those that are built in.
     pub fn is_embedded(&self) -> bool {
-        self.weights.is_none()
+        self.weights.as_deref().is_none_or(|weights| weights == BUILT_IN)
     }
 
     /// Opens others, of the variant given.
@@ -79,12 +85,24 @@ pub enum Network {
     Pixels(DepthCheckpoint),
 }
 
+/// Name of the model that is built in.
+pub const BUILT_IN: &str = "built-in";
+
 /// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
 /// Opens a checkpoint; what is none by its first bytes is refused with what it is, where that is known, and what was
 /// `expected`.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
+    if text == BUILT_IN {
+        refuse(
+            "--variant",
+            variant.is_some(),
+            "the model that is built in",
+            "a checkpoint that does not say its network",
+        )?;
+        return Checkpoint::embedded();
+    }
     if let Some(path) = released::find(text)? {
         return Checkpoint::open(path, variant);
     }
