@@ -151,6 +151,29 @@ fn pytorch_stands_beside_ours() {
 }
 
 #[test]
+fn depth_is_timed_by_backbone_and_head() {
+    let folder = Folder::new().with_depth();
+    let line = "bench depth --weights @/da3.safetensors --views 1,2 --size 28x28,42x28 --precision exact --warmup 0 --repeats 1";
+    let rows = folder.run(&format!("{line} --json")).json();
+    let rows = rows.as_array().expect("rows");
+    let stages = |row: &&serde_json::Value| row["kernel"] == "" && row["views"] == 2 && row["width"] == 42;
+    let found: Vec<&str> = rows.iter().filter(stages).map(|row| row["stage"].as_str().expect("a name")).collect();
+    assert_eq!(found, ["", "backbone", "heads/camera", "heads/levels", "heads/depth", "heads/rays"]);
+    assert_eq!(rows.iter().filter(|row| row["stage"] == "").count(), 4);
+    let all = rows.iter().filter(stages).map(|row| row["gflop"].as_f64().expect("a number"));
+    let all: Vec<f64> = all.collect();
+    assert!(all[0] > 0.0 && (all[1..].iter().sum::<f64>() / all[0] - 1.0).abs() < 1e-9, "{all:?}");
+    assert!(
+        rows[0]["arena_bytes"].as_u64() > Some(0) && rows[0]["peak_bytes"].as_u64() > rows[0]["arena_bytes"].as_u64()
+    );
+    folder.run(&format!("{line} --pytorch no-such-python")).fails(3, &["--pytorch", "no-such-python"]);
+    let alone = "bench depth --weights @/alone.safetensors --size 28x28 --pytorch python3";
+    folder.run(alone).fails(3, &["--pytorch", "da3-micro-alone", "all photos at once"]);
+    folder.run("bench depth --weights @/da3.safetensors --size 27x28").fails(3, &["27"]);
+    folder.run("bench depth --weights @/micro.safetensors").fails(3, &["micro.safetensors", "da3-base"]);
+}
+
+#[test]
 fn what_accuracy_costs_is_a_page_and_a_table() {
     let folder = Folder::new();
     // One that shows some of the random network's Gaussians: pictures of nothing are equal.

@@ -1,6 +1,9 @@
 //! Options that several commands share.
 
-use crate::{released, session::Session};
+use crate::{
+    released::{self, is_of_depth, open_depth},
+    session::Session,
+};
 use clap::{Args, ValueEnum};
 use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
@@ -40,9 +43,9 @@ impl Weights {
     /// Opens them, whichever kind of network they are of: a file's tensors say that.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
-            Some(weights) if DepthCheckpoint::is_meant(weights) => {
+            Some(weights) if is_of_depth(weights) => {
                 refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
-                DepthCheckpoint::parse_whole(weights).map(Network::Pixels)
+                open_depth(weights, true).map(Network::Pixels)
             }
             _ => self.open().map(Network::Tokens),
         }
@@ -85,6 +88,16 @@ pub enum Network {
     Pixels(DepthCheckpoint),
 }
 
+impl Network {
+    /// Where the weights are from.
+    pub fn provenance(&self) -> &str {
+        match self {
+            Self::Tokens(checkpoint) => checkpoint.provenance(),
+            Self::Pixels(checkpoint) => checkpoint.provenance(),
+        }
+    }
+}
+
 /// Name of the model that is built in.
 pub const BUILT_IN: &str = "built-in";
 
@@ -103,14 +116,15 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
         )?;
         return Checkpoint::embedded();
     }
+    if is_of_depth(text) {
+        let found = format!("{text}, of Depth Anything 3");
+        let expected = format!(
+            "{expected} of ZipSplat; reconstruct, batch, depth, cameras and info take those of Depth Anything 3"
+        );
+        return Err(Error::argument("weights", found, expected));
+    }
     if let Some(path) = released::find(text)? {
         return Checkpoint::open(path, variant);
-    }
-    if DepthCheckpoint::is_meant(text) {
-        let found = format!("{text}, of Depth Anything 3");
-        let expected =
-            format!("{expected} of ZipSplat; reconstruct, depth, cameras and info take those of Depth Anything 3");
-        return Err(Error::argument("weights", found, expected));
     }
     let mut start = [0; 9];
     let read = open_file(text).is_ok_and(|mut file| file.read_exact(&mut start).is_ok());
