@@ -19,7 +19,7 @@ mod tile;
 mod uniform;
 
 pub use arithmetic::{Arithmetic, Precision, Units};
-pub use attention::{Attention, AttentionKernel, Heads, Part};
+pub use attention::{Attention, AttentionKernel, Heads, Part, Rotary};
 pub use block::{Block, Ffn, Sequences};
 pub use cross_block::CrossBlock;
 pub use feature_map::FeatureMap;
