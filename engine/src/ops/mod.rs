@@ -24,7 +24,7 @@ pub use block::{Block, Ffn, Sequences};
 pub use cross_block::CrossBlock;
 pub use feature_map::FeatureMap;
 pub(crate) use linear::NARROWEST;
-pub use linear::{Activation, Epilogue, Linear, LinearKernel, Weights};
+pub use linear::{Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Weights};
 pub use nearest::{Nearest, NearestKernel, NearestRows};
 pub use norm::Norm;
 pub use packing::pack_matrix;
