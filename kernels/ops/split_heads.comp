@@ -4,9 +4,9 @@
 // Projection [rows, stride] ELEMENT; this part begins at column `column`
 // Weight     [dim] f32, affine norm over a head's channels; read where NORM
 // Bias       [dim] f32; read where NORM
-// Rotary     [tokens, dim / 2] (cos, sin) of each rotated pair; read where ROTATE
-// Out        [heads, out_rows, out_dim] ELEMENT, channels from dim on zero, or where TRANSPOSE [heads, sequences, dim,
-//            padded length]
+// Rotary     [turned, dim / 2] (cos, sin) of each rotated pair; read where ROTATE
+// Out        [heads, out_rows, out_dim] ELEMENT, channels from dim on zero, or where TRANSPOSE [heads, sequences, panels, dim,
+//            panel], panels of rows, the last of a sequence padded
 //
 // One workgroup (a subgroup) owns one head of one row, two channels a lane at a time. Rotary embedding: RoPE 2D (Su et
 // al. 2021; DA3), half of the channels with y and half with x, pairs half a half apart.
@@ -40,7 +40,9 @@ layout(push_constant) uniform Push {
     uint first_row; // row of Out that this dispatch's row 0 is
     uint out_rows;
     uint sequence;  // rows of one sequence
-    uint tokens;    // rows of Rotary, which repeats
+    uint panel;     // rows that lie side by side, where TRANSPOSE
+    uint tokens;    // rows of a view, after which rotations repeat
+    uint turned;    // the first rows of a view, which rotate
     float scale;
     float eps;
 };
@@ -57,10 +59,11 @@ uint pair_channel(uint p) {
 
 void store(uint head, uint row, uint channel, float value) {
     if (TRANSPOSE) {
-        uint padded = (sequence + 3) / 4 * 4;
         uint sequences = out_rows / sequence;
-        uint at = (head * sequences + row / sequence) * dim + channel;
-        result[at * padded + row % sequence] = to_ELEMENT(value);
+        uint panels = (sequence + panel - 1) / panel;
+        uint within = row % sequence;
+        uint at = ((head * sequences + row / sequence) * panels + within / panel) * dim + channel;
+        result[at * panel + within % panel] = to_ELEMENT(value);
     } else {
         result[(head * out_rows + row) * out_dim + channel] = to_ELEMENT(value);
     }
@@ -71,6 +74,7 @@ void main() {
     if (group >= rows * heads) return;
     uint row = group / heads;
     uint head = group % heads;
+    uint token = (first_row + row) % tokens;
     uint apart = dim / 4;
     from = row * stride + column + head * dim;
     Statistics statistics;
@@ -82,8 +86,8 @@ void main() {
             x = vec2(normed(statistics, x.x), normed(statistics, x.y));
             x = x * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
         }
-        if (ROTATE) {
-            vec2 turn = rotary[((first_row + row) % tokens) * (dim / 2) + p];
+        if (ROTATE && token < turned) {
+            vec2 turn = rotary[token * (dim / 2) + p];
             x = vec2(x.x * turn.x - x.y * turn.y, x.y * turn.x + x.x * turn.y);
         }
         x *= scale;

@@ -6,10 +6,11 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 25] = [
+const STEPS: [(&str, &str); 26] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("cluster/nearest_uniform", "cluster/nearest"),
+    ("heads/convolution_uniform", "heads/convolution"),
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),

@@ -35,12 +35,23 @@ impl Heads {
 pub struct Part {
     /// Norm over a head's channels.
     pub norm: Option<Norm>,
-    /// Rotary table `[tokens, dim / 2, 2]` f32 and its tokens.
-    pub rotary: Option<(Tensor, usize)>,
+    /// The rotations of tokens by their places.
+    pub rotary: Option<Rotary>,
     /// Whether these are keys, which are laid out with tokens running fastest.
     pub keys: bool,
     /// Factor, or 0 for none.
     pub scale: f32,
+}
+
+/// Rotary embedding: rotations of the tokens of a view, the same in every view.
+#[derive(Clone, Copy, Debug)]
+pub struct Rotary {
+    /// `[turned, dim / 2, 2]` f32: cosine and sine for each pair of channels.
+    pub table: Tensor,
+    /// Tokens of a view.
+    pub tokens: usize,
+    /// The first tokens of a view, which turn; the others stay as they are.
+    pub turned: usize,
 }
 
 /// Shape of an attention over `sequences` independent sequences.
@@ -61,7 +72,8 @@ pub struct Attention {
 /// The kernel of an attention, which decides the layout of queries, keys and values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
-    /// ops/attention, or ops/attention_uniform where that is faster: everything of this type, keys with tokens running fastest.
+    /// ops/attention, or ops/attention_uniform where that is faster: everything of this type, keys in panels, in which they run
+    /// fastest: [`Attention::tensors`].
     Lanes(Element),
     /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices of a
     /// subgroup.
@@ -83,7 +95,9 @@ impl Attention {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
         let (queries, keys, values) = match self.kernel {
-            AttentionKernel::Lanes(_) => (queries, sequences * self.keys.next_multiple_of(4) * width, keys),
+            AttentionKernel::Lanes(_) => {
+                (queries, sequences * self.keys.next_multiple_of(self.panel(rec.limits())) * width, keys)
+            }
             // The last workgroup reads queries beyond the end.
             AttentionKernel::Matrix(units) => {
                 let tiles = Tile::attention(rec.limits(), units, 8);
@@ -112,12 +126,13 @@ impl Attention {
             projection.into();
         let (norm_weight, norm_bias, eps) =
             part.norm.map_or((projection, projection, 0.0), |n| (n.weight, n.bias, n.eps));
-        let (rotary, tokens) = part.rotary.unwrap_or((projection, 1));
+        let Rotary { table, tokens, turned } =
+            part.rotary.unwrap_or(Rotary { table: projection, tokens: 1, turned: 0 });
         let kernel = ops::SplitHeads {
             projection,
             weight: norm_weight,
             bias: norm_bias,
-            rotary,
+            rotary: table,
             out,
             rows: rows as u32,
             heads: self.heads.count as u32,
@@ -128,7 +143,9 @@ impl Attention {
             first_row: first_row as u32,
             out_rows: (self.sequences * sequence) as u32,
             sequence: sequence as u32,
+            panel: self.panel(rec.limits()) as u32,
             tokens: tokens as u32,
+            turned: turned as u32,
             scale: if part.scale == 0.0 { 1.0 } else { part.scale },
             eps,
             norm: part.norm.is_some(),
@@ -156,13 +173,21 @@ impl Attention {
         out
     }
 
-    /// True where ops/attention_uniform computes the heads, which takes whole subgroups of channels and a whole tile of keys.
+    /// Keys that lie side by side, of one channel after the other: those that ops/attention_uniform takes at a time, or all, in quads.
+    fn panel(&self, limits: &Limits) -> usize {
+        if self.is_uniform(limits) {
+            (UNIFORM_TILE[1] * limits.subgroup_size) as usize
+        } else {
+            self.keys.next_multiple_of(4)
+        }
+    }
+
+    /// True where ops/attention_uniform computes the heads, which takes whole subgroups of channels.
     fn is_uniform(&self, limits: &Limits) -> bool {
         let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
             && self.kernel.element() == Element::F32
             && self.heads.dim.is_multiple_of(lanes)
-            && self.keys >= UNIFORM_TILE[1] as usize * lanes
             && self.queries.div_ceil(queries) <= limits.max_groups[0] as usize
     }
 

@@ -1,7 +1,8 @@
 //! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
 
 use super::{
-    Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Rows, row_chunks,
+    Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Rotary, Rows,
+    row_chunks,
 };
 use crate::gpu::{Recorder, Tensor};
 use serde::{Deserialize, Serialize};
@@ -44,8 +45,8 @@ pub struct Sequences {
     pub count: usize,
     /// Tokens of a sequence.
     pub tokens: usize,
-    /// Rotary table and the number of tokens after which it repeats.
-    pub rotary: Option<(Tensor, usize)>,
+    /// The rotations of queries and keys by their tokens' places.
+    pub rotary: Option<Rotary>,
 }
 
 /// Norms on queries and keys add this to the variance, also where the block's other norms add less.

@@ -21,7 +21,8 @@ use half::f16;
 
 /// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, a few rows each along an
 /// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
-const NARROWEST: usize = (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
+pub(crate) const NARROWEST: usize =
+    (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
 
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]

@@ -19,10 +19,11 @@ mod tile;
 mod uniform;
 
 pub use arithmetic::{Arithmetic, Precision, Units};
-pub use attention::{Attention, AttentionKernel, Heads, Part};
+pub use attention::{Attention, AttentionKernel, Heads, Part, Rotary};
 pub use block::{Block, Ffn, Sequences};
 pub use cross_block::CrossBlock;
 pub use feature_map::FeatureMap;
+pub(crate) use linear::NARROWEST;
 pub use linear::{Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Weights};
 pub use nearest::{Nearest, NearestKernel, NearestRows};
 pub use norm::Norm;
@@ -32,3 +33,4 @@ pub use q8::Q8;
 pub(crate) use rows::row_chunks;
 pub use rows::{Columns, Rows, add, gather_rows, join_columns, place_columns, quantise_rows};
 pub use tile::{Tile, Tiles};
+pub(crate) use uniform::{UNIFORM_TILE, divides_panels, terms_of};

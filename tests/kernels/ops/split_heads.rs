@@ -22,7 +22,8 @@ struct Call {
     /// Patches of a view, rows and columns, by which the heads are rotated.
     grid: Option<(usize, usize)>,
     global: bool,
-    transpose: bool,
+    /// Rows of a sequence that lie side by side, in panels; 0 for whole rows one after the other.
+    panel: usize,
     /// Channels of a head behind the last, which are zeros.
     padding: usize,
 }
@@ -37,7 +38,7 @@ const PLAIN: Call = Call {
     norm: false,
     grid: None,
     global: false,
-    transpose: false,
+    panel: 0,
     padding: 0,
 };
 
@@ -61,8 +62,9 @@ impl Call {
         let table = &rotary_tables(grid_rows, grid_columns, dim)[usize::from(self.global)];
 
         let mut case = Case::new();
-        let padded = sequence.next_multiple_of(4);
-        let out_len = if self.transpose { self.out_rows / sequence * padded } else { self.out_rows };
+        let transpose = self.panel > 0;
+        let padded = sequence.next_multiple_of(self.panel.max(1));
+        let out_len = self.out_rows / sequence * padded;
         let channels = dim + self.padding;
         let out = case.output_of(element, heads * channels * out_len);
         let kernel = SplitHeads {
@@ -80,12 +82,14 @@ impl Call {
             first_row: self.first_row as u32,
             out_rows: self.out_rows as u32,
             sequence: sequence as u32,
+            panel: self.panel as u32,
             tokens: (1 + grid_rows * grid_columns) as u32,
+            turned: (table.len() / dim) as u32,
             scale: SCALE,
             eps: EPS,
             norm: self.norm,
             rotate: self.grid.is_some(),
-            transpose: self.transpose,
+            transpose,
             element,
         };
         case.rec.dispatch_groups(kernel, rows * heads);
@@ -108,9 +112,10 @@ impl Call {
     /// Where channel `channel` of a head of this call's row `row` goes.
     fn place(&self, row: usize, head: usize, channel: usize) -> usize {
         let row = self.first_row + row;
-        let (sequences, padded) = (self.out_rows / self.sequence, self.sequence.next_multiple_of(4));
-        if self.transpose {
-            ((head * sequences + row / self.sequence) * self.dim + channel) * padded + row % self.sequence
+        let (sequences, within, panel) = (self.out_rows / self.sequence, row % self.sequence, self.panel);
+        if panel > 0 {
+            let first = (head * sequences + row / self.sequence) * self.sequence.div_ceil(panel);
+            ((first + within / panel) * self.dim + channel) * panel + within % panel
         } else {
             (head * self.out_rows + row) * (self.dim + self.padding) + channel
         }
@@ -119,7 +124,7 @@ impl Call {
     /// `[rows, heads, dim]`
     fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> Vec<f64> {
         let positions: Option<Vec<_>> = self.grid.map(|(rows, columns)| {
-            let view = if self.global { global_positions(rows, columns) } else { local_positions(rows, columns) };
+            let view = if self.global { seen_from_patches(rows, columns) } else { local_positions(rows, columns) };
             let from = (0..self.rows).map(|row| view[(self.first_row + row) % view.len()]);
             from.collect()
         });
@@ -134,12 +139,17 @@ impl Call {
     }
 }
 
+/// Places of a view's tokens in global blocks, moved together so that patches stand at the origin: only differences count.
+fn seen_from_patches(rows: usize, columns: usize) -> Vec<[f64; 2]> {
+    global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect()
+}
+
 #[test]
 fn every_switch() {
     for norm in [false, true] {
         for grid in [None, Some((2, 3))] {
-            for transpose in [false, true] {
-                Call { norm, grid, transpose, ..PLAIN }.check();
+            for panel in [0, 8] {
+                Call { norm, grid, panel, ..PLAIN }.check();
             }
         }
     }
@@ -162,9 +172,9 @@ fn heads_padded_to_whole_matrices() {
 
 #[test]
 fn parts_of_the_rows() {
-    for transpose in [false, true] {
+    for panel in [0, 4] {
         for (first_row, rows) in [(0, 0), (0, 1), (1, 1), (5, 9), (7, 7), (13, 1)] {
-            Call { first_row, rows, transpose, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
+            Call { first_row, rows, panel, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
         }
     }
 }
@@ -173,7 +183,9 @@ fn parts_of_the_rows() {
 fn sequences_of_every_remainder() {
     for sequence in 1..=9 {
         let rows = 3 * sequence;
-        Call { rows, out_rows: rows, sequence, transpose: true, ..PLAIN }.check();
+        for panel in [4, 12] {
+            Call { rows, out_rows: rows, sequence, panel, ..PLAIN }.check();
+        }
     }
 }
 
