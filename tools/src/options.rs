@@ -122,6 +122,9 @@ pub struct Quality {
     /// How those tokens are chosen: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
+    /// With many photos: attention across photos sees the mean of SxS patches, S from 1 to 4, in place of each: faster, less exact
+    #[arg(long, value_name = "S", default_value = "1")]
+    pub pool: usize,
     /// Keep of every token only the N Gaussians that show most [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     keep: Option<u32>,

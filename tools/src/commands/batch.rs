@@ -208,9 +208,9 @@ impl Batch {
     fn made_with(&self, checkpoint: &Checkpoint, Size(width, height): Size, precision: &str) -> Result<String> {
         let weights = checkpoint.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
-        let Quality { ratio, select, .. } = &self.quality;
+        let Quality { ratio, select, pool, .. } = &self.quality;
         let options = [
-            format!("{ratio:?} {select:?} {:?} {:?}", self.quality.kept(), self.fit.fit),
+            format!("{ratio:?} {select:?} {pool} {:?} {:?}", self.quality.kept(), self.fit.fit),
             format!("{width}x{height} {precision} {} {:?} {}", self.posed, self.views, self.format),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
@@ -313,9 +313,9 @@ impl Runner<'_> {
         let began = Instant::now();
         let Prepared { views: Views { images, cameras, note }, hash, photos, unit, world } = prepared;
         let (cameras, turned) = self.batch.fit.fit.told(cameras);
-        let Quality { ratio, select, .. } = &self.batch.quality;
+        let Quality { ratio, select, pool, .. } = &self.batch.quality;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit };
+        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit, pool: *pool };
         let silent = stage.silent();
         let made = self.model.reconstruct(&images, &request, |progress| silent.at(progress.fraction))?;
         let mut scene = made.scene()?;

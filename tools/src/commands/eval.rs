@@ -200,7 +200,8 @@ impl Eval {
     fn shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<Shape> {
         let (Size(width, height), views) = (seeing.size, seeing.fit.count(&choice.inputs())?);
         let chosen = (self.quality.ratio, &self.quality.select);
-        Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)
+        Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?
+            .pooled(self.quality.pool)
     }
 
     /// The cameras of a folder's photos, where they are not in it.

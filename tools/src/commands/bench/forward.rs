@@ -38,6 +38,9 @@ pub struct Forward {
     /// Shares of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
+    /// Sides of the groups of patches that attention across views sees as one
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
+    pool: Vec<usize>,
     /// Pixels of each view [default: what the weights are best with]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
@@ -67,6 +70,7 @@ struct Row {
     tokens: usize,
     /// Share of all tokens that these are.
     ratio: f64,
+    pool: usize,
     /// Empty for all stages.
     stage: String,
     /// Empty for all kernels.
@@ -86,11 +90,14 @@ impl Forward {
         let checkpoint = self.weights.open()?;
         let size = Size::or_best(self.size, &checkpoint);
         let Size(width, height) = size;
-        let requests: Vec<(usize, Request)> = (self.views.iter())
-            .flat_map(|&views| self.ratio.iter().map(move |&ratio| (views, Request { ratio, ..Request::default() })))
-            .collect();
-        for (views, Request { ratio, selection, .. }) in &requests {
-            Shape::new(checkpoint.architecture(), *views, [width, height], (*ratio, selection), false)?;
+        let of_views = |views| {
+            let pooled = |ratio| self.pool.iter().map(move |&pool| Request { ratio, pool, ..Request::default() });
+            self.ratio.iter().flat_map(move |&ratio| pooled(ratio)).map(move |request| (views, request))
+        };
+        let requests: Vec<(usize, Request)> = self.views.iter().flat_map(|&views| of_views(views)).collect();
+        for (views, Request { ratio, selection, pool, .. }) in &requests {
+            let chosen = (*ratio, selection);
+            Shape::new(checkpoint.architecture(), *views, [width, height], chosen, false)?.pooled(*pool)?;
         }
         self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
         let device = timed_device(session)?;
@@ -223,6 +230,7 @@ impl Forward {
             views: images.len(),
             tokens,
             ratio: 0.0,
+            pool: request.pool,
             stage: stage.to_owned(),
             kernel: String::new(),
             commands: 0,
@@ -273,6 +281,7 @@ impl Forward {
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
+            pool: shape.pool,
             stage: stage.to_owned(),
             kernel: kernel.to_owned(),
             commands: group.count,
@@ -305,6 +314,7 @@ fn only(profile: &Profile, stage: &str) -> Profile {
 
 fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String {
     let Some(total) = rows.first() else { return String::new() };
+    let pooled = if total.pool > 1 { format!(" keys of {0} x {0} patches,", total.pool) } else { String::new() };
     let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s", "of peak"];
     let mut table = Table::new(2, &headings);
     for row in rows {
@@ -324,7 +334,7 @@ fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String 
         ]);
     }
     format!(
-        "{} views, {} tokens, {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
+        "{} views, {} tokens,{pooled} {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
         total.views,
         total.tokens,
         bytes(total.peak_bytes),

@@ -33,6 +33,7 @@ impl Reconstruct {
         for (option, given) in [
             ("--fit squares", self.fit.fit == Fit::Squares),
             ("--unit", self.unit.is_some()),
+            ("--pool", self.quality.pool != 1),
             ("--explain", self.explain),
             ("--refine STEPS:tokens", tokens),
         ] {

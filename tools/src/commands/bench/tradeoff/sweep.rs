@@ -91,7 +91,8 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     }
     for views in &args.views {
         for (ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (*ratio, s))) {
-            Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
+            let shape = Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
+            args.pool.iter().try_for_each(|pool| shape.pooled(*pool).map(drop))?;
         }
     }
     Ok(())
@@ -154,10 +155,10 @@ pub fn run(
 fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [Capture]) -> Result<Vec<Case<'a>>> {
     let mut cases: Vec<Case<'a>> = Vec::new();
     for capture in captures {
-        for &ratio in &args.ratio {
+        for (&ratio, &pool) in args.ratio.iter().flat_map(|ratio| args.pool.iter().map(move |pool| (ratio, pool))) {
             for selection in &args.select {
-                let request =
-                    Request { ratio, selection: selection.clone(), cameras: Some(capture.cameras()), unit: 1.0 };
+                let cameras = Some(capture.cameras());
+                let request = Request { ratio, selection: selection.clone(), cameras, unit: 1.0, pool };
                 let shape = model.shape(&capture.images(), &request)?;
                 let whole = shape.kept == Kept::All;
                 let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
@@ -169,10 +170,12 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
                     Ratio::Auto => "auto".into(),
                     Ratio::Fixed(ratio) => ratio.to_string(),
                 };
-                let settings =
-                    if whole { format!("--ratio {ratio}") } else { format!("--ratio {ratio} --select {select}") };
+                let mut settings = format!("--ratio {ratio}");
+                settings += &if whole { String::new() } else { format!(" --select {select}") };
+                settings += &if pool > 1 { format!(" --pool {pool}") } else { String::new() };
                 let mut refine = args.refine.clone();
-                refine.retain(|steps| steps.count > 0 && (whole || *selection == args.select[0]));
+                refine
+                    .retain(|steps| steps.count > 0 && pool == args.pool[0] && (whole || *selection == args.select[0]));
                 cases.push(Case { capture, shape, request, precision, select, ratio, settings, refine });
             }
         }
@@ -214,7 +217,8 @@ impl Bench<'_> {
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
-        if shape.kept == Kept::All && case.precision == Precision::Exact.name() {
+        let plain = shape.kept == Kept::All && shape.pool == self.args.pool[0];
+        if plain && case.precision == Precision::Exact.name() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
@@ -291,6 +295,7 @@ impl Bench<'_> {
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             asked_ratio: case.ratio.clone(),
             select: case.select.clone(),
+            pool: shape.pool,
             keep: model.architecture().gaussians_per_token,
             refine: "0".into(),
             tokens: shape.tokens,
