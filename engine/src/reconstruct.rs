@@ -15,8 +15,9 @@ use crate::{
     Error, Result,
     cameras::FoundCamera,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
-    ops::{Arithmetic, Parameters},
+    ops::{Arithmetic, Parameters, Precision},
     stages::render::{DeviceScene, SceneMemory},
+    tune::Chosen,
     types::{Camera, Image, LeftOut, Scene},
     weights::{Architecture, Checkpoint},
 };
@@ -94,7 +95,7 @@ impl Model {
         checkpoint: &Checkpoint,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        Self::load_with(device, checkpoint, Arithmetic::EXACT, progress)
+        Self::load_with(device, checkpoint, Chosen::of(device, Some(Precision::Exact))?.arithmetic, progress)
     }
 
     /// As [`Model::load`], for an arithmetic that the device has.

@@ -5,12 +5,13 @@
 // Out       [lines, out_width, channels] f32, lines first on of a picture of out_height lines
 //
 // Output pixel i lies at i (inputs - 1) / (outputs - 1) of the source. Where PLACED, the first half of the channels gets the
-// positions of the pixel's column, the second those of its line. One invocation an element of the result.
+// positions of the pixel's column, the second those of its line. One workgroup (a subgroup) owns a pixel, and a lane every so many
+// of its channels: places are divided out once a pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
 
-layout(local_size_x = 64) in;
+layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const bool PLACED = false;
 
@@ -19,7 +20,7 @@ layout(set = 0, binding = 1) readonly buffer Positions { float positions[]; };
 layout(set = 0, binding = 2) writeonly buffer Out { float result[]; };
 
 layout(push_constant) uniform Push {
-    uint count;
+    uint pixels;
     uint first;
     uint out_width;
     uint out_height;
@@ -37,21 +38,19 @@ float split(uint at, uint inputs, uint outputs, out uvec2 near) {
 }
 
 void main() {
-    uint i = global_index();
-    if (i >= count) return;
-    uint channel = i % channels, pixel = i / channels;
+    uint pixel = group_index();
+    if (pixel >= pixels) return;
     uvec2 at = uvec2(pixel % out_width, first + pixel / out_width), xs, ys;
     float right = split(at.x, width, out_width, xs), low = split(at.y, height, out_height, ys);
-    vec2 lines[2];
-    for (uint j = 0; j < 2; j++) {
-        uint line = (ys[j] - source_first) * width;
-        for (uint k = 0; k < 2; k++) lines[j][k] = source[(line + xs[k]) * channels + channel];
+    uvec2 upper_at = ((ys.x - source_first) * width + xs) * channels, lower_at = ((ys.y - source_first) * width + xs) * channels;
+    uint half_of = channels / 2;
+    // Of a channel in the first half, and in the second.
+    uvec2 position_at = uvec2(at.x * half_of, (out_width + at.y) * half_of - half_of);
+    for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
+        float upper = mix(source[upper_at.x + c], source[upper_at.y + c], right);
+        float lower = mix(source[lower_at.x + c], source[lower_at.y + c], right);
+        float value = mix(upper, lower, low);
+        if (PLACED) value += positions[(c < half_of ? position_at.x : position_at.y) + c];
+        result[pixel * channels + c] = value;
     }
-    float upper = mix(lines[0].x, lines[0].y, right), lower = mix(lines[1].x, lines[1].y, right);
-    float value = mix(upper, lower, low);
-    if (PLACED) {
-        uint half_of = channels / 2;
-        value += positions[(channel < half_of ? at.x : out_width + at.y) * half_of + channel % half_of];
-    }
-    result[i] = value;
 }

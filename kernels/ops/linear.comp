@@ -17,25 +17,18 @@
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
-#include "shared/gelu.glsl"
+#include "shared/epilogue.glsl"
 #include "shared/limits.glsl"
 #include "shared/q8.glsl"
 
 layout(local_size_x_id = 0) in;
 
-layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
-layout(constant_id = 2) const bool SCALE = false;
-layout(constant_id = 3) const bool ADD = false;
 layout(constant_id = 4) const bool Q8 = false;
 
 const uint ROWS = LINEAR_ROWS;
 
 layout(set = 0, binding = 0) readonly buffer A { INPUT4 a[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { INPUT4 weight[]; };
-layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
-layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
-layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
-layout(set = 0, binding = 5) buffer Out { OUTPUT result[]; };
 layout(set = 0, binding = 6) readonly buffer Integers { uvec4 integers[]; };
 layout(set = 0, binding = 7) readonly buffer Scales { uvec2 scales[]; };
 
@@ -44,14 +37,6 @@ layout(push_constant) uniform Push {
     uint inner;
     uint columns;
 };
-
-void store(uint row, uint column, float value) {
-    if (ACTIVATION == 1) value = gelu(value);
-    if (SCALE) value *= gamma[column];
-    uint at = row * columns + column;
-    if (ADD) value += residual[at];
-    result[at] = to_OUTPUT(value);
-}
 
 void main() {
     uint quad = gl_WorkGroupID.y * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
@@ -97,21 +82,9 @@ void main() {
     }
 
     if (quad >= quads) return;
-    vec4 offset = vec4(bias[4 * quad], 0.0, 0.0, 0.0);
-    [[unroll]] for (uint c = 1; c < 4; c++) offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;
+    vec4 offset = bias_of(quad, columns);
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         uint row = first_row + r;
-        if (row < rows) {
-            vec4 v = sum[r] + offset;
-            if (ACTIVATION == 2) {
-                uint at = row * (columns / 2) + 2 * quad;
-                result[at] = to_OUTPUT(silu(v.x) * v.y);
-                result[at + 1] = to_OUTPUT(silu(v.z) * v.w);
-            } else {
-                [[unroll]] for (uint c = 0; c < 4; c++) {
-                    if (4 * quad + c < columns) store(row, 4 * quad + c, v[c]);
-                }
-            }
-        }
+        if (row < rows) finish(sum[r] + offset, row, quad, columns);
     }
 }

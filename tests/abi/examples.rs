@@ -12,11 +12,13 @@ use std::{
 };
 use tempfile::TempDir;
 use zipsplat::{
+    depth::{DepthModel, DepthRequest},
+    ops::Arithmetic,
     reconstruct::{Model, Request},
-    types::{Image, preprocess::fit, read_ply},
-    weights::Checkpoint,
+    types::{DEFAULT_BOUND, Image, bounded_views, preprocess::fit, read_ply},
+    weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
-use zipsplat_tests::{compare::assert_same, device::device};
+use zipsplat_tests::{architectures, compare::assert_same, device::device};
 
 fn example(name: &str) -> PathBuf {
     root().join("engine/examples").join(name)
@@ -120,6 +122,51 @@ fn python_with_numpy() -> Option<PathBuf> {
         let path = String::from_utf8(found.stdout).ok()?.trim().to_owned();
         (found.status.success() && !path.is_empty()).then(|| path.into())
     })
+}
+
+/// The values of a portable float map of one channel, from the top down.
+fn portable_float_map(path: &Path) -> Vec<f32> {
+    let bytes = std::fs::read(path).expect("a picture of floats");
+    let text: Vec<&[u8]> = bytes.splitn(4, |byte| *byte == b'\n').collect();
+    let size = std::str::from_utf8(text[1]).expect("a size");
+    let width: usize = size.split(' ').next().and_then(|width| width.parse().ok()).expect("a width");
+    assert_eq!((text[0], text[2]), (&b"Pf"[..], &b"-1"[..]));
+    let values: Vec<f32> = text[3].as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    values.rchunks(width).flatten().copied().collect()
+}
+
+#[test]
+fn depth_in_c() {
+    let (folder, photos) = inputs();
+    let weights = folder.path().join("da3.safetensors");
+    let network = DepthCheckpoint::seeded(architectures::depth_micro(), "micro").expect("a network");
+    network.save_with(&weights, Dtype::F32, |_| ControlFlow::Continue(())).expect("weights can be written");
+    let program = installation().compile(&example("depth.c"), Linking::Shared, &[]);
+    let prefix = folder.path().join("out-");
+    let run = |weights: &Path| {
+        let mut command = runner(&program);
+        command.arg(weights).arg(&prefix).args(&photos);
+        command
+    };
+    let out = success(run(&weights));
+    assert_eq!(out.lines().filter(|line| line.contains("in the middle, confidence")).count(), 2, "{out}");
+
+    let read: Vec<Image> = photos.iter().map(|path| Image::open(path).expect("a photo")).collect();
+    let views = bounded_views(&read, DEFAULT_BOUND).expect("views");
+    let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
+    let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
+    let model = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| ControlFlow::Continue(()));
+    let truth = model.expect("a model").depths(&images, &DepthRequest::default(), |_| ControlFlow::Continue(()));
+    for (i, view) in truth.expect("depth").views.iter().enumerate() {
+        let found = portable_float_map(&folder.path().join(format!("out-{i}.pfm")));
+        assert_same(&format!("depth of photo {i}"), &found, &view.depth);
+    }
+    let cameras = std::fs::read_to_string(folder.path().join("out-cameras.txt")).expect("cameras");
+    assert!(cameras.lines().count() == 2 && cameras.lines().all(|line| line.split(' ').count() == 16), "{cameras}");
+
+    let failed = run(&folder.path().join("none")).output().expect("the program runs");
+    let message = String::from_utf8_lossy(&failed.stderr);
+    assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
 }
 
 /// Under validation with synchronisation validation where these tests are; a message is a failure.

@@ -55,6 +55,37 @@ fn makes_the_scenes_of_reconstruct() {
 }
 
 #[test]
+fn makes_the_scenes_of_pixels_of_reconstruct() {
+    let folder = captures().with_depth();
+    let weights = "--weights @/da3.safetensors --size 42x42 --ratio 0.5";
+    let line = format!("--json batch {weights} @/all/1 @/all/10 -o @/out");
+    assert_eq!(numbers(folder.run(&line)), [2, 0, 0, 0]);
+    let file = |place: &str| std::fs::read(folder.path(place)).expect("a file");
+    for name in ["1", "10"] {
+        folder.run(&format!("reconstruct {weights} @/all/{name} -o @/{name}.ply")).success();
+        assert!(file(&format!("{name}.ply")) == file(&format!("out/{name}.ply")), "capture {name}");
+    }
+    let record: Value = serde_json::from_slice(&file("out/1.json")).expect("JSON");
+    assert_eq!((&record["network"], &record["photos"]), (&"da3-micro".into(), &2.into()));
+    assert_eq!(numbers(folder.run(&line)), [0, 2, 0, 0]);
+
+    // Of photos with cameras, and points that tell the scale of a network that sees each photo by itself.
+    folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
+    for weights in ["da3", "alone"] {
+        let line = format!("@/place --weights @/{weights}.safetensors --size 42x42");
+        assert_eq!(numbers(folder.run(&format!("--json batch --posed {line} -o @/{weights}"))), [1, 0, 0, 0]);
+        let photos = line.replacen("@/place", "@/place/images", 1);
+        folder.run(&format!("reconstruct {photos} --poses @/place -o @/place.ply")).success();
+        assert!(file("place.ply") == file(&format!("{weights}/place.ply")), "{weights}");
+    }
+    let refused = |rest: &str| folder.run(&format!("batch @/all -o @/none {rest}"));
+    refused("--weights @/alone.safetensors").fails(3, &["da3-micro-alone", "no camera decoder"]);
+    refused("--weights @/da3.safetensors --keep 197").fails(3, &["--keep", "1 to 196"]);
+    refused("--weights @/da3.safetensors --posed --fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
+    assert!(!folder.path("none").exists());
+}
+
+#[test]
 fn goes_on_where_it_was() {
     let folder = captures();
     let line = "@/all -o @/out";

@@ -248,11 +248,62 @@ fn weights_are_known_by_their_tensors() {
         assert!(apart < within, "{dtype}: {apart}");
     }
     // Other commands say what they would take.
-    folder.run("eval @/photos --weights @/da3.safetensors").fails(3, &["of Depth Anything 3", "of ZipSplat"]);
+    let tradeoff = "bench tradeoff @/photos --weights @/da3.safetensors -o @/report";
+    folder.run(tradeoff).fails(3, &["of Depth Anything 3", "of ZipSplat"]);
     let refused = |rest: &str| folder.run(&format!("reconstruct @/photos {WEIGHTS} -o @/s.ply {rest}"));
     refused("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
     refused("--keep 197").fails(3, &["--keep", "1 to 196"]);
     refused("--poses da3 --refine=2:tokens").fails(3, &["tokens", "weights of ZipSplat"]);
+}
+
+#[test]
+fn scenes_of_pixels_are_judged() {
+    let folder = Folder::new().with_depth();
+    folder.run("scene --seed 3 --views 5 --size 42x28 -o @/place").success();
+    let eval = |rest: &str| folder.run(&format!("eval @/place --views 3 {WEIGHTS} --size 42x28 {rest}"));
+    let json = eval("-o @/judged --json").json();
+    let [tokens, all] = ["tokens", "all_tokens"].map(|key| json[key].as_u64());
+    assert_eq!((tokens, all, json["views"].as_array().map(Vec::len)), (Some(18), Some(18), Some(2)), "{json}");
+    assert!(json["mean"]["psnr"].as_f64().is_some_and(f64::is_finite), "{json}");
+    // The scene that reconstruct makes of the same photos, in the cameras' unit.
+    let inputs = json["inputs"].as_array().unwrap().iter().map(|name| format!("@/place/{}", name.as_str().unwrap()));
+    let inputs: Vec<String> = inputs.collect();
+    let line = format!("reconstruct {} --poses @/place {WEIGHTS} --size 42x28 -o @/scene.ply", inputs.join(" "));
+    folder.run(&line).success();
+    let [judged, made] = ["judged/scene.ply", "scene.ply"].map(|file| read_ply(folder.path(file)).unwrap());
+    assert_eq!((judged.len() as u64, judged.len()), (json["gaussians"].as_u64().unwrap(), made.len()));
+    let apart = judged.means.iter().zip(&made.means).flat_map(|(a, b)| [0, 1, 2].map(|k| (a[k] - b[k]).abs()));
+    let size = made.means.iter().flatten().fold(0.0, |most: f32, x| most.max(x.abs()));
+    assert!(apart.fold(0.0, f32::max) < 1e-5 * size, "another scene");
+
+    let half = eval("--ratio 0.5 --json").json();
+    assert!(half["tokens"].as_u64() < Some(10) && half["gaussians"].as_u64() < json["gaussians"].as_u64(), "{half}");
+    let refined = eval("--refine 2 --start scene --json").json();
+    assert_eq!(refined["refined"]["start"], "the scene");
+    eval("--refine 2:tokens").fails(3, &["--refine STEPS:tokens", "weights of ZipSplat"]);
+    eval("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
+    eval("--keep 200").fails(3, &["--keep", "1 to 196"]);
+    // Who sees each photo by itself has a scale from points, and no cameras.
+    let alone = "eval @/place --views 3 --weights @/alone.safetensors --size 42x28";
+    assert!(folder.run(&format!("{alone} --json")).json()["mean"]["psnr"].as_f64().is_some());
+    folder.run(&format!("{alone} --pose-free")).fails(3, &["da3-micro-alone", "no camera decoder"]);
+}
+
+#[test]
+fn scenes_of_pixels_are_shown() {
+    let folder = Folder::new().with_depth();
+    let line = format!("view @/photos {WEIGHTS} --size 42x42 -o @/page.html");
+    let json = folder.run(&format!("{line} --ratios 0.5,1 --json")).json();
+    let counts: Vec<u64> = json["gaussians"].as_array().unwrap().iter().filter_map(|count| count.as_u64()).collect();
+    assert!(counts.len() == 2 && counts[0] > counts[1] && counts[1] > 0, "{json}");
+    let scene = folder.run(&format!("reconstruct @/photos {WEIGHTS} --size 42x42 -o @/scene.ply --json")).json();
+    assert_eq!(scene["gaussians"].as_u64(), Some(counts[0]));
+    let page = std::fs::read_to_string(folder.path("page.html")).unwrap();
+    assert!(page.contains("ratio 0.5") && page.contains("\"cameras\":[{"), "no camera, or no slider");
+    folder.run(&format!("{line} --refine=2 --poses da3")).fails(3, &["--refine", "weights of ZipSplat"]);
+    folder.run(&format!("{line} --ratio 0.5")).fails(3, &["--ratio", "--ratios R,R"]);
+    let alone = line.replace("da3.safetensors", "alone.safetensors");
+    folder.run(&alone).fails(3, &["da3-micro-alone", "no camera decoder"]);
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn named_weights_are_got_checked_converted_and_found() {
     let list = |state: &str| {
         let rows = place.run("weights list --json").json();
         assert_eq!((&rows[1]["name"], &rows[1]["state"]), (&"zipsplat".into(), &state.into()), "{rows}");
-        assert_eq!(rows[0]["state"], "built in");
+        assert_eq!((&rows[0]["name"], &rows[0]["state"]), (&"built-in".into(), &"built in".into()));
     };
     list("to get");
     let got = place.run(&format!("{GET} --json"));
@@ -127,6 +127,48 @@ fn named_weights_are_got_checked_converted_and_found() {
     let newer = place.run("weights get zipsplat");
     assert!(newer.err.contains("newer weights than"), "{}", newer.err);
     newer.fails(3, &["--yes"]);
+}
+
+#[test]
+fn weights_of_depth_stay_as_they_are() {
+    let file = std::fs::read(Folder::new().with_depth().path("da3.safetensors")).expect("weights");
+    let third = file.len() / 3;
+    let host = Host::new(file.clone(), &[Act::Cut(third)]);
+    let place = Place::new(&host);
+    let missing = ["weights da3-small", "`zipsplat weights get da3-small`"];
+    place.run("info da3-small").fails(3, &missing);
+    place.run("depth @/photos --weights da3-small -o @/out").fails(3, &missing);
+    place.run("weights get da3-large").fails(3, &["no --yes", "CC BY-NC 4.0", "no commercial use"]);
+    let got = place.run("weights get da3-small --yes --timeout 0.3 --json");
+    assert!(got.err.contains("Apache-2.0"), "{}", got.err);
+    let path = got.json()["path"].as_str().expect("a path").to_owned();
+    assert_eq!(host.ranges(), [String::new(), format!("bytes={third}-")]);
+    let name = |of: &str| format!("{of}-{}.safetensors", &sha256(&file)[..12]);
+    assert_eq!(place.cached(), [name("da3-small")]);
+    assert!(std::fs::read(&path).expect("weights") == file);
+    // Its name is known wherever a file is.
+    assert_eq!(place.run("info da3-small --json").json()["kind"], "Depth Anything 3");
+    place.run("depth @/photos --weights da3-small --size 42 -o @/out").success();
+    let line = "cameras @/photos --with da3 --weights da3-small --find-size 64 -o @/cameras.json";
+    place.run(line).success();
+    place.run("reconstruct @/photos --weights da3-small --size 42x42 -o @/scene.ply").success();
+    place.run("depth @/photos --weights zipsplat -o @/out").fails(3, &["zipsplat, of ZipSplat", "da3-small"]);
+    // Nothing is loaded again, and another name is another file.
+    place.run("weights get da3-small --yes").success();
+    place.run("weights get da3-small --offline").success();
+    assert_eq!(host.ranges().len(), 2);
+    place.run("weights get da3-large --yes").success();
+    assert_eq!(place.cached(), [name("da3-large-1.1"), name("da3-small")]);
+    let states = place.run("weights list --json").json();
+    let cached = states.as_array().expect("rows").iter().filter(|row| row["state"] == "cached");
+    assert_eq!(
+        cached.map(|row| row["name"].as_str().unwrap_or_default()).collect::<Vec<_>>(),
+        ["da3-small", "da3-large"]
+    );
+    // What is no such network is noticed.
+    let host = Host::new(weights(), &[]);
+    let place = Place::new(&host);
+    place.run("weights get da3-small --yes").fails(3, &["da3-small"]);
 }
 
 #[test]

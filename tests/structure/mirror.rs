@@ -6,10 +6,11 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 23] = [
+const STEPS: [(&str, &str); 26] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("cluster/nearest_uniform", "cluster/nearest"),
+    ("heads/convolution_uniform", "heads/convolution"),
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
@@ -19,6 +20,8 @@ const STEPS: [(&str, &str); 23] = [
     ("ops/attention_matrix", "ops/attention"),
     ("ops/attention_uniform", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
+    ("ops/linear_merge", "ops/linear"),
+    ("ops/linear_tiled", "ops/linear"),
     ("ops/linear_uniform", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),

@@ -174,6 +174,11 @@ impl Choice {
         &self.poses.notes
     }
 
+    /// The file of the capture's cloud, where there is one.
+    pub fn cloud(&self) -> Option<&Path> {
+        self.poses.points.as_deref()
+    }
+
     /// The points of the capture's cloud in the world of the first input and in a unit, where there is a cloud.
     ///
     /// # Errors

@@ -2,27 +2,29 @@
 
 use crate::{
     cameras::lenses,
-    options::{ArithmeticOption, refuse},
+    options::{ArithmeticOption, Quality, refuse},
     photos,
     session::{Session, Stage},
+    table::counted,
 };
 use clap::{Args, ValueEnum};
 use std::{
     path::{Path, PathBuf},
-    time::Duration,
+    time::{Duration, Instant},
 };
 use zipsplat::{
     Error, Result,
     cameras::share_focal_lengths,
     depth::{DepthModel, DepthRequest, DepthView, Depths},
-    gpu::Progress,
+    gpu::{Device, Progress},
     ops::Precision,
+    reconstruct::Ratio,
     types::{
-        Camera, DEFAULT_BOUND, Image, bounded_views,
+        Camera, DEFAULT_BOUND, Image, Pose, Scene, bounded_views,
         poses::{Frame, read_cloud},
         preprocess::View,
     },
-    weights::DepthCheckpoint,
+    weights::{DepthArchitecture, DepthCheckpoint},
 };
 
 /// Points at most, where nobody says.
@@ -69,6 +71,47 @@ pub struct Question<'a> {
     pub request: DepthRequest,
 }
 
+impl Quality {
+    /// The question that a network is asked for a scene.
+    pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
+        Question {
+            checkpoint,
+            side: self.side(),
+            cameras: CamerasFrom::default(),
+            arithmetic: &self.arithmetic,
+            request: DepthRequest { ratio: self.ratio, selection: self.select.clone(), ..DepthRequest::default() },
+        }
+    }
+
+    /// As [`Quality::check`], where each pixel becomes a Gaussian.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for more Gaussians of a patch than it has pixels.
+    pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
+        refuse("--pool", self.pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        let all = checkpoint.architecture().backbone.patch.pow(2) as u32;
+        match self.kept() {
+            Some(keep) if keep > all => {
+                Err(Error::argument("--keep", keep, format!("1 to {all}, the pixels of a patch")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Refuses a network that finds no cameras.
+///
+/// # Errors
+/// [`Error::Argument`] for one that sees each photo by itself.
+pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
+    if network.multi_view() {
+        return Ok(());
+    }
+    let found = format!("{}, which sees each photo by itself and has no camera decoder", network.name);
+    let expected = "da3-small, da3-base, da3-large or da3-giant, which see all photos at once; or known cameras";
+    Err(Error::argument("network that finds cameras", found, expected))
+}
+
 /// Photos, what a network saw of them, and what it said.
 pub struct Seen {
     /// The photos that have a camera, or all where a network finds none.
@@ -80,12 +123,33 @@ pub struct Seen {
     pub cameras: Option<Vec<Camera>>,
     /// The photos for which there is none.
     pub lost: Vec<PathBuf>,
+    /// Whatever a user should know of it.
+    pub notes: Vec<String>,
     /// The network's name.
     pub network: String,
     /// The arithmetic that it computed in.
     pub precision: Precision,
     /// Time of each step.
     pub times: Vec<(&'static str, Duration)>,
+}
+
+/// A network on a device, and what it is asked.
+pub struct Seer {
+    model: DepthModel,
+    precision: Precision,
+    side: Option<u32>,
+    cameras: CamerasFrom,
+    request: DepthRequest,
+    loading: Duration,
+}
+
+/// Photos as a network is shown them.
+#[derive(Clone)]
+pub struct Shown {
+    photos: Vec<PathBuf>,
+    views: Vec<View>,
+    /// Their cameras, where they are known.
+    told: Option<Vec<Camera>>,
 }
 
 impl Question<'_> {
@@ -95,39 +159,92 @@ impl Question<'_> {
     /// # Errors
     /// Those of photos that cannot be read, and of [`DepthModel::depths`]; [`Error::Argument`] where no photo's rays have a camera.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<Seen> {
-        let (read, reading) =
-            session.stage("load photos", |stage| photos::read(photos, known, stage, |_, photo| Ok(photo)))?;
-        let views = bounded_views(&read, self.side.unwrap_or(DEFAULT_BOUND))?;
-        drop(read);
-        let told = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
-        let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
+        let (shown, reading) = session.stage("load photos", |stage| Shown::read(self.side, photos, known, stage))?;
         let device = session.device()?;
-        let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
-        let load = |stage: &Stage<'_>| DepthModel::load(&device, self.checkpoint, arithmetic, |done| stage.at(done));
+        let seer = self.open(session, &device)?;
+        let (mut seen, _) = session.stage("depth", |stage| seer.see(shown, stage))?;
+        session.notes(&seen.notes);
+        seen.times.insert(0, ("load photos", reading));
+        Ok(seen)
+    }
+
+    /// Loads the network onto a device.
+    ///
+    /// # Errors
+    /// As [`DepthModel::load`].
+    pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<Seer> {
+        let Self { checkpoint, side, cameras, arithmetic, request } = self;
+        let (precision, arithmetic) = arithmetic.choose(session, device)?;
+        let load = |stage: &Stage<'_>| DepthModel::load(device, checkpoint, arithmetic, |done| stage.at(done));
         let (model, loading) = session.stage("load weights", load)?;
+        Ok(Seer { model, precision, side, cameras, request, loading })
+    }
+}
+
+impl Shown {
+    /// Reads photos as a network sees them whose longer side is `side`, and their cameras, where they have frames.
+    ///
+    /// # Errors
+    /// Those of photos that cannot be read, or are not those of their cameras.
+    pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Self> {
+        let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
+        let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;
+        let told = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
+        Ok(Self { photos: photos.to_vec(), views, told })
+    }
+
+    /// The patches of all photos, of so many pixels a side.
+    pub fn patches(&self, side: usize) -> usize {
+        let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
+        self.views.iter().map(of).sum()
+    }
+}
+
+impl Seer {
+    /// Reads photos as the network sees them: [`Shown::read`].
+    ///
+    /// # Errors
+    /// As [`Shown::read`].
+    pub fn show(&self, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Shown> {
+        Shown::read(self.side, photos, known, stage)
+    }
+
+    /// Lets so large a share of the patches stand for all.
+    pub fn keep(&mut self, ratio: Ratio) {
+        self.request.ratio = ratio;
+    }
+
+    /// The arithmetic that it computes in.
+    pub fn precision(&self) -> Precision {
+        self.precision
+    }
+
+    /// Asks the network about photos.
+    ///
+    /// # Errors
+    /// As [`Question::ask`], of photos that are read.
+    pub fn see(&self, shown: Shown, stage: &Stage<'_>) -> Result<Seen> {
+        let (Shown { photos, views, told }, begun) = (shown, Instant::now());
+        let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         // Who sees each photo by itself has no use for cameras.
-        let multi_view = model.architecture().multi_view();
-        let request = DepthRequest { cameras: told.clone().filter(|_| multi_view), ..self.request };
-        let (mut depths, seeing) = session.stage("depth", |stage| {
-            model.depths(&images, &request, |progress: Progress<'_>| {
-                stage.name(progress.scope);
-                stage.at(progress.fraction)
-            })
+        let multi_view = self.model.architecture().multi_view();
+        let request = DepthRequest { cameras: told.clone().filter(|_| multi_view), ..self.request.clone() };
+        let mut depths = self.model.depths(&images, &request, |progress: Progress<'_>| {
+            stage.name(progress.scope);
+            stage.at(progress.fraction)
         })?;
-        if let Some(cameras) = &request.cameras
-            && let Err(error) = depths.bring_to(cameras)
-        {
-            session.note(format!("lengths stay in the network's unit: {error}"));
-        }
+        let seeing = begun.elapsed();
+        let brought = request.cameras.as_ref().map_or(Ok(()), |cameras| depths.bring_to(cameras));
         let mut seen = Seen {
-            photos: photos.to_vec(),
+            photos,
             views,
             depths,
             cameras: told,
             lost: Vec::new(),
-            network: self.checkpoint.architecture().name.clone(),
-            precision,
-            times: vec![("load photos", reading), ("load weights", loading), ("depth", seeing)],
+            notes: brought.err().iter().map(|error| format!("lengths stay in the network's unit: {error}")).collect(),
+            network: self.model.architecture().name.clone(),
+            precision: self.precision,
+            times: vec![("load weights", self.loading), ("depth", seeing)],
         };
         if seen.cameras.is_none() && multi_view {
             seen.find_cameras(self.cameras)?;
@@ -201,6 +318,30 @@ impl Seen {
             Ok(Frame { name: photo.to_string_lossy().into_owned(), photo: Some(photo.clone()), camera, lens: None })
         };
         self.cameras.iter().flatten().enumerate().map(frame).collect()
+    }
+
+    /// The scene of the pixels that the network is confident of, in the world of a camera with the pose `first`; of each patch at most
+    /// `keep` Gaussians. Depth has its scale.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where it is confident of none.
+    pub fn scene(&self, first: &Pose, keep: Option<u32>) -> Result<Scene> {
+        let here = |camera: &Camera| Camera { pose: camera.pose.relative_to(first), ..*camera };
+        let cameras: Vec<Camera> = self.cameras.iter().flatten().map(here).collect();
+        let images = self.images();
+        let scene = self.depths.scene(&cameras, &images, keep.map(|keep| keep as usize));
+        if scene.is_empty() {
+            let found = format!("none of {}", counted(images.len(), "photo"));
+            return Err(Error::argument("pixels of which the network is confident", found, "some"));
+        }
+        Ok(scene)
+    }
+
+    /// The patches whose pixels the scene has, and all of the photos.
+    pub fn patches(&self) -> [usize; 2] {
+        let [columns, rows] = [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch);
+        let all = self.views.len() * columns * rows;
+        [self.depths.patches.as_ref().map_or(all, Vec::len), all]
     }
 
     /// The points of pixels that the network is confident of, at most so many; none where there are no cameras.

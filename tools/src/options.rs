@@ -1,12 +1,15 @@
 //! Options that several commands share.
 
-use crate::{released, session::Session};
+use crate::{
+    released::{self, is_of_depth, open_depth},
+    session::Session,
+};
 use clap::{Args, ValueEnum};
 use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
-    ops::{Arithmetic, Precision},
+    ops::{Arithmetic, Pool, Precision},
     reconstruct::{Ratio, Selection},
     stages::cluster::auto_ratio,
     tune::Chosen,
@@ -18,7 +21,7 @@ use zipsplat::{
 #[derive(Args)]
 pub struct Weights {
     /// Checkpoint (safetensors or PyTorch), a name of `zipsplat weights list`, or seeded:VARIANT[:KEY] for random numbers
-    /// [default: the model that is built in]
+    /// [default: built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
@@ -40,9 +43,9 @@ impl Weights {
     /// Opens them, whichever kind of network they are of: a file's tensors say that.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
-            Some(weights) if DepthCheckpoint::is_meant(weights) => {
+            Some(weights) if is_of_depth(weights) => {
                 refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
-                DepthCheckpoint::parse_whole(weights).map(Network::Pixels)
+                open_depth(weights, true).map(Network::Pixels)
             }
             _ => self.open().map(Network::Tokens),
         }
@@ -54,9 +57,15 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
+    /// The options as arguments of `zipsplat convert`.
+    pub fn as_input(&self) -> Vec<&str> {
+        let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
+        [self.weights.as_deref().unwrap_or(BUILT_IN)].into_iter().chain(variant).collect()
+    }
+
     /// Whether they are those that are built in.
     pub fn is_embedded(&self) -> bool {
-        self.weights.is_none()
+        self.weights.as_deref().is_none_or(|weights| weights == BUILT_IN)
     }
 
     /// Opens others, of the variant given.
@@ -79,20 +88,43 @@ pub enum Network {
     Pixels(DepthCheckpoint),
 }
 
+impl Network {
+    /// Where the weights are from.
+    pub fn provenance(&self) -> &str {
+        match self {
+            Self::Tokens(checkpoint) => checkpoint.provenance(),
+            Self::Pixels(checkpoint) => checkpoint.provenance(),
+        }
+    }
+}
+
+/// Name of the model that is built in.
+pub const BUILT_IN: &str = "built-in";
+
 /// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
 /// Opens a checkpoint; what is none by its first bytes is refused with what it is, where that is known, and what was
 /// `expected`.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
+    if text == BUILT_IN {
+        refuse(
+            "--variant",
+            variant.is_some(),
+            "the model that is built in",
+            "a checkpoint that does not say its network",
+        )?;
+        return Checkpoint::embedded();
+    }
+    if is_of_depth(text) {
+        let found = format!("{text}, of Depth Anything 3");
+        let expected = format!(
+            "{expected} of ZipSplat; reconstruct, batch, depth, cameras and info take those of Depth Anything 3"
+        );
+        return Err(Error::argument("weights", found, expected));
+    }
     if let Some(path) = released::find(text)? {
         return Checkpoint::open(path, variant);
-    }
-    if DepthCheckpoint::is_meant(text) {
-        let found = format!("{text}, of Depth Anything 3");
-        let expected =
-            format!("{expected} of ZipSplat; reconstruct, depth, cameras and info take those of Depth Anything 3");
-        return Err(Error::argument("weights", found, expected));
     }
     let mut start = [0; 9];
     let read = open_file(text).is_ok_and(|mut file| file.read_exact(&mut start).is_ok());
@@ -188,6 +220,7 @@ pub struct ArithmeticOption {
 impl Quality {
     /// Checks what depends on the network.
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
+        Pool::check(self.pool)?;
         let all = architecture.gaussians_per_token;
         match self.keep {
             Some(keep) if keep as usize > all => {

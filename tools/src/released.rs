@@ -2,7 +2,7 @@
 
 use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
-use zipsplat::{Error, Result, tune::cache_folder};
+use zipsplat::{Error, Result, tune::cache_folder, weights::DepthCheckpoint};
 
 /// Released weights.
 pub struct Released {
@@ -14,22 +14,96 @@ pub struct Released {
     pub terms: &'static str,
     /// About how many bytes come over the network.
     pub bytes: u64,
+    /// The network that they are of.
+    pub kind: Kind,
     repository: &'static str,
     file: &'static str,
+    /// Name of the file in the cache, before the hash is in it.
+    kept_as: &'static str,
+}
+
+/// A kind of network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// ZipSplat: weights are converted to f16 safetensors.
+    Tokens,
+    /// Depth Anything 3: weights stay as they are.
+    Depth,
 }
 
 /// All that there are.
-pub const RELEASED: [Released; 1] = [Released {
-    name: "zipsplat",
-    what: "ZipSplat on DA3-Giant, 1.4 G parameters, by the paper's authors",
-    licence: "CC BY-NC",
-    terms: "name the authors; no commercial use",
-    bytes: 5_800_000_000,
-    repository: "veichta/zipsplat",
-    file: "zipsplat-da3g-252p.tar",
-}];
+pub const RELEASED: [Released; 7] = [
+    Released {
+        name: "zipsplat",
+        what: "ZipSplat on DA3-Giant, 1.4 G parameters, by the paper's authors",
+        licence: "CC BY-NC",
+        terms: NO_COMMERCE,
+        bytes: 5_800_000_000,
+        kind: Kind::Tokens,
+        repository: "veichta/zipsplat",
+        file: "zipsplat-da3g-252p.tar",
+        kept_as: "zipsplat-da3g-252p.tar",
+    },
+    Released {
+        what: "Depth Anything 3, 34 M parameters",
+        licence: APACHE,
+        terms: FREE,
+        bytes: 140_000_000,
+        ..of_depth("da3-small", "depth-anything/DA3-SMALL", "da3-small.safetensors")
+    },
+    Released {
+        what: "Depth Anything 3, 135 M parameters",
+        licence: APACHE,
+        terms: FREE,
+        bytes: 540_000_000,
+        ..of_depth("da3-base", "depth-anything/DA3-BASE", "da3-base.safetensors")
+    },
+    Released {
+        what: "Depth Anything 3, 411 M parameters, trained anew as 1.1",
+        bytes: 1_640_000_000,
+        ..of_depth("da3-large", "depth-anything/DA3-LARGE-1.1", "da3-large-1.1.safetensors")
+    },
+    Released {
+        what: "Depth Anything 3 with a head for Gaussians, 1.4 G parameters, trained anew as 1.1",
+        bytes: 5_420_000_000,
+        ..of_depth("da3-giant", "depth-anything/DA3-GIANT-1.1", "da3-giant-1.1.safetensors")
+    },
+    Released {
+        what: "Depth Anything 3 of each photo by itself, 334 M parameters",
+        licence: APACHE,
+        terms: FREE,
+        bytes: 1_340_000_000,
+        ..of_depth("da3mono-large", "depth-anything/DA3MONO-LARGE", "da3mono-large.safetensors")
+    },
+    Released {
+        what: "Depth Anything 3 of each photo by itself, in metres, 334 M parameters",
+        licence: APACHE,
+        terms: FREE,
+        bytes: 1_340_000_000,
+        ..of_depth("da3metric-large", "depth-anything/DA3METRIC-LARGE", "da3metric-large.safetensors")
+    },
+];
 
-/// The end of the names of cached weights, after the hash of the file that they were made from.
+const APACHE: &str = "Apache-2.0";
+const FREE: &str = "any use; keep the notices";
+const NO_COMMERCE: &str = "name the authors; no commercial use";
+
+/// Weights of Depth Anything 3, with the stricter of its licences.
+const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'static str) -> Released {
+    Released {
+        name,
+        what: "",
+        licence: "CC BY-NC 4.0",
+        terms: NO_COMMERCE,
+        bytes: 0,
+        kind: Kind::Depth,
+        repository,
+        file: "model.safetensors",
+        kept_as,
+    }
+}
+
+/// The end of the names of converted weights, after the hash of the file that they were made from.
 const CONVERTED: &str = "-f16.safetensors";
 
 impl Released {
@@ -50,27 +124,33 @@ impl Released {
 
     /// A path beside which the loaded file and its conversion lie.
     pub fn base(&self, folder: &Path) -> PathBuf {
-        folder.join(self.file)
+        folder.join(self.kept_as)
     }
 
-    /// The path of the conversion of a loaded file, which has its hash in its name.
+    /// The path of the conversion of a loaded file, which has its hash in its name; the file itself, where weights stay as they are.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
-        loaded.with_file_name(format!("{stem}{CONVERTED}"))
+        match self.kind {
+            Kind::Tokens => loaded.with_file_name(format!("{stem}{CONVERTED}")),
+            Kind::Depth => loaded.to_owned(),
+        }
     }
 
-    /// The conversions that are there, the newest first.
+    /// The weights that are there to use, the newest first.
     pub fn cached(&self, folder: &Path) -> Vec<PathBuf> {
-        self.tagged(folder, CONVERTED)
+        match self.kind {
+            Kind::Tokens => self.tagged(folder, CONVERTED),
+            Kind::Depth => self.loaded(folder),
+        }
     }
 
-    /// Files that were loaded and checked and are not converted, the newest first.
+    /// Files that were loaded and checked and are as they came, the newest first.
     pub fn loaded(&self, folder: &Path) -> Vec<PathBuf> {
-        self.tagged(folder, &self.file[self.stem().len()..])
+        self.tagged(folder, &self.kept_as[self.stem().len()..])
     }
 
     fn stem(&self) -> &'static str {
-        self.file.split('.').next().unwrap_or(self.file)
+        self.kept_as.rsplit_once('.').map_or(self.kept_as, |(stem, _)| stem)
     }
 
     /// Files called after these weights, a hash, and `ending`.
@@ -113,4 +193,28 @@ pub fn find(name: &str) -> Result<Option<PathBuf>> {
         )
     };
     released.cached(&folder).into_iter().next().map(Some).ok_or_else(expected)
+}
+
+/// Whether a choice of weights means a network of Depth Anything 3: by its name, or by the names of a file's tensors.
+pub fn is_of_depth(text: &str) -> bool {
+    Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
+}
+
+/// Opens weights of Depth Anything 3: those of a name, `seeded:NAME`, or a file. Where they have a head for Gaussians, it comes with them
+/// if the `whole` network is asked for.
+///
+/// # Errors
+/// As [`find`] and [`DepthCheckpoint::open`]; [`Error::Argument`] for the name of another network's weights.
+pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
+    if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
+        let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);
+        let expected = format!("those of Depth Anything 3: {}, or a file", names.collect::<Vec<_>>().join(", "));
+        return Err(Error::argument("weights", format!("{text}, of ZipSplat"), expected));
+    }
+    match (find(text)?, whole) {
+        (Some(path), true) => DepthCheckpoint::open_whole(path),
+        (Some(path), false) => DepthCheckpoint::open(path, false),
+        (None, true) => DepthCheckpoint::parse_whole(text),
+        (None, false) => DepthCheckpoint::parse(text, false),
+    }
 }

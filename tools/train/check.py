@@ -12,6 +12,8 @@ import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
+from backbone import DEVIATION, MEAN
+from depth import DepthAnything3, architecture_from_json
 from model import ZipSplat, nearest_tokens
 from weights import Architecture, load, seeded
 
@@ -40,6 +42,13 @@ GOLDENS = [
     paper("micro", 64, 3, 1, (1, 2), position_grid=5, color_width=32, color_heads=1, color_hidden=64, head_hidden=192,
           gaussians_per_token=4, sh_degree=2),
 ]  # fmt: skip
+
+
+# Depth Anything 3 of a tiny size, and the views that its goldens choose.
+DEPTH = """{"name": "da3_tiny", "features": 32, "channels": [16, 24, 32, 48], "backbone": {"width": 128, "depth": 6,
+    "heads": 2, "ffn": "gelu", "ffn_hidden": 512, "patch": 14, "position_grid": 37, "alt_start": 2, "qk_norm_start": 2,
+    "rope_start": 2, "out_layers": [2, 3, 4, 5]}}"""
+DEPTH_GOLDENS = {"v1": 0, "v2": 0, "v3": 1}
 
 
 def golden_model(architecture):
@@ -80,6 +89,25 @@ def compare(model, golden):
     return errors
 
 
+def depth_model():
+    model = DepthAnything3(architecture_from_json(DEPTH)).double()
+    state = {name: seeded("da3_tiny", f"model.{name}", tuple(p.shape)) for name, p in model.state_dict().items()}
+    model.load_state_dict(state)
+    return model.eval()
+
+
+@torch.no_grad()
+def compare_depth(model, golden, reference):
+    """{tap: widest error over root mean square} of features, heads and cameras."""
+    images = golden["in/images_u8"].to(model.head.norm.weight.dtype) / 255
+    mean, deviations = (images.new_tensor(values)[:, None, None] for values in (MEAN, DEVIATION))
+    features, tokens = model.features((images - mean) / deviations, reference)
+    depth, rays, cameras = model.heads(features, tokens, images.shape[-2:])
+    taps = {f"bb/feat{i}": feature for i, feature in enumerate(features)}
+    taps |= {"bb/cam_feat": tokens, "head/logits": depth, "head/logits_aux": rays, "cam/encoding": cameras}
+    return {name: deviation(found.double(), golden[name].double()).item() for name, found in taps.items()}
+
+
 def deviation(found, truth):
     return (found - truth).abs().max() / truth.square().mean().sqrt()
 
@@ -96,6 +124,13 @@ def goldens(folder):
                 bad = {k: e for k, e in errors.items() if not e <= limit * (4 if k.endswith("gauss") else 1)}
                 print(f"{path.name} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
                 failed += len(bad)
+    for case, reference in DEPTH_GOLDENS.items():
+        model, golden = depth_model(), load_file(Path(folder) / f"da3_tiny.{case}.safetensors")
+        for dtype, limit in ((torch.float64, 1e-6), (torch.float32, TOLERANCE)):
+            errors = compare_depth(model.to(dtype), golden, reference)
+            bad = {k: e for k, e in errors.items() if not e <= limit}
+            print(f"da3_tiny.{case} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
+            failed += len(bad)
     raise SystemExit(1 if failed else 0)
 
 

@@ -11,6 +11,9 @@ from safetensors.torch import save_file
 
 ARCHITECTURE_KEY = "zipsplat.architecture"
 
+# Seeded matrices that are twice as large.
+HEADS = ("gaussian_head.gaussian_head.1.weight", "model.head.", "model.cam_dec.")
+
 
 @dataclass(frozen=True)
 class Architecture:
@@ -97,11 +100,13 @@ def seeded(key, name, shape):
     elif last == "pos_embed":
         values = centred / 2
     elif last == "bias":
-        values = centred / 8
+        values = centred / 8 + name.endswith("fc_fov.0.bias")
     elif len(shape) == 1:
         values = (64 + (byte >> 1)) / 128
     else:
-        fan_in = int(np.prod(shape[1:]))
+        spread = name.endswith(("resize_layers.0.weight", "resize_layers.1.weight"))
+        fan_in = shape[0] if spread else int(np.prod(shape[1:]))
         halvings = next(e for e in range(31) if 3 * 4**e >= fan_in)
-        values = centred * 2.0 ** -(halvings - (name == "gaussian_head.gaussian_head.1.weight"))
+        in_head = name.startswith(HEADS) and ".refinenet" not in name
+        values = centred * 2.0 ** -(halvings - in_head)
     return torch.from_numpy(values.reshape(shape))

@@ -1,15 +1,19 @@
 //! Linear layers with fused epilogues.
 
+mod lanes;
+
+pub use lanes::{LaneTile, Lanes};
+
 use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
     tile::Tile,
-    uniform::{UNIFORM_TILE, divides_panels, terms_of},
+    uniform::UNIFORM_TILE,
 };
 use crate::{
     gpu::{Element, Limits, Recorder, Tensor},
     kernels::{
-        limits::{LINEAR_ROWS, PANEL_COLUMNS, Q8_GROUP},
+        limits::{PANEL_COLUMNS, Q8_GROUP},
         ops,
     },
 };
@@ -17,7 +21,8 @@ use half::f16;
 
 /// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, a few rows each along an
 /// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
-const NARROWEST: usize = (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
+pub(crate) const NARROWEST: usize =
+    (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
 
 /// A linear layer's parameters.
 #[derive(Clone, Copy, Debug)]
@@ -37,8 +42,9 @@ pub struct Linear {
 /// The kernel of a linear layer, which decides the layout of its weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
-    /// ops/linear, or ops/linear_uniform where that is faster: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
-    Panels(Element, Weights),
+    /// On lanes: ops/linear, ops/linear_uniform where that is faster, or ops/linear_tiled where a tile was chosen. The weight is
+    /// `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
+    Panels(Lanes, Weights),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
     /// behind them, `[columns]` f32 from where a slice may start; inputs are f16 and become such integers row by row.
     Matrix(Units, Weights),
@@ -89,7 +95,9 @@ impl LinearKernel {
     /// Type of the factors, and so of the weight.
     pub fn factor(self) -> Element {
         match self {
-            LinearKernel::Panels(element, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => element,
+            LinearKernel::Panels(Lanes { element, .. }, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => {
+                element
+            }
         }
     }
 
@@ -105,7 +113,7 @@ impl LinearKernel {
         match self {
             LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => None,
             LinearKernel::Matrix(units, _) => Some(LinearKernel::Matrix(units, Weights::Q8)),
-            LinearKernel::Panels(element, _) => Some(LinearKernel::Panels(element, Weights::Q8)),
+            LinearKernel::Panels(lanes, _) => Some(LinearKernel::Panels(lanes, Weights::Q8)),
         }
     }
 
@@ -156,10 +164,7 @@ impl Linear {
             let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
             match self.kernel {
-                LinearKernel::Panels(..) if self.is_uniform(rec.limits(), out) => {
-                    self.uniform(rec, input, out, epilogue)
-                }
-                LinearKernel::Panels(..) => self.panels(rec, input, out, epilogue),
+                LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue),
                 LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue),
             }
         }
@@ -179,66 +184,6 @@ impl Linear {
                 ]
             }
         }
-    }
-
-    /// True where ops/linear_uniform computes the layer.
-    fn is_uniform(&self, limits: &Limits, out: Rows) -> bool {
-        let types = [self.element(), out.element] == [Element::F32; 2];
-        types && divides_panels(limits)
-    }
-
-    fn uniform(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
-        let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
-        let tile_columns = vectors * rec.limits().subgroup_size;
-        let [weight, integers, scales] = self.weights();
-        let kernel = ops::LinearUniform {
-            a: input.tensor,
-            weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
-            integers,
-            scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
-            q8: self.kernel.weights() == Weights::Q8,
-            terms: terms_of(self.inner),
-            tile_rows,
-            vectors,
-        };
-        let groups = [rows.div_ceil(tile_rows as usize), self.columns.div_ceil(tile_columns as usize), 1];
-        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
-    }
-
-    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
-        let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
-        let [weight, integers, scales] = self.weights();
-        let kernel = ops::Linear {
-            a: input.tensor,
-            weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
-            integers,
-            scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
-            q8: self.kernel.weights() == Weights::Q8,
-            input: input.element,
-            output: out.element,
-        };
-        let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), 1];
-        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
     fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue) {

@@ -1,4 +1,4 @@
-//! How matrix kernels cut their work into workgroups.
+//! How matrix kernels cut their work into workgroups, and which candidate a kernel takes.
 
 use super::Units;
 use crate::gpu::Limits;
@@ -12,6 +12,9 @@ pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 impl Tiles {
     /// Sizes that are told apart.
     pub const CLASSES: usize = 7;
+
+    /// Candidates by rule, whatever the size.
+    pub const BY_RULE: Self = Self([None; Self::CLASSES]);
 
     /// The candidate at an index, whatever the size.
     pub fn always(index: usize) -> Self {
@@ -51,7 +54,7 @@ pub struct Tile {
 type Layout = ([u32; 2], [u32; 2]);
 
 /// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
-const BUSY: usize = 256;
+pub(super) const BUSY: usize = 256;
 
 impl Tile {
     /// Channels of the heads that attention's tiles are measured with: those of every DA3 network.

@@ -60,6 +60,15 @@ impl DepthCheckpoint {
         }
     }
 
+    /// As [`DepthCheckpoint::open`], with the head for Gaussians where there is one.
+    ///
+    /// # Errors
+    /// As [`DepthCheckpoint::open`].
+    pub fn open_whole(path: impl AsRef<Path>) -> Result<Self> {
+        let found = Self::open(&path, false)?;
+        if found.of_gaussians { Self::open(path, true) } else { Ok(found) }
+    }
+
     /// Opens a released file, `model.safetensors`, of F32, F16, BF16, or F64 that is rounded to F32, or one of
     /// [`DepthCheckpoint::save_with`]. Its tensors, or its metadata, say which network it is; those that are not needed are not read. The head for Gaussians is left out unless they are asked for.
     ///

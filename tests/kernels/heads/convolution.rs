@@ -1,10 +1,14 @@
-//! Convolutions against sums over all taps: sides, steps, borders, widths that fill no panel, and every part of the epilogue.
+//! Convolutions against sums over all taps: sides, steps, borders, widths that fill no panel, and every part of the epilogue. Where
+//! the device reads by address, the same of pictures with their border.
 
 use crate::case::{Case, random};
 use zipsplat::{
     gpu::Element,
-    kernels::{heads::Convolution, limits::LINEAR_ROWS},
-    ops::{LinearKernel, Weights, pack_matrix},
+    kernels::{
+        heads::{Convolution, ConvolutionUniform},
+        limits::{LINEAR_ROWS, PANEL_COLUMNS},
+    },
+    ops::{Lanes, LinearKernel, Weights, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -33,11 +37,12 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     let turned: Vec<f32> = (0..columns * inner)
         .map(|i| weight[i / inner * inner + i % inner % channels * taps + i % inner / channels])
         .collect();
+    let weights = pack_matrix(LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), &turned, inner, columns);
     let mut case = Case::new();
     let out = case.output::<f32>(pixels * columns);
     let kernel = Convolution {
         source: case.input(&source[lines[1] * width * channels..]),
-        weight: case.input(&pack_matrix(LinearKernel::Panels(Element::F32, Weights::Factors), &turned, inner, columns)),
+        weight: case.input(&weights),
         bias: case.input(&bias),
         residual: case.input(&residual),
         out,
@@ -66,6 +71,57 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
         if how.add { active.zip(&residual).map(|(x, &r)| x + f64::from(r)).collect() } else { active.collect() };
     let name = format!("{shape:?} of {height} x {width} x {channels} to {columns} from {lines:?} on, {how:?}");
     assert_close(&name, &case.result::<f32>(out), &truth, Tolerance::sum_of(inner));
+
+    let (limits, vectors) = (device().limits(), 2);
+    let tile_columns = vectors * limits.subgroup_size;
+    if !limits.addresses || !PANEL_COLUMNS.is_multiple_of(tile_columns) {
+        return;
+    }
+    // Six pixels share a workgroup, of which the last is cut off.
+    for (terms, tile_rows) in [(4, 6), (side as u32 * channels as u32, 1)] {
+        let mut case = Case::new();
+        let out = case.output::<f32>(pixels * columns);
+        let pitch = (width + 2 * padding) * channels;
+        let bordered = bordered(&seen, [width, channels], padding);
+        let kernel = ConvolutionUniform {
+            source: case.input(&bordered[lines[1] * pitch..]),
+            weight: case.input(&weights),
+            bias: case.input(&bias),
+            residual: case.input(&residual),
+            out,
+            pixels: pixels as u32,
+            first: first as u32,
+            out_width: out_width as u32,
+            columns: columns as u32,
+            side: side as u32,
+            step: step as u32,
+            channels: channels as u32,
+            pitch: pitch as u32,
+            source_first: lines[1] as u32,
+            gelu: how.gelu,
+            add: how.add,
+            terms,
+            tile_rows,
+            vectors,
+        };
+        let groups = [(pixels as u32).div_ceil(tile_rows), (columns as u32).div_ceil(tile_columns), 1];
+        case.rec.dispatch_groups(kernel, groups);
+        let name = format!("{name}, by address, {terms} terms of {tile_rows} pixels");
+        assert_close(&name, &case.result::<f32>(out), &truth, Tolerance::sum_of(inner));
+    }
+}
+
+/// A picture with zeros around it.
+fn bordered(picture: &[f64], [width, channels]: [usize; 2], padding: usize) -> Vec<f32> {
+    let line = (width + 2 * padding) * channels;
+    let mut out = vec![0.0; padding * line];
+    for pixels in picture.chunks(width * channels) {
+        let start = out.len() + padding * channels;
+        out.resize(out.len() + line, 0.0);
+        out[start..start + pixels.len()].iter_mut().zip(pixels).for_each(|(out, x)| *out = *x as f32);
+    }
+    out.resize(out.len() + padding * line, 0.0);
+    out
 }
 
 #[test]

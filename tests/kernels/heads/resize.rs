@@ -9,14 +9,14 @@ use zipsplat_tests::reference::{heads::resize::resize, widen};
 fn check([height, width, channels]: [usize; 3], [out_height, out_width]: [usize; 2], placed: bool, lines: [usize; 2]) {
     let (source, half) = (random(1, height * width * channels), channels / 2);
     let positions = random(2, (out_width + out_height) * half);
-    let count = (out_height - lines[0]) * out_width * channels;
+    let pixels = (out_height - lines[0]) * out_width;
     let mut case = Case::new();
-    let out = case.output::<f32>(count);
+    let out = case.output::<f32>(pixels * channels);
     let kernel = Resize {
         source: case.input(&source[lines[1] * width * channels..]),
         positions: case.input(&positions),
         out,
-        count: count as u32,
+        pixels: pixels as u32,
         first: lines[0] as u32,
         out_width: out_width as u32,
         out_height: out_height as u32,
@@ -26,7 +26,7 @@ fn check([height, width, channels]: [usize; 3], [out_height, out_width]: [usize;
         source_first: lines[1] as u32,
         placed,
     };
-    case.rec.dispatch(kernel, count);
+    case.rec.dispatch_groups(kernel, pixels);
     let mut truth = resize(&widen(&source), [width, channels], [out_height, out_width]);
     if placed {
         for (i, value) in truth.iter_mut().enumerate() {
@@ -45,6 +45,8 @@ fn equals_the_reference() {
     for placed in [false, true] {
         check([3, 4, 8], [6, 8], placed, [0, 0]);
         check([24, 16, 4], [42, 28], placed, [0, 0]);
+        // More channels than a subgroup has lanes, of which the last are none.
+        check([3, 2, 68], [5, 4], placed, [0, 0]);
         check([1, 2, 4], [2, 3], placed, [0, 0]);
         check([2, 1, 4], [3, 5], placed, [0, 0]);
         check([5, 6, 4], [1, 1], placed, [0, 0]);

@@ -4,7 +4,9 @@ use crate::case::{Case, elements, linear_kernels, q8_kernels, random, stored, wi
 use zipsplat::{
     gpu::{Element, Limits},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix},
+    ops::{
+        Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix,
+    },
 };
 use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
 use zipsplat_tests::device::device;
@@ -47,7 +49,7 @@ impl Layer {
         let rows = || (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect::<Vec<f32>>();
         let weight = match kernel {
             _ if kernel.weights() == Weights::Q8 => case.input(&pack_matrix(kernel, &rows(), inner, self.columns)),
-            LinearKernel::Panels(element, _) => {
+            LinearKernel::Panels(Lanes { element, .. }, _) => {
                 let at = |i| value(i / panel / inner * panel + i % panel, i / panel % inner);
                 let weight: Vec<f32> = (0..inner * self.columns.next_multiple_of(panel)).map(at).collect();
                 case.input_of(element, &weight)
@@ -133,7 +135,7 @@ fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, sc
 
 /// Whether there is a kernel that reads by address beside it.
 fn has_twin(kernel: LinearKernel) -> bool {
-    kernel == LinearKernel::Panels(Element::F32, Weights::Factors)
+    kernel == LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors)
 }
 
 fn check_kernel(
@@ -318,7 +320,7 @@ fn q8_weights_give_the_bits_of_what_they_stand_for() {
 
 #[test]
 fn reading_by_address_changes_no_bit() {
-    let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
+    let kernel = LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors);
     // Terms of one pass: 16, 12, 8, 4.
     for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (12, 40, 4), (1, 4, 2)] {
         for activation in [Activation::None, Activation::Gelu, Activation::SwiGlu] {
@@ -354,5 +356,62 @@ fn tiles_of_gpus() {
             println!("{tile}");
             check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);
         }
+    }
+    for (index, tile) in LaneTile::candidates(&limits, Element::F32).iter().enumerate().skip(1) {
+        let lanes = Lanes { element: Element::F32, tiles: Tiles::always(index) };
+        println!("{tile}");
+        let kernel = LinearKernel::Panels(lanes, Weights::Factors);
+        check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);
+    }
+}
+
+/// The bits of a layer's results in f32, computed within these limits.
+fn bits(limits: &Limits, kernel: LinearKernel, layer: &Layer, x: &[f32], activation: Activation) -> Vec<u32> {
+    let mut case = Case::within(limits);
+    let input = layer.rows(&mut case, kernel, x);
+    let device_layer = layer.input(&mut case, kernel, activation);
+    let epilogue = Epilogue { activation, ..Epilogue::default() };
+    let out = device_layer.apply(&mut case.rec, "out", input, Element::F32, epilogue).tensor;
+    case.rec.output(out);
+    case.result(out)
+}
+
+#[test]
+fn shared_memory_changes_no_bit() {
+    // Terms of one pass are 8: sums that end within it, too. Results and panels that end within a tile.
+    for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (50, 40, 4), (1, 4, 2)] {
+        let layer = Layer::random(inner, columns);
+        let x = random(3, rows * inner);
+        for element in elements() {
+            let products = [Tiles::BY_RULE, Tiles::always(1)].map(|tiles| {
+                let kernel = LinearKernel::Panels(Lanes { element, tiles }, Weights::Factors);
+                bits(device().limits(), kernel, &layer, &x, Activation::Gelu)
+            });
+            assert_same(&format!("{element:?} {rows} x {inner} -> {columns}"), &products[1], &products[0]);
+        }
+    }
+}
+
+#[test]
+fn long_sums_of_few_results_are_cut_into_parts() {
+    // Parts of 1,040, 1,040 and 1,024 terms; of f32 one.
+    let (rows, inner, columns) = (11, 3104, 36);
+    let layer = grouped(inner, columns);
+    for element in elements() {
+        let lanes = Lanes { element, tiles: Tiles::always(1) };
+        let kernel = LinearKernel::Panels(lanes, Weights::Factors);
+        for kernel in [Some(kernel), kernel.with_q8()].into_iter().flatten() {
+            for (activation, added) in [(Activation::Gelu, true), (Activation::SwiGlu, false)] {
+                for output in [Element::F32, element] {
+                    check_kernel(device().limits(), (kernel, output), rows, &layer, activation, added, added);
+                }
+            }
+        }
+        let x = random(3, rows * inner);
+        let once = || bits(device().limits(), kernel, &layer, &x, Activation::None);
+        let whole = LinearKernel::Panels(Lanes::of(element), Weights::Factors);
+        let is_whole = once() == bits(device().limits(), whole, &layer, &x, Activation::None);
+        assert_eq!(is_whole, element == Element::F32, "{element:?}: sums of other parts round otherwise");
+        assert_same("again", &once(), &once());
     }
 }

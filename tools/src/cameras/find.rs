@@ -55,7 +55,7 @@ pub struct Finding {
     #[command(flatten)]
     pub cameras: CamerasFrom,
     /// Weights of Depth Anything 3 for --poses da3, as `depth` takes them
-    #[arg(long, value_name = "PATH|seeded:NAME")]
+    #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     pub depth_weights: Option<String>,
 }
 

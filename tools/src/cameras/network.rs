@@ -2,8 +2,9 @@
 
 use super::find::{Finding, Found, focal};
 use crate::{
-    depth::{POINTS, Question},
+    depth::{POINTS, Question, check_finds_cameras},
     options::ArithmeticOption,
+    released::open_depth,
     session::Session,
 };
 use std::path::PathBuf;
@@ -11,7 +12,6 @@ use zipsplat::{
     Error, Result,
     depth::DepthRequest,
     types::{poses::Poses, write_points},
-    weights::DepthCheckpoint,
 };
 
 impl Found {
@@ -25,9 +25,9 @@ impl Found {
         photos: &[PathBuf],
         finding: &Finding,
     ) -> Result<(Poses, Self)> {
-        let expected = "--depth-weights FILE, weights of Depth Anything 3 (model.safetensors of da3-small or da3-base)";
+        let expected = "--depth-weights NAME|FILE, weights of Depth Anything 3: da3-small, or a model.safetensors";
         let none = || Error::argument("cameras of a network", "no weights", expected);
-        let checkpoint = DepthCheckpoint::parse(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
+        let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
         let arithmetic = &ArithmeticOption::default();
         let (side, cameras, request) = (finding.search.find_size, finding.cameras, DepthRequest::default());
         let question = Question { checkpoint: &checkpoint, side, cameras, arithmetic, request };
@@ -39,13 +39,7 @@ impl Found {
     /// # Errors
     /// As [`Found::by_network`].
     pub fn by_question(session: &mut Session<'_>, photos: &[PathBuf], question: Question<'_>) -> Result<(Poses, Self)> {
-        let network = question.checkpoint.architecture();
-        if !network.multi_view() {
-            let found = format!("{}, which sees each photo by itself and has no camera decoder", network.name);
-            let expected =
-                "da3-small, da3-base, da3-large or da3-giant, which see all photos at once; or known cameras";
-            return Err(Error::argument("network that finds cameras", found, expected));
-        }
+        check_finds_cameras(question.checkpoint.architecture())?;
         let seen = question.ask(session, photos, &[])?;
         let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
         let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;

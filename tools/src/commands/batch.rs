@@ -1,15 +1,18 @@
 //! `zipsplat batch`: many captures to scenes, with one model kept on the device.
 
+mod maker;
+
 use crate::{
-    options::{Quality, Size, Weights},
+    options::{Network, Quality, Weights},
     outputs::{self, Overwrite},
     photos,
     session::{Session, Stage},
     stamp::{digest, stamp},
     table::{counted, time},
-    views::{FitOption, Views},
+    views::FitOption,
 };
 use clap::Args;
+use maker::{Input, Maker, Scened};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::{
@@ -20,13 +23,12 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    reconstruct::{MAX_VIEWS, Model, Request},
+    reconstruct::MAX_VIEWS,
     types::{
         Scene, SceneFormat, World, WriteOptions,
         poses::{Frame, Poses, read_poses},
         write_atomic,
     },
-    weights::Checkpoint,
 };
 
 /// Captures that failed.
@@ -38,11 +40,15 @@ const FAILURES: &str = "failures.csv";
 /// was made of. While the device works on one, the next one's photos are decoded and the last scene is written. Run the same
 /// command again to go on: a capture is finished where its scene is there and was made of the same photos, by name, size and
 /// time, with the same options. One that fails is a row of OUT/failures.csv, and the others go on; the exit code is then 1.
+///
+/// With weights of Depth Anything 3 each pixel that the network is confident of becomes a Gaussian, as `reconstruct` makes it. Without
+/// --posed the network finds the cameras, too.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat batch captures/ -o scenes/
   zipsplat batch captures/ more/kitchen list.txt --ratio auto --format spz -o scenes/
-  zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/")]
+  zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/
+  zipsplat batch captures/ --weights da3-small --ratio 0.5 -o scenes/")]
 pub struct Batch {
     /// Captures, folders of captures, or text files that name a capture a line
     #[arg(required = true, value_name = "DIR|LIST")]
@@ -81,10 +87,9 @@ struct Work {
 
 /// A capture's photos as the network sees them.
 struct Prepared {
-    views: Views,
+    input: Input,
     hash: String,
     photos: usize,
-    unit: f64,
     world: Option<World>,
 }
 
@@ -120,19 +125,13 @@ impl Batch {
         let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
         self.overwrite.check_replaced(files)?;
         self.overwrite.check_replaced([self.output.join(FAILURES)])?;
-        let checkpoint = self.weights.open()?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
-        self.quality.check(checkpoint.architecture())?;
-        let size = self.quality.size_for(&checkpoint);
-        self.fit.fit.check(size, self.posed)?;
-        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
-        outputs::make_folder(&self.output)?;
-        let device = session.device()?;
-        let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
-        let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
-        let made_with = self.made_with(&checkpoint, size, precision.name())?;
+        let network = self.weights.open_network()?;
+        let (maker, made_with) = match &network {
+            Network::Tokens(checkpoint) => Maker::of_tokens(self, session, checkpoint)?,
+            Network::Pixels(checkpoint) => Maker::of_pixels(self, session, checkpoint)?,
+        };
 
-        let runner = Runner { batch: self, works: &works, model: &model, checkpoint: &checkpoint, size, made_with };
+        let runner = Runner { batch: self, works: &works, maker, made_with };
         let (tally, took) = session.stage("batch", |stage| runner.run(stage))?;
         let Tally { made, unchanged, failures } = tally;
         let rate = made as f64 / took.as_secs_f64();
@@ -205,13 +204,12 @@ impl Batch {
     }
 
     /// Whatever a scene depends on but its capture.
-    fn made_with(&self, checkpoint: &Checkpoint, Size(width, height): Size, precision: &str) -> Result<String> {
-        let weights = checkpoint.provenance();
+    fn made_with(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let Quality { ratio, select, pool, .. } = &self.quality;
         let options = [
             format!("{ratio:?} {select:?} {pool} {:?} {:?}", self.quality.kept(), self.fit.fit),
-            format!("{width}x{height} {precision} {} {:?} {}", self.posed, self.views, self.format),
+            format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
     }
@@ -221,9 +219,7 @@ impl Batch {
 struct Runner<'a> {
     batch: &'a Batch,
     works: &'a [Work],
-    model: &'a Model,
-    checkpoint: &'a Checkpoint,
-    size: Size,
+    maker: Maker<'a>,
     made_with: String,
 }
 
@@ -298,33 +294,21 @@ impl Runner<'_> {
             return Ok(None);
         }
         let frames: Vec<&Frame> = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let fit = self.batch.fit.fit;
-        fit.count(&photos)?;
-        let views = fit.load(&photos, &frames, self.size, stage)?;
-        let unit = match (&poses, frames.first()) {
-            (Some(poses), Some(first)) => poses.unit(None, &views.cameras, &first.camera.pose)?.length,
-            _ => 1.0,
-        };
+        let input = self.maker.prepare(self.batch, &photos, poses.as_ref(), &frames, stage)?;
         let world = frames.first().map(|first| World::Photo(first.name.clone()));
-        Ok(Some(Prepared { views, hash, photos: photos.len(), unit, world }))
+        Ok(Some(Prepared { input, hash, photos: photos.len(), world }))
     }
 
     fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<Made> {
         let began = Instant::now();
-        let Prepared { views: Views { images, cameras, note }, hash, photos, unit, world } = prepared;
-        let (cameras, turned) = self.batch.fit.fit.told(cameras);
-        let Quality { ratio, select, pool, .. } = &self.batch.quality;
-        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit, pool: *pool };
-        let silent = stage.silent();
-        let made = self.model.reconstruct(&images, &request, |progress| silent.at(progress.fraction))?;
-        let mut scene = made.scene()?;
-        self.batch.quality.prune(&mut scene, self.checkpoint.architecture());
-        turned.iter().for_each(|first| scene.place(1.0, first));
-        let record = json!({
-            "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos, "unit": unit,
-            "tokens": made.tokens, "gaussians": scene.len(), "note": note, "seconds": began.elapsed().as_secs_f64(),
+        let Prepared { input, hash, photos, world } = prepared;
+        let Scened { scene, first, record: of_network } = self.maker.make(self.batch, input, &stage.silent())?;
+        let world = world.or(first.map(World::Photo));
+        let mut record = json!({
+            "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos,
+            "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),
         });
+        of_network.as_object().into_iter().flatten().for_each(|(name, value)| record[name] = value.clone());
         Ok(Made { scene, world, record })
     }
 

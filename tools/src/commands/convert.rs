@@ -3,6 +3,7 @@
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
     outputs::{self, Overwrite},
+    released::{is_of_depth, open_depth},
     session::Session,
     table::{bytes, counted},
 };
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{SceneFormat, WriteOptions, read_world, spz_coarsening},
-    weights::{DepthCheckpoint, Dtype},
+    weights::Dtype,
 };
 
 /// A scene to another format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
@@ -27,11 +28,13 @@ use zipsplat::{
   zipsplat convert scene.spz scene.glb
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
   zipsplat convert zipsplat.pt small.safetensors --dtype q8
+  zipsplat convert built-in small.safetensors --dtype q8
   zipsplat convert tensors.safetensors named.safetensors --variant vitb
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, or seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of `zipsplat weights list`, or
+    /// seeded:VARIANT[:KEY]
     input: String,
     /// File to write
     output: PathBuf,
@@ -93,7 +96,7 @@ impl Convert {
         refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
         refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
-        if DepthCheckpoint::is_meant(&self.input) {
+        if is_of_depth(&self.input) {
             return self.depth_checkpoint(session, dtype);
         }
         let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
@@ -105,7 +108,7 @@ impl Convert {
 
     fn depth_checkpoint(&self, session: &mut Session<'_>, dtype: Dtype) -> Result<()> {
         refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
-        let checkpoint = DepthCheckpoint::parse_whole(&self.input)?;
+        let checkpoint = open_depth(&self.input, true)?;
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();
         self.report(session, (&architecture.name, json!(architecture)), architecture.parameter_count(), dtype)

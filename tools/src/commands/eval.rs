@@ -5,6 +5,7 @@ mod depth;
 mod judge;
 mod one;
 mod page;
+mod pixels;
 mod rows;
 mod series;
 mod theirs;
@@ -13,7 +14,7 @@ use crate::{
     align::Method,
     cameras::{Finding, Known},
     capture::Choice,
-    options::{Quality, Size, Weights, parse_length, refuse},
+    options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::Overwrite,
     perceptual::LpipsOption,
     photos,
@@ -45,6 +46,9 @@ const TARGETS: usize = 8;
 /// table says how far each went, and where its figure says little: flat, a photo without texture, which is not aligned; bound,
 /// a camera that went as far as it may; colour, a picture no more like the photo than one colour is.
 ///
+/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each pixel of the whole photos that the network is confident of,
+/// whose longer side --size says. With --pose-free it is brought to the cameras given by those that the network finds.
+///
 /// With --protocol the folders are scenes of a data set, or folders of them, and are judged as the paper's tables 1 to 3 are: 8
 /// photos of each, made small by its filter, and cameras aligned as its authors do, given to the network or not. OUT has a folder for
 /// each way to judge, with a record and a picture of every scene; scenes.csv, a row a scene; table.md and table.csv, means in the shape
@@ -57,6 +61,7 @@ const TARGETS: usize = 8;
   zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
   zipsplat eval photos/ --views 8 --poses find --refine 100
   zipsplat eval capture/ --views 8 --targets 8 --pose-free
+  zipsplat eval capture/ --views 8 --weights da3-base --size 504x336 --score-size 252x252
   zipsplat eval --protocol dl3dv DL3DV-Benchmark/ --pose-free --weights zipsplat -o dl3dv/
   zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/")]
 pub struct Eval {
@@ -169,13 +174,19 @@ impl Eval {
     }
 
     /// Checks the options that need no capture, and opens the weights.
-    fn begin(&self, session: &mut Session<'_>) -> Result<(Checkpoint, Seeing)> {
-        let checkpoint = self.weights.open()?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
-        self.quality.check(checkpoint.architecture())?;
-        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
-        fit.check(size, !self.pose_free)?;
-        self.quality.doubt_size(&checkpoint).iter().for_each(|note| session.note(note));
+    fn begin(&self, session: &mut Session<'_>) -> Result<(Network, Seeing)> {
+        let (network, fit) = (self.weights.open_network()?, self.fit.fit);
+        let size = match &network {
+            Network::Tokens(checkpoint) => {
+                session.notes(checkpoint.notes());
+                self.quality.check(checkpoint.architecture())?;
+                let size = self.quality.size_for(checkpoint);
+                fit.check(size, !self.pose_free)?;
+                session.notes(self.quality.doubt_size(checkpoint));
+                size
+            }
+            Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
+        };
         self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
         let unused = self.theirs.given().is_none() && self.theirs.says();
         refuse("--invalid", unused, "without --scene", "with --scene")?;
@@ -184,7 +195,7 @@ impl Eval {
         let is_bilinear = self.filter == Some(Filter::Bilinear);
         refuse("--filter bilinear", is_bilinear && fit == Fit::Squares, "with --fit squares", "with --fit crop")?;
         let compared = self.score_size.unwrap_or(size);
-        Ok((checkpoint, Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares, filter }))
+        Ok((network, Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares, filter }))
     }
 
     /// How pictures' cameras are searched for.
@@ -196,12 +207,12 @@ impl Eval {
         self.align.map_or(usual, |Aligning(method)| method)
     }
 
-    /// The shape of the reconstruction of chosen frames.
-    fn shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<Shape> {
+    /// Checks the shape of the reconstruction of chosen frames.
+    fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
         let (Size(width, height), views) = (seeing.size, seeing.fit.count(&choice.inputs())?);
         let chosen = (self.quality.ratio, &self.quality.select);
-        Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?
-            .pooled(self.quality.pool)
+        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?;
+        shape.pooled(self.quality.pool).map(drop)
     }
 
     /// The cameras of a folder's photos, where they are not in it.

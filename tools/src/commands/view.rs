@@ -2,7 +2,7 @@
 
 use crate::{
     heic::is_heic,
-    options::{SceneInput, refuse},
+    options::{Network, SceneInput, refuse},
     outputs::Overwrite,
     session::Session,
     table::{bytes, counted},
@@ -24,6 +24,7 @@ use zipsplat::{
     types::{
         Image, Scene, SceneFormat, WriteOptions, encode_scene, poses::Frame, read_world, spz_coarsening, write_atomic,
     },
+    weights::DepthCheckpoint,
 };
 
 /// Scenes, or photos and what becomes of them, in a browser
@@ -32,6 +33,9 @@ use zipsplat::{
 /// slider, and its refinement while it goes on (--refine). With -o a page in one file, which needs nothing else and asks nobody for
 /// anything: open it by a double click, or mail it. Otherwise the page is served on this machine, to whoever has the address that
 /// is printed, until Ctrl-C. The browser draws, by the rules of `render`.
+///
+/// With weights of Depth Anything 3 each pixel of the photos becomes a Gaussian, as `reconstruct` makes them. Scenes of the --ratios are
+/// made before the page is there, and the page refines none: `reconstruct --refine` does.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat view scene.ply
@@ -40,6 +44,7 @@ use zipsplat::{
   zipsplat view photos/ --poses transforms.json
   zipsplat view photos/ --poses transforms.json --refine=200
   zipsplat view photos/ --ratios 1,0.3,0.1 -o ratios.html
+  zipsplat view photos/ --weights da3-small --ratios 1,0.3
   zipsplat view tenth.ply half.ply all.ply -o compared.html")]
 pub struct View {
     /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC where ffmpeg reads it), folders of them and videos
@@ -132,7 +137,14 @@ impl View {
         refuse("--group", self.group.is_some(), "photos", "a scene's file")?;
         refuse("--photos", self.photos.is_some(), "photos", "a scene's file")?;
         refuse("--relative-to", self.relative_to.is_some(), "photos", "a scene's file")?;
-        let mut ready = self.from.prepare(session, &self.files, self.poses.as_deref())?;
+        let photos = (&self.files[..], self.poses.as_deref());
+        let checkpoint = match self.from.network()? {
+            Network::Tokens(checkpoint) => checkpoint,
+            Network::Pixels(checkpoint) => return self.show_pixels(session, &checkpoint, photos),
+        };
+        let every = self.output.is_none() && self.from.lists_ratios();
+        refuse("--ratios", every, "a page that is served, whose slider has every ratio", "a page that is written")?;
+        let mut ready = self.from.prepare(session, checkpoint, photos)?;
         let watched = self.from.watched(session, &ready)?;
         let (grid, cameras) = (ready.live.grid(), std::mem::take(&mut ready.cameras));
         let mut config = Config {
@@ -149,6 +161,30 @@ impl View {
                 config.refines = watched.is_some();
                 self.serve(session, &mut config, &[], Some(&ready), watched.as_ref())
             }
+        }
+    }
+
+    /// Shows scenes of pixels, which are made before the page is there.
+    fn show_pixels(
+        &self,
+        session: &mut Session<'_>,
+        checkpoint: &DepthCheckpoint,
+        photos: (&[PathBuf], Option<&Path>),
+    ) -> Result<()> {
+        let mut made = self.from.of_pixels(session, checkpoint, photos)?;
+        let cameras = std::mem::take(&mut made.cameras);
+        let (mut shown, scenes): (Vec<_>, Vec<_>) = std::mem::take(&mut made.scenes).into_iter().unzip();
+        let note = format!("Made before the page was: {}; --ratios says which.", counted(scenes.len(), "ratio"));
+        if self.output.is_none() {
+            for (shown, scene) in shown.iter_mut().zip(&scenes) {
+                shown.bytes = encode_scene(scene, SceneFormat::Ply, &WriteOptions::default())?.len() as u64;
+            }
+        }
+        let up = vertical(&cameras);
+        let mut config = Config { scenes: shown, up, cameras, note: Some(note), ..Config::default() };
+        match &self.output {
+            Some(output) => self.write(session, output, &mut config, &scenes),
+            None => self.serve(session, &mut config, &scenes, None, None),
         }
     }
 

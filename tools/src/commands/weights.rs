@@ -2,7 +2,8 @@
 
 use crate::{
     download::{Client, Promise, fetch, is_sha256, kept, promise},
-    released::{self, RELEASED, Released},
+    options::BUILT_IN,
+    released::{self, Kind, RELEASED, Released},
     session::Session,
     table::{Table, bytes},
 };
@@ -16,17 +17,20 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    weights::{Checkpoint, Dtype},
+    weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
 
 /// Weights that have a name: list them, get them, say where they are
 ///
-/// `get` keeps weights as f16 safetensors in the cache folder, and every --weights takes their name.
+/// `get` keeps weights in the cache folder, those of ZipSplat as f16 safetensors and those of Depth Anything 3 as they are released, and
+/// every --weights takes their name.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat weights list
   zipsplat weights get zipsplat
   zipsplat reconstruct photos/ --weights zipsplat -o scene.ply
+  zipsplat weights get da3-small
+  zipsplat depth photos/ --weights da3-small -o depth/
   zipsplat convert $(zipsplat weights path zipsplat) zipsplat-bf16.safetensors --dtype bf16")]
 pub struct Weights {
     #[command(subcommand)]
@@ -60,12 +64,14 @@ struct List {}
 /// The path of weights in the cache
 #[derive(Args)]
 struct Where {
-    /// Name, such as zipsplat
+    /// Name, such as zipsplat or da3-small
     name: String,
 }
 
-/// Load weights, check their SHA-256, and convert them to f16 safetensors in the cache folder
+/// Load weights, check their SHA-256, and keep them in the cache folder
 ///
+/// Those of ZipSplat are converted to f16 safetensors; those of Depth Anything 3 stay as they are. The SHA-256 is the one that the host
+/// says for the file, over an encrypted connection.
 /// Size and licence are shown, and nothing is loaded before a yes. Where the network breaks, the same command goes on from
 /// there, also after Ctrl-C. Where the weights are there already, the host is only asked whether it has newer ones.
 #[derive(Args)]
@@ -76,7 +82,7 @@ struct Where {
   HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE  as other programs take them
   ZIPSPLAT_CACHE  the cache folder [default: zipsplat in the user's cache]")]
 struct Get {
-    /// Name, such as zipsplat
+    /// Name, such as zipsplat or da3-small
     name: String,
     /// Accept the licence and the size without being asked
     #[arg(long, short)]
@@ -84,7 +90,7 @@ struct Get {
     /// Use no network: what is loaded already is taken or converted
     #[arg(long)]
     offline: bool,
-    /// Keep the file that was loaded beside what it is converted to
+    /// Keep the file that was loaded beside what it is converted to, where it is
     #[arg(long)]
     keep: bool,
     /// Give up a connection on which nothing comes for so long, and go on over another
@@ -138,7 +144,7 @@ impl Get {
         };
         let loaded = promise.path(&released.base(&folder));
         let converted = released.converted(&loaded);
-        if converted.is_file() {
+        if converted.is_file() && converted != loaded {
             return report(session, released, &converted);
         }
         if !loaded.metadata().is_ok_and(|found| found.len() == promise.size) {
@@ -208,6 +214,11 @@ impl Get {
 
     fn convert(&self, session: &mut Session<'_>, released: &Released, archive: &Path) -> Result<()> {
         let converted = released.converted(archive);
+        if released.kind == Kind::Depth {
+            // What cannot be used is noticed now.
+            DepthCheckpoint::open(archive, false)?;
+            return report(session, released, archive);
+        }
         let checkpoint = Checkpoint::open(archive, None)?;
         session.stage("convert", |stage| checkpoint.save_with(&converted, Dtype::F16, |done| stage.at(done)))?;
         drop(checkpoint);
@@ -232,7 +243,8 @@ fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result
     let Released { name, licence, .. } = released;
     let size = size_of(path)?;
     let json = json!({ "name": name, "path": path, "bytes": size, "licence": licence });
-    session.report(&json, format!("{}: {}, f16; --weights {name} takes it", path.display(), bytes(size)))
+    let kept = if released.kind == Kind::Tokens { ", f16" } else { "" };
+    session.report(&json, format!("{}: {}{kept}; --weights {name} takes it", path.display(), bytes(size)))
 }
 
 fn list(session: &mut Session<'_>) -> Result<()> {
@@ -242,9 +254,9 @@ fn list(session: &mut Session<'_>) -> Result<()> {
     if let Ok(embedded) = Checkpoint::embedded() {
         let what =
             format!("{} parameters, a demonstration", HumanCount(embedded.architecture().parameter_count() as u64));
-        table.row(["(default)".into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
+        table.row([BUILT_IN.into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
         rows.push(json!({
-            "name": null, "state": "built in", "bytes": embedded.bytes(), "licence": "Apache-2.0", "path": null, "what": what,
+            "name": BUILT_IN, "state": "built in", "bytes": embedded.bytes(), "licence": "Apache-2.0", "path": null, "what": what,
         }));
     }
     for released in &RELEASED {

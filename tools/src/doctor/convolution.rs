@@ -10,8 +10,8 @@ use crate::noise::Noise;
 use zipsplat::{
     Result,
     gpu::{Device, Element},
-    kernels::{heads::Convolution, limits::LINEAR_ROWS},
-    ops::{LinearKernel, Weights, pack_matrix},
+    ops::{FeatureMap, Lanes, Linear, LinearKernel, Rows, Weights, pack_matrix},
+    stages::heads::{Convolution, How},
 };
 use zipsplat_reference::{heads::convolution::convolution, widen};
 
@@ -131,43 +131,34 @@ impl case::Problem for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
-        let ([height, width], [out_height, out_width], [side, step]) = (self.size, self.out_size(), self.shape);
-        let taps = side * side;
+        let ([out_height, out_width], taps) = (self.out_size(), self.shape[0].pow(2));
         let inner = taps * self.channels;
         // Channels run fastest on the device.
         let turned = self
             .weight
             .chunks(inner)
             .flat_map(|row| (0..inner).map(|i| row[i % self.channels * taps + i / self.channels]).collect::<Vec<_>>());
-        let (panels, turned) = (LinearKernel::Panels(Element::F32, Weights::Factors), turned.collect::<Vec<_>>());
+        let (panels, turned) =
+            (LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), turned.collect::<Vec<_>>());
         let packed = pack_matrix(panels, &turned, inner, self.columns);
         let pixels = out_height * out_width;
         let mut trial = Trial::new(device);
-        let bias = trial.input(&self.bias);
-        let out = trial.output::<f32>(pixels * self.columns);
-        let kernel = Convolution {
-            source: trial.input(&self.x),
-            weight: trial.input(&packed),
-            bias,
-            residual: self.residual.as_ref().map_or(bias, |residual| trial.input(residual)),
-            out,
-            pixels: pixels as u32,
-            first: 0,
-            out_width: out_width as u32,
-            columns: self.columns as u32,
-            channels: self.channels as u32,
-            width: width as u32,
-            height: height as u32,
-            source_first: 0,
-            side: side as u32,
-            step: step as u32,
-            padding: (side / 2) as u32,
-            rectified: self.rectified,
-            gelu: false,
-            add: self.residual.is_some(),
+        let map = |tensor, [height, width]: [usize; 2], channels| {
+            FeatureMap::new(Rows::new(tensor, height * width, channels), [height, width])
         };
-        let across = self.columns.div_ceil(4 * device.limits().subgroup_size as usize);
-        trial.rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across);
+        let out = trial.output::<f32>(pixels * self.columns);
+        let layer = Linear {
+            weight: trial.input(&packed),
+            bias: trial.input(&self.bias),
+            inner,
+            columns: self.columns,
+            kernel: panels,
+        };
+        let source = map(trial.input(&self.x), self.size, self.channels);
+        let result = map(out, self.out_size(), self.columns);
+        let residual = self.residual.as_ref().map(|residual| map(trial.input(residual), self.out_size(), self.columns));
+        let how = How { rectified: self.rectified, gelu: false, residual };
+        Convolution::of(layer, self.shape).record_into(&mut trial.rec, source, result, how);
         trial.result(out)
     }
 

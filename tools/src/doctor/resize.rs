@@ -103,15 +103,15 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         let ([height, width], [out_height, out_width]) = (self.size, self.to);
-        let count = out_height * out_width * self.channels;
+        let pixels = out_height * out_width;
         let mut trial = Trial::new(device);
         let source = trial.input(&self.x);
-        let out = trial.output::<f32>(count);
+        let out = trial.output::<f32>(pixels * self.channels);
         let kernel = Resize {
             source,
             positions: self.positions.as_ref().map_or(source, |positions| trial.input(positions)),
             out,
-            count: count as u32,
+            pixels: pixels as u32,
             first: 0,
             out_width: out_width as u32,
             out_height: out_height as u32,
@@ -121,7 +121,7 @@ impl case::Problem for Problem {
             source_first: 0,
             placed: self.positions.is_some(),
         };
-        trial.rec.dispatch(kernel, count);
+        trial.rec.dispatch_groups(kernel, pixels);
         trial.result(out)
     }
 

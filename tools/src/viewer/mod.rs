@@ -6,6 +6,7 @@ mod cameras;
 mod live;
 mod page;
 mod photos;
+mod pixels;
 mod recording;
 mod server;
 mod watched;

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     cameras::{Finding, Known},
-    options::{Quality, Weights, parse_length},
+    options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{RefineOptions, Start, placed},
     session::Session,
@@ -31,6 +31,7 @@ use zipsplat::{
         Camera, PointCloud, Pose,
         poses::{Frame, Poses, read_cloud},
     },
+    weights::Checkpoint,
 };
 
 /// How scenes are made of photos, and what becomes of them.
@@ -44,7 +45,7 @@ pub struct FromPhotos {
     #[command(flatten)]
     pub quality: Quality,
     #[command(flatten)]
-    fit: FitOption,
+    pub(super) fit: FitOption,
     /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
@@ -53,9 +54,9 @@ pub struct FromPhotos {
     finding: Finding,
     /// Length in the cameras' unit that the network takes for 1, as of reconstruct
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
-    unit: Option<f64>,
-    /// Ratios of the scenes in a written page, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
-    #[arg(long, value_name = "R,R,..", requires = "output", value_delimiter = ',')]
+    pub(super) unit: Option<f64>,
+    /// Ratios of the scenes in a written page, and of those of pixels, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
+    #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
     ratios: Vec<f64>,
     #[command(flatten)]
     refine: RefineOptions,
@@ -78,7 +79,45 @@ pub struct Ready<'a> {
     _folder: Option<FrameFolder>,
 }
 
+/// Photos, and their cameras, where these are known.
+pub(super) struct Photographed {
+    pub photos: Vec<PathBuf>,
+    pub known: Option<Known>,
+    /// Frames of a video.
+    pub folder: Option<FrameFolder>,
+}
+
 impl FromPhotos {
+    /// The network that makes scenes of photos.
+    ///
+    /// # Errors
+    /// Those of opening its weights.
+    pub fn network(&self) -> Result<Network> {
+        self.weights.open_network()
+    }
+
+    /// The photos that are asked for and have cameras, where these are known or found.
+    pub(super) fn photographed(
+        &self,
+        session: &mut Session<'_>,
+        paths: &[PathBuf],
+        poses: Option<&Path>,
+    ) -> Result<Photographed> {
+        let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
+        if let (Some(views), true) = (self.views, poses.is_some_and(Known::to_find)) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let known = poses.map(|poses| Known::of(session, poses, &photos, &self.finding)).transpose()?;
+        if let Some(Known { poses, .. }) = &known {
+            session.notes(&poses.notes);
+            photos = photos::posed(session, photos, poses)?;
+        }
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        Ok(Photographed { photos, known, folder })
+    }
+
     /// The first option that says something, where scenes are shown and none is made.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
@@ -90,6 +129,11 @@ impl FromPhotos {
             ("--refine", self.refines()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
+    }
+
+    /// Whether ratios are listed.
+    pub fn lists_ratios(&self) -> bool {
+        !self.ratios.is_empty()
     }
 
     /// Whether a refinement is asked for.
@@ -104,27 +148,15 @@ impl FromPhotos {
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,
-        paths: &[PathBuf],
-        poses: Option<&Path>,
+        checkpoint: Checkpoint,
+        (paths, poses): (&[PathBuf], Option<&Path>),
     ) -> Result<Ready<'a>> {
         let cancelled = session.cancelled();
         self.refine.check()?;
-        let checkpoint = self.weights.open()?;
         session.notes(checkpoint.notes());
         self.quality.check(checkpoint.architecture())?;
-        let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
-        if let (Some(views), true) = (self.views, poses.is_some_and(Known::to_find)) {
-            photos = photos::spread(photos, views as usize);
-        }
-        let known = poses.map(|poses| Known::of(session, poses, &photos, &self.finding)).transpose()?;
+        let Photographed { photos, known, folder } = self.photographed(session, paths, poses)?;
         let poses = known.as_ref().map(|known| &known.poses);
-        if let Some(poses) = poses {
-            session.notes(&poses.notes);
-            photos = photos::posed(session, photos, poses)?;
-        }
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
         let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
         fit.check(size, poses.is_some())?;
         session.notes(self.quality.doubt_size(&checkpoint));
@@ -265,7 +297,7 @@ impl Ready<'_> {
 }
 
 /// The cameras of photos in the world of the first.
-fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
+pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
     let camera = |(photo, frame): (&PathBuf, &&Frame)| {
         InputCamera::new((*frame).clone(), &frame.camera.pose.relative_to(&world), Some(photo.clone()))

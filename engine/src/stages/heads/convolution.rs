@@ -2,54 +2,81 @@
 
 use crate::{
     gpu::Recorder,
-    kernels::{heads as kernels, limits::LINEAR_ROWS},
-    ops::{FeatureMap, Linear, ParameterLayout, row_chunks},
+    kernels::{heads as kernels, limits::LINEAR_ROWS, ops::Im2col},
+    ops::{FeatureMap, Linear, NARROWEST, ParameterLayout, UNIFORM_TILE, divides_panels, row_chunks, terms_of},
 };
+use std::ops::Range;
 
-/// A convolution with an odd kernel, the map 0 outside.
-pub(super) struct Convolution {
+/// A convolution with an odd kernel, the map 0 outside. Its maps have whole vec4 of channels.
+pub struct Convolution {
     layer: Linear,
     side: usize,
     step: usize,
 }
 
-/// What is done to a map before and behind a convolution.
+/// The work on a map before and behind a convolution.
 #[derive(Clone, Copy, Default)]
-pub(super) struct How {
-    /// Its values are at least 0 before.
+pub struct How {
+    /// The map's values are at least 0 before.
     pub rectified: bool,
     /// The exact GELU behind the bias.
     pub gelu: bool,
-    /// Added in the end; as large as the result.
+    /// The map that is added in the end, as large as the result.
     pub residual: Option<FeatureMap>,
 }
 
 impl Convolution {
+    /// The convolution by a layer on panels of f32, from `[side, side, channels]` to a pixel, for every pixel or every so many.
+    pub fn of(layer: Linear, [side, step]: [usize; 2]) -> Self {
+        Self { layer, side, step }
+    }
+
     /// Declares `NAME.weight` and `NAME.bias`.
-    pub fn new(p: &mut ParameterLayout, name: &str, channels: [usize; 2], side: usize) -> Self {
+    pub(super) fn new(p: &mut ParameterLayout, name: &str, channels: [usize; 2], side: usize) -> Self {
         Self { layer: p.planar_convolution(name, channels, side, true), side, step: 1 }
     }
 
     /// The same for every second pixel.
-    pub fn strided(self) -> Self {
+    pub(super) fn strided(self) -> Self {
         Self { step: 2, ..self }
     }
 
     /// Declares `NAME.weight` of a 3 x 3 convolution without bias.
-    pub fn unbiased(p: &mut ParameterLayout, name: &str, channels: [usize; 2]) -> Self {
+    pub(super) fn unbiased(p: &mut ParameterLayout, name: &str, channels: [usize; 2]) -> Self {
         Self { layer: p.planar_convolution(name, channels, 3, false), side: 3, step: 1 }
     }
 
     /// Declares `NAME.weight` `[outputs, inputs]` and `NAME.bias`: one tap, whose weight has no sides.
-    pub fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
+    pub(super) fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
         Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }
 
     /// Records the convolution of a map.
-    pub fn record(&self, rec: &mut Recorder, name: &str, source: FeatureMap, how: How) -> FeatureMap {
-        let (Self { layer, side, step }, padding) = (self, self.side / 2);
-        let size = source.size().map(|length| (length + 2 * padding - side) / step + 1);
-        let out = FeatureMap::scratch(rec, name, size, layer.columns);
+    pub(super) fn record(&self, rec: &mut Recorder, name: &str, source: FeatureMap, how: How) -> FeatureMap {
+        let size = source.size().map(|length| (length + 2 * self.padding() - self.side) / self.step + 1);
+        let out = FeatureMap::scratch(rec, name, size, self.layer.columns);
+        self.record_into(rec, source, out, how);
+        out
+    }
+
+    /// Records the convolution of a map into another, of the size that follows from side and step.
+    pub fn record_into(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
+        if divides_panels(rec.limits()) {
+            let bordered = self.bordered(rec, source, how.rectified);
+            self.uniform(rec, bordered, out, how);
+        } else {
+            self.implicit(rec, source, out, how);
+        }
+    }
+
+    /// Zeros that lie around the map.
+    fn padding(&self) -> usize {
+        self.side / 2
+    }
+
+    /// Records heads/convolution.
+    fn implicit(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
+        let (Self { layer, side, step }, padding) = (self, self.padding());
         let across = layer.columns.div_ceil(4 * rec.limits().subgroup_size as usize);
         // Lines of the source for one, with room for those next to the part.
         let seen = step + 2 * padding + 1;
@@ -78,9 +105,83 @@ impl Convolution {
                 gelu: how.gelu,
                 add: how.residual.is_some(),
             };
-            let flops = 2 * pixels * layer.inner * layer.columns;
-            rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across).flops(flops as u64);
+            rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across).flops(self.flops(pixels));
+        }
+    }
+
+    /// The map with the zeros around it, and its values at least 0 where `rectified`; itself where that changes nothing.
+    fn bordered(&self, rec: &mut Recorder, source: FeatureMap, rectified: bool) -> FeatureMap {
+        let (padding, channels) = (self.padding(), source.channels());
+        if padding == 0 && !rectified {
+            return source;
+        }
+        let out = FeatureMap::scratch(rec, "bordered", source.size().map(|length| length + 2 * padding), channels);
+        for lines in row_chunks(rec, out.height, &[out.line_bytes(), 2 * source.line_bytes()]) {
+            let inside = |line: usize| line.saturating_sub(padding).min(source.height);
+            let Range { start, end } = inside(lines.start)..inside(lines.end);
+            let (values, source_first) = source.seen(start.min(source.height - 1)..end.max(1));
+            let pixels = lines.len() * out.width;
+            let kernel = Im2col {
+                source: values,
+                gate: values,
+                out: out.lines(lines.clone()),
+                rows: pixels as u32,
+                row: channels as u32,
+                first: (lines.start * out.width) as u32,
+                out_width: out.width as u32,
+                channels: channels as u32,
+                width: source.width as u32,
+                height: source.height as u32,
+                source_first,
+                side: 1,
+                step: 1,
+                padding: padding as u32,
+                spread: 1,
+                rectified,
+                gated: false,
+            };
+            rec.dispatch_groups(kernel, pixels);
         }
         out
+    }
+
+    /// Records heads/convolution_uniform for a map with its border.
+    fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
+        let (Self { layer, side, step }, [tile_rows, vectors]) = (self, UNIFORM_TILE);
+        let tile_columns = vectors * rec.limits().subgroup_size;
+        // Lines of the source for one, with room for those next to the part.
+        let seen = step + side;
+        let each = [out.line_bytes(), seen * source.line_bytes(), out.width * NARROWEST];
+        for lines in row_chunks(rec, out.height, &each) {
+            let (values, source_first) = source.seen(lines.start * step..(lines.end - 1) * step + side);
+            let pixels = lines.len() * out.width;
+            let kernel = kernels::ConvolutionUniform {
+                source: values,
+                weight: layer.weight,
+                bias: layer.bias,
+                residual: how.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
+                out: out.lines(lines.clone()),
+                pixels: pixels as u32,
+                first: (lines.start * out.width) as u32,
+                out_width: out.width as u32,
+                columns: layer.columns as u32,
+                side: *side as u32,
+                step: *step as u32,
+                channels: source.channels() as u32,
+                pitch: (source.width * source.channels()) as u32,
+                source_first,
+                gelu: how.gelu,
+                add: how.residual.is_some(),
+                terms: terms_of(side * source.channels()),
+                tile_rows,
+                vectors,
+            };
+            let groups = [pixels.div_ceil(tile_rows as usize), layer.columns.div_ceil(tile_columns as usize), 1];
+            rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(pixels));
+        }
+    }
+
+    fn flops(&self, pixels: usize) -> u64 {
+        (2 * pixels * self.layer.inner * self.layer.columns) as u64
     }
 }

@@ -24,12 +24,12 @@ impl FeatureMap {
         for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * self.line_bytes()]) {
             let place = |line: usize| line * (self.height - 1) / (out.height - 1).max(1);
             let (source, source_first) = self.seen(place(lines.start)..place(lines.end - 1) + 2);
-            let count = lines.len() * out.width * channels;
+            let pixels = lines.len() * out.width;
             let kernel = kernels::Resize {
                 source,
                 positions: table.unwrap_or(source),
                 out: out.lines(lines.clone()),
-                count: count as u32,
+                pixels: pixels as u32,
                 first: lines.start as u32,
                 out_width: out.width as u32,
                 out_height: out.height as u32,
@@ -39,7 +39,7 @@ impl FeatureMap {
                 source_first,
                 placed: table.is_some(),
             };
-            rec.dispatch(kernel, count);
+            rec.dispatch_groups(kernel, pixels);
         }
         out
     }

@@ -1,9 +1,10 @@
 //! `zipsplat bench forward`: photos of noise to Gaussians.
 
 use super::{
-    Group, Repeats, Spread, group,
+    Repeats, Spread,
+    parts::{self, Part},
     peak::{self, Rate},
-    percent, pytorch, stage_of, timed_device,
+    pytorch, stage_of, timed_device,
 };
 use crate::{
     noise::Noise,
@@ -20,7 +21,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    gpu::{Profile, Progress},
+    gpu::{Progress, Run},
     reconstruct::{MAX_VIEWS, Model, Ratio, Reconstruction, Request, Shape},
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Intrinsics, Pose},
@@ -71,16 +72,8 @@ struct Row {
     /// Share of all tokens that these are.
     ratio: f64,
     pool: usize,
-    /// Empty for all stages.
-    stage: String,
-    /// Empty for all kernels.
-    kernel: String,
-    commands: u32,
-    ms: Spread,
-    gflop: f64,
-    gflop_per_s: f64,
-    /// The share of the measured rate of what multiplies matrices; absent where there is no arithmetic to speak of.
-    peak_share: Option<f64>,
+    #[serde(flatten)]
+    part: Part,
     peak_bytes: u64,
     arena_bytes: u64,
 }
@@ -126,12 +119,12 @@ impl Forward {
                 session.stage("pictures", |stage| self.to_picture(&model, &images[..*views], request, size, stage))
             });
             let to_picture = to_picture.transpose()?.map(|(rows, _)| rows).unwrap_or_default();
-            to_picture.iter().for_each(|row| text += &format!("  {:<44}{} ms\n", row.stage, row.ms));
+            to_picture.iter().for_each(|row| text += &format!("  {:<44}{} ms\n", row.part.stage, row.part.ms));
             rows.extend(to_picture.into_iter().map(|row| Row { precision: precision.name(), ..row }));
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
-            let totals: Vec<Row> = rows.iter().filter(|row| row.stage.is_empty()).cloned().collect();
+            let totals: Vec<Row> = rows.iter().filter(|row| row.part.stage.is_empty()).cloned().collect();
             let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
             text += &compared.text;
             rows.extend(compared.rows);
@@ -159,16 +152,15 @@ impl Forward {
                 format!("{:.3}", theirs.ratio),
                 ms.map_or_else(|| theirs.failed.clone().unwrap_or_default(), |ms| ms.to_string()),
                 theirs.peak_bytes.map_or_else(String::new, bytes),
-                ms.map_or_else(String::new, |ms| format!("{:.2}", ms.median / ours.ms.median)),
+                ms.map_or_else(String::new, |ms| format!("{:.2}", ms.median / ours.part.ms.median)),
             ]);
             let Some(ms) = ms else { continue };
             rows.push(Row {
-                stage: format!("PyTorch {}", theirs.precision),
-                kernel: String::new(),
-                commands: 0,
-                ms,
-                gflop_per_s: ms.rate((1e9 * ours.gflop) as u64),
-                peak_share: None,
+                part: Part {
+                    gflop: ours.part.gflop,
+                    gflop_per_s: ms.rate((1e9 * ours.part.gflop) as u64),
+                    ..Part::of(format!("PyTorch {}", theirs.precision), ms)
+                },
                 peak_bytes: theirs.peak_bytes.unwrap_or(0),
                 arena_bytes: 0,
                 ..ours.clone()
@@ -231,13 +223,7 @@ impl Forward {
             tokens,
             ratio: 0.0,
             pool: request.pool,
-            stage: stage.to_owned(),
-            kernel: String::new(),
-            commands: 0,
-            ms: Spread::of(times.iter().copied()),
-            gflop: 0.0,
-            gflop_per_s: 0.0,
-            peak_share: None,
+            part: Part::of(stage.to_owned(), Spread::of(times.iter().copied())),
             peak_bytes,
             arena_bytes: model.arena().bytes(),
         };
@@ -259,80 +245,29 @@ impl Forward {
     ) -> Result<Vec<Row>> {
         let shape = model.shape(images, request)?;
         let (plan, tensors) = model.record(shape, false)?;
-        let (flops, commands, arena_bytes) = (plan.flops(), plan.len(), plan.arena_bytes());
+        let arena_bytes = plan.arena_bytes();
         let peak_bytes = model.weight_bytes() + model.plan(shape)?.bytes();
         let mut run = model.run(plan)?;
-        let Repeats { warmup, repeats } = self.repeats;
-        let (mut totals, mut profiles): (Vec<_>, Vec<Profile>) = Default::default();
-        for i in 0..warmup + repeats {
-            let done = f64::from(i) / f64::from(warmup + repeats);
-            stage.reach(done)?;
-            model.write_inputs(&mut run, &tensors, shape, images, request)?;
-            let start = Instant::now();
-            run.execute_with(|_| stage.at(done))?;
-            if i >= warmup {
-                totals.push(start.elapsed());
-                model.write_inputs(&mut run, &tensors, shape, images, request)?;
-                profiles.push(run.profile()?);
-            }
-        }
-        let row = |stage: &str, kernel: &str, group: Group| Row {
+        let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, images, request);
+        let parts = parts::measure(&mut run, write, stage_of, (self.repeats, peak), stage)?;
+        let row = |part: Part| Row {
             precision: "",
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             pool: shape.pool,
-            stage: stage.to_owned(),
-            kernel: kernel.to_owned(),
-            commands: group.count,
-            ms: group.ms,
-            gflop: group.flops as f64 / 1e9,
-            gflop_per_s: group.ms.rate(group.flops),
-            peak_share: peak.share(group.ms.rate(group.flops)),
+            part,
             peak_bytes,
             arena_bytes,
         };
-        let total = Group { name: String::new(), count: commands as u32, flops, ms: Spread::of(totals) };
-        let mut rows = vec![row("", "", total)];
-        for of_stage in group(&profiles, stage_of) {
-            let stage = of_stage.name.clone();
-            rows.push(row(&stage, "", of_stage));
-            let inside: Vec<Profile> = profiles.iter().map(|profile| only(profile, &stage)).collect();
-            for of_kernel in group(&inside, |row| row.kernel.clone()) {
-                let kernel = of_kernel.name.clone();
-                rows.push(row(&stage, &kernel, of_kernel));
-            }
-        }
-        Ok(rows)
+        Ok(parts.into_iter().map(row).collect())
     }
-}
-
-/// The rows of one stage.
-fn only(profile: &Profile, stage: &str) -> Profile {
-    Profile { rows: profile.rows.iter().filter(|row| stage_of(row) == stage).cloned().collect() }
 }
 
 fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String {
     let Some(total) = rows.first() else { return String::new() };
     let pooled = if total.pool > 1 { format!(" keys of {0} x {0} patches,", total.pool) } else { String::new() };
-    let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s", "of peak"];
-    let mut table = Table::new(2, &headings);
-    for row in rows {
-        let stage = match (row.stage.as_str(), row.kernel.as_str()) {
-            ("", _) => "all, as the host sees it",
-            (stage, "") => stage,
-            _ => "",
-        };
-        table.row([
-            stage.to_owned(),
-            row.kernel.clone(),
-            row.commands.to_string(),
-            row.ms.to_string(),
-            format!("{:.3}", row.gflop),
-            format!("{:.1}", row.gflop_per_s),
-            percent(row.peak_share),
-        ]);
-    }
+    let table = parts::table(rows.iter().map(|row| &row.part));
     format!(
         "{} views, {} tokens,{pooled} {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
         total.views,

@@ -1,10 +1,12 @@
 //! `zipsplat bench`: times on a device, each the median of many with its least and greatest.
 
 mod align;
+mod depth;
 mod effects;
 mod forward;
 mod gemm;
 mod gsplat;
+mod parts;
 mod peak;
 mod python;
 mod pytorch;
@@ -21,11 +23,12 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the forward pass, of a matrix product, of drawing, of refining, of finding cameras; a device's limits; what accuracy costs
-/// in time
+/// Times of the forward pass, of depth, of a matrix product, of drawing, of refining, of finding cameras; a device's limits; what
+/// accuracy costs in time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
+  zipsplat bench depth --weights seeded:da3-small --views 4,24 --size 252x252,504x336
   zipsplat bench gemm
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
@@ -43,6 +46,7 @@ pub struct Bench {
 #[derive(Subcommand)]
 enum What {
     Align(align::Align),
+    Depth(depth::Depth),
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Peak(peak::Peak),
@@ -69,6 +73,7 @@ impl Bench {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match &self.what {
             What::Align(bench) => bench.run(session),
+            What::Depth(bench) => bench.run(session),
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),

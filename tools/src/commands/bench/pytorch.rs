@@ -1,4 +1,4 @@
-//! The forward pass and a refinement's step in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
+//! The forward pass, depth and a refinement's step in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
 
 use crate::options::Size;
 use serde::Deserialize;
@@ -6,7 +6,7 @@ use std::{path::Path, process::Command};
 use zipsplat::{
     Error, Result,
     types::{Scene, write_ply},
-    weights::Architecture,
+    weights::{Architecture, DepthArchitecture},
 };
 
 /// The files that Python runs, under the names it imports.
@@ -15,6 +15,15 @@ const FILES: [(&str, &str); 4] = [
     ("model.py", include_str!("../../../train/model.py")),
     ("layers.py", include_str!("../../../train/layers.py")),
     ("weights.py", include_str!("../../../train/weights.py")),
+];
+
+/// The same for depth.
+const DEPTH_FILES: [(&str, &str); 5] = [
+    ("pytorch_depth.py", include_str!("../../../bench/pytorch_depth.py")),
+    ("depth.py", include_str!("../../../train/depth.py")),
+    FILES[1],
+    FILES[2],
+    FILES[3],
 ];
 
 /// The same for a step.
@@ -83,6 +92,41 @@ pub fn forward(
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }
 
+/// The times of depth.
+#[derive(Deserialize)]
+pub struct Depth {
+    pub device: String,
+    pub torch: String,
+    pub rows: Vec<DepthRow>,
+}
+
+/// The milliseconds of every run.
+#[derive(Deserialize)]
+pub struct DepthRow {
+    pub backbone_ms: Vec<f64>,
+    pub heads_ms: Vec<f64>,
+}
+
+/// Times a depth network, without its head for Gaussians, for each of `cases`: views, and their size.
+///
+/// # Errors
+/// As [`check`].
+pub fn depth(
+    python: &Path,
+    architecture: &DepthArchitecture,
+    cases: &[(usize, Size)],
+    [warmup, repeats]: [u32; 2],
+) -> Result<Depth> {
+    let folder = super::python::folder(&DEPTH_FILES)?;
+    let architecture = serde_json::to_string(architecture).expect("numbers and names are JSON");
+    let mut command = Command::new(python);
+    command.arg(folder.path().join(DEPTH_FILES[0].0)).arg(architecture).args([warmup, repeats].map(|n| n.to_string()));
+    command.args(cases.iter().map(|(views, size)| format!("{views}x{size}")));
+    let printed = super::python::run("--pytorch", NEEDED, &mut command)?;
+    serde_json::from_str(&printed)
+        .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
+}
+
 /// Times of pictures and of steps.
 #[derive(Deserialize)]
 pub struct Steps {
@@ -131,7 +175,7 @@ mod tests {
     #[test]
     fn scripts_find_what_they_import() {
         let tools = Path::new(env!("CARGO_MANIFEST_DIR"));
-        for files in [&FILES[..], &REFINE_FILES] {
+        for files in [&FILES[..], &DEPTH_FILES, &REFINE_FILES] {
             for (name, text) in files {
                 let words = text.lines().filter_map(|line| {
                     let line = line.trim_start();

@@ -8,6 +8,7 @@ use crate::{
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
+    released::open_depth,
     session::Session,
     table::{counted, time},
     video::FrameFolder,
@@ -27,7 +28,6 @@ use zipsplat::{
         poses::{Frame, read_poses, write_frames},
         write_atomic, write_points,
     },
-    weights::DepthCheckpoint,
 };
 
 /// Depth, points and cameras of photos that may have none, by Depth Anything 3
@@ -37,7 +37,7 @@ use zipsplat::{
 /// and `refine` take the one as --poses, and `refine --start points` begins from the other. Lengths are in a unit of the network's.
 #[derive(Args)]
 #[command(after_help = "Examples:
-  zipsplat depth photos/ --weights da3-base.safetensors -o depth/
+  zipsplat depth photos/ --weights da3-small -o depth/
   zipsplat refine --start points photos/ --poses depth/transforms.json -o scene.ply
   zipsplat reconstruct photos/ --poses depth/transforms.json -o scene.ply
   zipsplat depth photos/ --weights da3-base.safetensors --poses transforms.json -o depth/
@@ -45,9 +45,9 @@ use zipsplat::{
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Weights of Depth Anything 3 as they are released (model.safetensors of da3-small, da3-base, da3-large, da3-giant,
-    /// da3mono-large or da3metric-large), or seeded:NAME for random numbers
-    #[arg(long, value_name = "PATH|seeded:NAME")]
+    /// Weights of Depth Anything 3: a name that `zipsplat weights get` takes (da3-small, da3-base, da3-large, da3-giant, da3mono-large,
+    /// da3metric-large), a released model.safetensors, or seeded:NAME for random numbers
+    #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Folder to write to
     #[arg(long, short, value_name = "FOLDER")]
@@ -92,7 +92,7 @@ const POINTS: &str = "points.ply";
 
 impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let checkpoint = DepthCheckpoint::parse(&self.weights, false)?;
+        let checkpoint = open_depth(&self.weights, false)?;
         let place = self.output.join(CAMERAS);
         let (files, mut folder) = self.input.list(session, self.views, Some((&place, self.overwrite)))?;
         let files = self.views.map_or(files.clone(), |views| photos::spread(files, views as usize));

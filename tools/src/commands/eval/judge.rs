@@ -3,7 +3,8 @@
 use super::{Eval, alignment::Alignment};
 use crate::{
     capture::{Capture, Choice, Posed, Score, draw},
-    options::refuse,
+    depth::Seer,
+    options::{Network as Weighed, refuse},
     refinement::{self, Refinable, Start, Steps},
     session::Session,
     views::Seeing,
@@ -23,14 +24,16 @@ use zipsplat::{
 
 /// The judge of captures.
 pub struct Judge<'a> {
-    eval: &'a Eval,
-    checkpoint: &'a Checkpoint,
+    pub(super) eval: &'a Eval,
+    weights: &'a Weighed,
     seeing: Seeing,
-    device: Device,
+    pub(super) device: Device,
     pub precision: Precision,
     arithmetic: Arithmetic,
     /// Loaded where the first capture is reconstructed.
     model: Option<Model>,
+    /// The same of a network of pixels.
+    pub(super) seer: Option<Seer>,
     renderer: Renderer,
     lpips: Option<Perceptual>,
 }
@@ -59,6 +62,7 @@ pub struct Made {
 /// What the network did.
 pub struct Network {
     pub tokens: usize,
+    pub all_tokens: usize,
     pub peak_bytes: u64,
     pub took: Duration,
 }
@@ -72,13 +76,14 @@ impl Made {
 
 impl<'a> Judge<'a> {
     /// Opens the device.
-    pub fn new(eval: &'a Eval, checkpoint: &'a Checkpoint, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
+    pub fn new(eval: &'a Eval, weights: &'a Weighed, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
         let device = session.device()?;
         let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
         let lpips = eval.lpips.open(&device, gradients)?;
         let (precision, arithmetic) = eval.quality.arithmetic.choose(session, &device)?;
         let renderer = Renderer::new(&device);
-        Ok(Self { eval, checkpoint, seeing, device, precision, arithmetic, model: None, renderer, lpips })
+        let (model, seer) = (None, None);
+        Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, seer, renderer, lpips })
     }
 
     /// Reconstructs a capture from the frames chosen, or reads a scene of it, and compares it with the others. `name` is the capture's in
@@ -87,8 +92,16 @@ impl<'a> Judge<'a> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
-        let made = match eval.theirs.make(session, name, choice, &capture)? {
-            Some(mut made) => {
+        let given = eval.theirs.make(session, name, choice, &capture)?;
+        let (given, checkpoint) = match (given, self.weights) {
+            (None, Weighed::Pixels(checkpoint)) => {
+                (Some(self.of_pixels(session, (choice, &capture), checkpoint)?), None)
+            }
+            (given, Weighed::Pixels(_)) => (given, None),
+            (given, Weighed::Tokens(checkpoint)) => (given, Some(checkpoint)),
+        };
+        let made = match (given, checkpoint) {
+            (Some(mut made), _) => {
                 if let Some(Steps { count, tokens }) = eval.refine {
                     refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
                     let cloud = choice.points(&capture.unit)?;
@@ -102,7 +115,8 @@ impl<'a> Judge<'a> {
                 self.renderer.load(&made.scene)?;
                 made
             }
-            None => self.reconstruct(session, choice, &capture)?,
+            (None, Some(checkpoint)) => self.reconstruct(session, (choice, &capture), checkpoint)?,
+            (None, None) => unreachable!("a network of pixels has made a scene"),
         };
         let (drawn, mut alignment) = self.draw(session, &capture)?;
         let mut scores = capture.scores(&drawn);
@@ -115,8 +129,13 @@ impl<'a> Judge<'a> {
     }
 
     /// Makes the scene of a capture, which the renderer then holds.
-    fn reconstruct(&mut self, session: &mut Session<'_>, choice: &Choice, capture: &Capture) -> Result<Made> {
-        let (eval, checkpoint) = (self.eval, self.checkpoint);
+    fn reconstruct(
+        &mut self,
+        session: &mut Session<'_>,
+        (choice, capture): (&Choice, &Capture),
+        checkpoint: &Checkpoint,
+    ) -> Result<Made> {
+        let eval = self.eval;
         if self.model.is_none() {
             self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
         }
@@ -160,7 +179,8 @@ impl<'a> Judge<'a> {
             }
             _ => self.renderer.load(&scene)?,
         }
-        let network = Some(Network { tokens: result.tokens, peak_bytes: result.peak_bytes, took });
+        let all_tokens = model.shape(&images, &request)?.grid.tokens();
+        let network = Some(Network { tokens: result.tokens, all_tokens, peak_bytes: result.peak_bytes, took });
         Ok(Made { scene, network, refined, started })
     }
 

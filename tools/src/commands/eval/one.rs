@@ -7,6 +7,7 @@ use super::{
 };
 use crate::{
     capture::{Capture, Choice, Score},
+    options::Network,
     outputs, refinement,
     session::Session,
     table::Table,
@@ -37,7 +38,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         [views] => views,
         _ => return Err(Error::argument("--views", "a list", "one number, or a --protocol")),
     } as usize;
-    let (checkpoint, seeing) = eval.begin(session)?;
+    let (weights, seeing) = eval.begin(session)?;
     let targets = eval.targets.map(|targets| targets as usize);
     let known = eval.known(folder, session)?;
     let mut choice = match &known {
@@ -46,11 +47,10 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     };
     choice.notes().iter().for_each(|note| session.note(note));
     choice.disturb(eval.disturb, eval.unit)?;
-    let shape = match eval.theirs.given() {
-        Some(_) => None,
-        None => Some(eval.shape(&checkpoint, seeing, &choice)?),
-    };
-    let mut judge = Judge::new(eval, &checkpoint, seeing, session)?;
+    if let (None, Network::Tokens(checkpoint)) = (eval.theirs.given(), &weights) {
+        eval.check_shape(checkpoint, seeing, &choice)?;
+    }
+    let mut judge = Judge::new(eval, &weights, seeing, session)?;
     let judged = judge.judge(session, &choice, None)?;
 
     match (&eval.csv, &judged.alignment) {
@@ -81,11 +81,11 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
             format!("\n{}", refinement::summary(refined, made.started, &capture.learnt().1))
         });
     let json = serde_json::json!({
-        "folder": folder, "weights": checkpoint.provenance(), "precision": judge.precision.name(),
+        "folder": folder, "weights": weights.provenance(), "precision": judge.precision.name(),
         "width": seeing.size.0, "height": seeing.size.1, "score_width": seeing.compared.0, "score_height": seeing.compared.1,
         "refined": refined.map(|refined| refinement::as_json(refined, made.started, &capture.learnt().1)),
         "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
-        "tokens": network.map(|network| network.tokens), "all_tokens": shape.map(|shape| shape.grid.tokens()),
+        "tokens": network.map(|network| network.tokens), "all_tokens": network.map(|network| network.all_tokens),
         "gaussians": made.scene.len(), "scene": eval.theirs.given(), "peak_bytes": network.map(|network| network.peak_bytes),
         "seconds": network.map(|network| network.took.as_secs_f64()),
         "mean": mean, "aligned": alignment, "views": scores,

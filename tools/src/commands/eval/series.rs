@@ -8,6 +8,7 @@ use super::{
 };
 use crate::{
     capture::Score,
+    options::Network,
     outputs::{self, MADE_BY},
     protocol::{Place, Protocol, Setting},
     session::Session,
@@ -21,7 +22,6 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{Image, contact_sheet, write_atomic},
-    weights::Checkpoint,
 };
 
 /// Files of the folder.
@@ -102,11 +102,11 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let options = &eval.series;
     let settings = protocol.settings(&eval.views, &options.gap, &options.indices)?;
     let places = protocol.places(&eval.folders, options.images.as_deref())?;
-    let (checkpoint, seeing) = eval.begin(session)?;
+    let (weights, seeing) = eval.begin(session)?;
     outputs::make_folder(out)?;
-    let mut judge = Judge::new(eval, &checkpoint, seeing, session)?;
-    let method = options.name.clone().unwrap_or_else(|| method_of(&checkpoint, eval));
-    let way = digest(&[eval.made_with(&checkpoint, seeing, judge.precision.name())?]);
+    let mut judge = Judge::new(eval, &weights, seeing, session)?;
+    let method = options.name.clone().unwrap_or_else(|| method_of(&weights, eval));
+    let way = digest(&[eval.made_with(&weights, seeing, judge.precision.name())?]);
     let posed = if eval.pose_free { "free" } else { "posed" };
     let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
     let series = Series { eval, protocol, method, folder };
@@ -237,8 +237,8 @@ impl Series<'_> {
 
 impl Eval {
     /// Whatever figures depend on but a scene and its frames.
-    fn made_with(&self, checkpoint: &Checkpoint, seeing: Seeing, precision: &str) -> Result<String> {
-        let weights = checkpoint.provenance();
+    fn made_with(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
+        let weights = weights.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let version = env!("CARGO_PKG_VERSION");
         let Self { quality, refine, start, hold_out, moved, disturb, unit, lpips, .. } = self;
@@ -253,11 +253,11 @@ impl Eval {
 }
 
 /// The name of a method in tables, where the user has none.
-fn method_of(checkpoint: &Checkpoint, eval: &Eval) -> String {
+fn method_of(weights: &Network, eval: &Eval) -> String {
     if let Some(folder) = eval.theirs.given() {
         return folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     }
-    let weights = Path::new(checkpoint.provenance());
+    let weights = Path::new(weights.provenance());
     let name = if weights.is_file() { weights.file_stem() } else { weights.file_name() };
     let name = name.unwrap_or_default().to_string_lossy();
     match eval.refine {

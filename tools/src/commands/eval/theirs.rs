@@ -181,10 +181,7 @@ impl Theirs {
             }
             (Some(Whose::First) | None, None, _) => placed(first),
         };
-        // The capture's world is the first input's camera, in its own unit.
-        let pose = first.inverse().compose(&to_cameras.pose);
-        let pose = Pose { translation: pose.translation / capture.unit.length, ..pose };
-        scene.place(to_cameras.scale / capture.unit.length, &pose);
+        place(&mut scene, &to_cameras, &first, capture);
         Ok(Made::given(scene))
     }
 
@@ -198,6 +195,14 @@ impl Theirs {
             Error::argument("--scene-cameras", path.display(), expected)
         })
     }
+}
+
+/// Brings a scene to the world and unit of a capture, whose first input has this pose, by way of the cameras' world.
+pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
+    // The capture's world is the first input's camera, in its own unit.
+    let pose = first.inverse().compose(&to_cameras.pose);
+    let pose = Pose { translation: pose.translation / capture.unit.length, ..pose };
+    scene.place(to_cameras.scale / capture.unit.length, &pose);
 }
 
 /// Whether what was read as logits may be plain opacities.
@@ -221,7 +226,7 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
 
 /// The similarity from the world of a scene's cameras to that of the same photos' frames, and how far cameras then are apart, as a
 /// share of their spread.
-fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
+pub fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {
         let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));

@@ -6,6 +6,7 @@ use self::plan::Refinement;
 use crate::{
     options::{Quality, SceneInput, Size, Weights, refuse},
     refinement::Moved,
+    released::{is_of_depth, open_depth},
     session::Session,
     table::{Table, bytes, counted},
 };
@@ -85,8 +86,8 @@ impl Info {
             (Some(file), _) if is_scene(Path::new(file))? => scene(session, file, &self.scene_input),
             (Some(file), _) => {
                 refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
-                match DepthCheckpoint::is_meant(file) {
-                    true => depth_checkpoint(session, &DepthCheckpoint::parse_whole(file)?),
+                match is_of_depth(file) {
+                    true => depth_checkpoint(session, &open_depth(file, true)?),
                     false => checkpoint(session, &self.weights.open_unless_scene(file)?),
                 }
             }

@@ -14,12 +14,8 @@ use crate::{
 use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::{
-    Error, Result,
-    depth::DepthRequest,
-    types::{
-        Camera,
-        poses::{Frame, Poses},
-    },
+    Result,
+    types::poses::{Frame, Poses},
     weights::DepthCheckpoint,
 };
 
@@ -33,36 +29,25 @@ impl Reconstruct {
         for (option, given) in [
             ("--fit squares", self.fit.fit == Fit::Squares),
             ("--unit", self.unit.is_some()),
-            ("--pool", self.quality.pool != 1),
             ("--explain", self.explain),
             ("--refine STEPS:tokens", tokens),
         ] {
             refuse(option, given, PIXELS, "weights of ZipSplat")?;
         }
-        let all = checkpoint.architecture().backbone.patch.pow(2) as u32;
-        match self.quality.kept() {
-            Some(keep) if keep > all => {
-                Err(Error::argument("--keep", keep, format!("1 to {all}, the pixels of a patch")))
-            }
-            _ => Ok(()),
-        }
+        self.quality.check_pixels(checkpoint)
     }
 
     /// The question that a network is asked for its scene.
     pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
-        let (ratio, selection) = (self.quality.ratio, self.quality.select.clone());
-        Question {
-            checkpoint,
-            side: self.quality.side().or(self.finding.search.find_size),
-            cameras: self.finding.cameras,
-            arithmetic: &self.quality.arithmetic,
-            request: DepthRequest { ratio, selection, ..DepthRequest::default() },
-        }
+        let question = self.quality.question(checkpoint);
+        let side = question.side.or(self.finding.search.find_size);
+        Question { side, cameras: self.finding.cameras, ..question }
     }
 }
 
 impl Forward {
-    /// The scene of photos with cameras, in the world of the first one's, by what the network has `seen` where it has found them.    ///
+    /// The scene of photos with cameras, in the world of the first one's, by what the network has `seen` where it has found them.
+    ///
     /// # Errors
     /// As [`Question::ask`]; [`Error::Argument`] where nothing tells the scale of each photo's depth, or no pixel is confident.
     pub fn of_pixels(
@@ -77,24 +62,16 @@ impl Forward {
             None => command.question(checkpoint).ask(session, photos, frames)?,
         };
         seen.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
-        let first = frames[0].camera.pose;
-        let here = |camera: &Camera| Camera { pose: camera.pose.relative_to(&first), ..*camera };
-        let cameras: Vec<Camera> = seen.cameras.iter().flatten().map(here).collect();
-        let images = seen.images();
-        let scene = seen.depths.scene(&cameras, &images, command.quality.kept().map(|keep| keep as usize));
-        if scene.is_empty() {
-            let found = format!("none of {}", counted(images.len(), "photo"));
-            return Err(Error::argument("pixels of which the network is confident", found, "some"));
-        }
+        let scene = seen.scene(&frames[0].camera.pose, command.quality.kept())?;
+        let [tokens, all] = seen.patches();
         let Seen { depths, network, precision, times, .. } = seen;
-        let all = images.len() * (depths.width as usize / depths.patch) * (depths.height as usize / depths.patch);
-        let tokens = depths.patches.as_ref().map_or(all, Vec::len);
+        let views = depths.views.len();
         let loading = times.iter().find(|(step, _)| *step == LOAD_WEIGHTS).map(|(_, took)| *took);
         let rate = rate(checkpoint.bytes(), loading.unwrap_or_default());
         let json = vec![
             ("weights", json!(checkpoint.provenance())),
             ("network", json!(network)),
-            ("views", json!(images.len())),
+            ("views", json!(views)),
             ("width", json!(depths.width)),
             ("height", json!(depths.height)),
             ("tokens", json!(tokens)),
@@ -113,7 +90,7 @@ impl Forward {
             times: times.into_iter().map(|(step, took)| (step.to_owned(), took)).collect(),
             explanation: None,
             peak_bytes: depths.peak_bytes,
-            views_told: format!(" from {} of {}x{}", counted(images.len(), "view"), depths.width, depths.height),
+            views_told: format!(" from {} of {}x{}", counted(views, "view"), depths.width, depths.height),
             told: format!(
                 "{network}'s: a Gaussian, {each}, for each confident pixel of {tokens} of {all} patches, {} precision\n",
                 precision.name()

@@ -1,0 +1,89 @@
+"""What Depth Anything 3 is worth on captures: da3.py CAPTURE... --weights FILE [--seconds 20] [--views 8] [--size WxH]
+
+A capture is a folder with images and their cameras, with depth/NAME.npy where that is known, as `zipsplat scene` writes it. The network
+and COLMAP see the photos alone. A first row of Markdown says how far off the network's cameras and depth are (medians; the position as
+a share of the cameras' extent). Each of the others is a way to a scene, refined for the same seconds, with the PSNR of photos that it
+has not seen, drawn with the cameras of that way: the capture's cameras and points, COLMAP's, the network's cameras with points of its
+depth, and with a Gaussian for each pixel. With seeded: weights the numbers mean nothing but that it runs. ZIPSPLAT in the environment is the command.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from command import zipsplat
+
+# Steps that tell how long one takes.
+PROBE = 4
+
+
+def refined(words, options):
+    """The figures of a scene after as many steps as the seconds are enough for, as cells."""
+    shown = ["--views", options.views, "--score-size", options.size, "--lpips", "none", *words]
+    probe = zipsplat("eval", *shown, "--refine", PROBE)["refined"]
+    steps = max(1, round(options.seconds * PROBE / probe["seconds"]))
+    scored = zipsplat("eval", *shown, "--refine", steps)
+    took = scored["refined"]["seconds"]
+    psnr = f"{scored['mean']['psnr']:.2f} dB ({len(scored['views'])})"
+    return [psnr, f"{scored['gaussians']:,}", f"{scored['refined']['steps']} steps in {took:.0f} s"]
+
+
+def errors(photos, capture, folder, options):
+    """How far off the network is, as cells."""
+    words = ["--weights", options.weights, "--truth", capture, "-o", folder / "depth"]
+    off = zipsplat("depth", photos, *words)["errors"]
+    told = {
+        "degrees": "turn {:.2f} degrees",
+        "position": "position {:.2%}",
+        "focal": "focal length {:+.1%}",
+        "abs_rel": "depth {:.1%} (AbsRel)",
+        "within_1.25": "{:.1%} of pixels within 1.25",
+    }
+    return [", ".join(text.format(off[name]) for name, text in told.items() if off[name] is not None)]
+
+
+def rows(capture, folder, options):
+    """Each way's name, and what gives its cells."""
+    photos = folder / "images"
+    photos.symlink_to((capture / "images").resolve())
+
+    def found(name, *words):
+        """The photos with the cameras that a command finds."""
+        place = folder / f"{name}.json"
+        zipsplat("cameras", photos, *words, "-o", place)
+        return [photos, "--poses", place]
+
+    network = ["--with", "da3", "--weights", options.weights]
+    pixels = ["--weights", options.weights, "--size", options.size, "--start", "scene"]
+    return {
+        "off by": lambda: errors(photos, capture, folder, options),
+        "its own cameras and points": lambda: refined([capture, "--start", "points"], options),
+        "COLMAP's": lambda: refined([*found("colmap"), "--start", "points"], options),
+        "the network's cameras, points of its depth": lambda: refined(
+            [*found("network", *network), "--start", "points"], options
+        ),
+        "the network's cameras, a Gaussian a pixel": lambda: refined([*found("pixels", *network), *pixels], options),
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("captures", nargs="+", type=Path)
+    parser.add_argument("--weights", required=True)
+    parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("--views", type=int, default=8)
+    parser.add_argument("--size", default="252x252")
+    options = parser.parse_args()
+    print("| capture | way | held-out photos | Gaussians | refined |\n|---|---|---|---|---|")
+    for capture in options.captures:
+        with tempfile.TemporaryDirectory() as folder:
+            for way, cells in rows(capture, Path(folder), options).items():
+                try:
+                    found = cells()
+                except RuntimeError as error:
+                    found = [str(error)]
+                print("|", " | ".join([capture.name, way, *found]), "|", flush=True)
+
+
+if __name__ == "__main__":
+    main()

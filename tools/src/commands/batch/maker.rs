@@ -1,0 +1,142 @@
+//! The networks that make a capture's scene, of which one is kept on the device.
+
+use super::Batch;
+use crate::{
+    depth::{Seer, Shown, check_finds_cameras},
+    options::{Quality, Size, refuse},
+    outputs, photos,
+    session::{Session, Stage},
+    views::{Fit, Views},
+};
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use zipsplat::{
+    Result,
+    reconstruct::{Model, Request},
+    types::{
+        Pose, Scene,
+        poses::{Frame, Poses},
+    },
+    weights::{Checkpoint, DepthCheckpoint},
+};
+
+/// The things that a network is shown.
+pub enum Input {
+    /// With the length that it takes for 1.
+    Tokens(Views, f64),
+    /// With the points beside the cameras.
+    Pixels(Shown, Option<PathBuf>),
+}
+
+/// A network on the device.
+pub enum Maker<'a> {
+    Tokens { model: Box<Model>, checkpoint: &'a Checkpoint, size: Size },
+    Pixels(Box<Seer>),
+}
+
+/// A capture's scene.
+pub struct Scened {
+    pub scene: Scene,
+    /// The photo whose camera is the scene's world, where the network has found it.
+    pub first: Option<String>,
+    /// What the network says of it.
+    pub record: Value,
+}
+
+impl<'a> Maker<'a> {
+    /// A network of tokens, and whatever a scene of it depends on but its capture.
+    pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
+        session.notes(checkpoint.notes());
+        batch.quality.check(checkpoint.architecture())?;
+        let size = batch.quality.size_for(checkpoint);
+        batch.fit.fit.check(size, batch.posed)?;
+        session.notes(batch.quality.doubt_size(checkpoint));
+        outputs::make_folder(&batch.output)?;
+        let device = session.device()?;
+        let (precision, arithmetic) = batch.quality.arithmetic.choose(session, &device)?;
+        let (model, _) = session.load_model(&device, checkpoint, arithmetic)?;
+        let made_with = batch.made_with(checkpoint.provenance(), &size.to_string(), precision.name())?;
+        Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, made_with))
+    }
+
+    /// The same of a network of pixels.
+    pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
+        let squares = batch.fit.fit == Fit::Squares;
+        refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        batch.quality.check_pixels(checkpoint)?;
+        if !batch.posed {
+            check_finds_cameras(checkpoint.architecture())?;
+        }
+        outputs::make_folder(&batch.output)?;
+        let device = session.device()?;
+        let seer = batch.quality.question(checkpoint).open(session, &device)?;
+        let size = format!("{:?}", batch.quality.side());
+        let made_with = batch.made_with(checkpoint.provenance(), &size, seer.precision().name())?;
+        Ok((Self::Pixels(Box::new(seer)), made_with))
+    }
+
+    /// Reads a capture's photos as the network sees them; those with frames have known cameras.
+    ///
+    /// # Errors
+    /// Those of photos that cannot be read, or are not those of their cameras.
+    pub fn prepare(
+        &self,
+        batch: &Batch,
+        photos: &[PathBuf],
+        poses: Option<&Poses>,
+        frames: &[&Frame],
+        stage: &Stage<'_>,
+    ) -> Result<Input> {
+        match self {
+            Self::Tokens { size, .. } => {
+                let fit = batch.fit.fit;
+                fit.count(photos)?;
+                let views = fit.load(photos, frames, *size, stage)?;
+                let unit = match (poses, frames.first()) {
+                    (Some(poses), Some(first)) => poses.unit(None, &views.cameras, &first.camera.pose)?.length,
+                    _ => 1.0,
+                };
+                Ok(Input::Tokens(views, unit))
+            }
+            Self::Pixels(seer) => {
+                let points = poses.and_then(|poses| poses.points.clone());
+                Ok(Input::Pixels(seer.show(photos, frames, stage)?, points))
+            }
+        }
+    }
+
+    /// Makes the scene.
+    ///
+    /// # Errors
+    /// As [`Model::reconstruct`] and [`Seer::see`].
+    pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<Scened> {
+        match (input, self) {
+            (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
+                let (cameras, turned) = batch.fit.fit.told(cameras);
+                let Quality { ratio, select, pool, .. } = &batch.quality;
+                let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
+                let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit, pool: *pool };
+                let made = model.reconstruct(&images, &request, |progress| stage.at(progress.fraction))?;
+                let mut scene = made.scene()?;
+                batch.quality.prune(&mut scene, checkpoint.architecture());
+                turned.iter().for_each(|first| scene.place(1.0, first));
+                let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });
+                Ok(Scened { scene, first: None, record })
+            }
+            (Input::Pixels(shown, points), Self::Pixels(seer)) => {
+                let mut seen = seer.see(shown, stage)?;
+                seen.scale(false, points.as_deref())?;
+                let pose = seen.cameras.iter().flatten().next().map_or(Pose::IDENTITY, |camera| camera.pose);
+                let scene = seen.scene(&pose, batch.quality.kept())?;
+                let first = seen.photos.first().map(|photo| photo.to_string_lossy().into_owned());
+                if !seen.lost.is_empty() {
+                    seen.notes.push(format!("without a camera, and left out: {}", photos::names(&seen.lost)));
+                }
+                let note = (!seen.notes.is_empty()).then(|| seen.notes.join("; "));
+                let record = json!({ "network": seen.network, "tokens": seen.patches()[0], "note": note });
+                Ok(Scened { scene, first, record })
+            }
+            _ => unreachable!("photos are prepared for the network that there is"),
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! `zipsplat bench depth`: photos of noise to depth, rays and cameras.
+
+use super::{
+    Repeats, Spread,
+    parts::{self, Part},
+    peak::{self, Rate},
+    pytorch, timed_device,
+};
+use crate::{
+    noise::Noise,
+    options::{ArithmeticOption, Size},
+    released::open_depth,
+    session::{Session, Stage},
+    table::{Table, bytes},
+};
+use clap::Args;
+use serde::Serialize;
+use std::{path::PathBuf, time::Duration};
+use zipsplat::{
+    Error, Result,
+    depth::{DepthModel, DepthRequest},
+    gpu::{ProfileRow, Run},
+    types::Image,
+};
+
+/// Time of Depth Anything 3, its backbone beside its heads, by kernel, and its memory
+#[derive(Args)]
+pub struct Depth {
+    /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or seeded:NAME for random numbers
+    #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
+    weights: String,
+    /// Numbers of views
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "4")]
+    views: Vec<usize>,
+    /// Pixels of each view
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "504x336")]
+    size: Vec<Size>,
+    #[command(flatten)]
+    arithmetic: ArithmeticOption,
+    #[command(flatten)]
+    repeats: Repeats,
+    /// Also time the same network in PyTorch, by this Python, on its GPU or else on the CPU, and print the ratio
+    #[arg(long, value_name = "PYTHON")]
+    pytorch: Option<PathBuf>,
+}
+
+/// Times of one shape, or of a part of it.
+#[derive(Clone, Serialize)]
+struct Row {
+    precision: &'static str,
+    network: String,
+    views: usize,
+    width: u32,
+    height: u32,
+    #[serde(flatten)]
+    part: Part,
+    peak_bytes: u64,
+    arena_bytes: u64,
+}
+
+/// The parts of a network that are compared, by what the names of their stages begin with.
+const PARTS: [&str; 2] = ["backbone", "heads"];
+
+impl Depth {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let checkpoint = open_depth(&self.weights, true)?;
+        let network = &checkpoint.architecture().name;
+        if self.pytorch.is_some() && !checkpoint.architecture().multi_view() {
+            return Err(Error::argument("--pytorch", network, "a network that sees all photos at once"));
+        }
+        self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
+        let device = timed_device(session)?;
+        let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
+        let load = |stage: &Stage<'_>| DepthModel::load(&device, &checkpoint, arithmetic, |done| stage.at(done));
+        let (model, _) = session.stage("load weights", load)?;
+        let cases: Vec<(usize, Size)> =
+            self.size.iter().flat_map(|&size| self.views.iter().map(move |&views| (views, size))).collect();
+        let shapes = cases.iter().map(|&(views, Size(width, height))| {
+            let all = DepthRequest::default();
+            model.network().shape(views, [width, height], (all.ratio, &all.selection), false, None)
+        });
+        shapes.collect::<Result<Vec<_>>>()?;
+        let measure_peak = |stage: &Stage<'_>| peak::of_products(&device, arithmetic, peak::BRIEFLY, stage);
+        let (peak, _) = session.stage("peak", measure_peak)?;
+
+        let (mut rows, mut text) = (Vec::new(), String::new());
+        let mut measured = Vec::new();
+        for &(views, size) in &cases {
+            let name = format!("{views} views of {size}");
+            let found = match session.stage(&name, |stage| self.measure(&model, (views, size), &peak, stage)) {
+                // What is too large does not cost what was measured before.
+                Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
+                    session.note(format!("{name}: {error}"));
+                    continue;
+                }
+                found => found?.0,
+            };
+            let found: Vec<Row> = found
+                .into_iter()
+                .map(|row| Row { precision: precision.name(), network: network.clone(), ..row })
+                .collect();
+            text += &describe(&found, &device.limits().name, &peak);
+            measured.push(((views, size), PARTS.map(|part| milliseconds(&found, part))));
+            rows.extend(found);
+        }
+        let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
+            let Repeats { warmup, repeats } = self.repeats;
+            let cases: Vec<_> = measured.iter().map(|(case, _)| *case).collect();
+            let ask = |_: &Stage<'_>| pytorch::depth(python, checkpoint.architecture(), &cases, [warmup, repeats]);
+            let (found, _) = session.stage("PyTorch", ask)?;
+            text += &compare(&found, &measured);
+            rows.extend(theirs(&found, &rows));
+            Ok(())
+        });
+        // Ours, whatever became of the other.
+        session.report(&rows, text)?;
+        compared
+    }
+
+    fn measure(
+        &self,
+        model: &DepthModel,
+        (views, Size(width, height)): (usize, Size),
+        peak: &Rate,
+        stage: &Stage<'_>,
+    ) -> Result<Vec<Row>> {
+        let mut noise = Noise(0);
+        let images: Vec<Image> = (0..views).map(|_| noise.image(width, height)).collect();
+        let request = DepthRequest::default();
+        let shape = model.shape(&images, &request)?;
+        let (plan, tensors) = model.record(shape, false)?;
+        let arena_bytes = plan.arena_bytes();
+        let mut run = model.run(plan)?;
+        let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, &images, &request);
+        let parts = parts::measure(&mut run, write, part_of, (self.repeats, peak), stage)?;
+        let row = |part: Part| Row {
+            precision: "",
+            network: String::new(),
+            views,
+            width,
+            height,
+            part,
+            peak_bytes: model.weight_bytes() + arena_bytes,
+            arena_bytes,
+        };
+        Ok(parts.into_iter().map(row).collect())
+    }
+}
+
+/// The backbone, or the head.
+fn part_of(row: &ProfileRow) -> String {
+    let mut scopes = row.scope.split('/');
+    match (scopes.next(), scopes.next()) {
+        (Some("heads"), Some(head)) => format!("heads/{head}"),
+        (first, _) => first.unwrap_or_default().to_owned(),
+    }
+}
+
+/// The device's milliseconds of all stages whose names begin with `part`: the sum of their medians.
+fn milliseconds(rows: &[Row], part: &str) -> f64 {
+    let stages = rows.iter().map(|row| &row.part).filter(|row| row.kernel.is_empty() && row.stage.starts_with(part));
+    stages.map(|row| row.ms.median).sum()
+}
+
+fn describe(rows: &[Row], device: &str, peak: &Rate) -> String {
+    let Some(total) = rows.first() else { return String::new() };
+    let Row { network, views, width, height, precision, .. } = total;
+    let [backbone, heads] = PARTS.map(|part| milliseconds(rows, part));
+    format!(
+        "{network}, {views} views of {width}x{height}, {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n\
+         {}backbone {backbone:.0} ms, heads {heads:.0} ms\n\n",
+        bytes(total.peak_bytes),
+        bytes(total.arena_bytes),
+        parts::table(rows.iter().map(|row| &row.part)),
+    )
+}
+
+fn spread(ms: &[f64]) -> Spread {
+    Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)))
+}
+
+/// PyTorch's times beside ours.
+fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> String {
+    let mut table =
+        Table::new(1, &["PyTorch f32", "views", "size", "ms: median (min..max)", "ours", "its time / ours"]);
+    for (theirs, ((views, size), ours)) in found.rows.iter().zip(measured) {
+        for (part, (ms, ours)) in PARTS.iter().zip([&theirs.backbone_ms, &theirs.heads_ms].into_iter().zip(ours)) {
+            let ms = spread(ms);
+            let ratio = format!("{:.2}", ms.median / ours);
+            table.row([
+                (*part).into(),
+                views.to_string(),
+                size.to_string(),
+                ms.to_string(),
+                format!("{ours:.1}"),
+                ratio,
+            ]);
+        }
+    }
+    format!("PyTorch {} on {}\n{table}", found.torch, found.device)
+}
+
+/// The same as rows; `rows` are ours.
+fn theirs(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
+    let totals = rows.iter().filter(|row| row.part.stage.is_empty());
+    let of = |(theirs, ours): (&pytorch::DepthRow, &Row)| {
+        let parts = PARTS.iter().zip([&theirs.backbone_ms, &theirs.heads_ms]);
+        let parts = parts.map(|(part, ms)| Part::of(format!("PyTorch f32 {part}"), spread(ms)));
+        parts.map(|part| Row { part, peak_bytes: 0, arena_bytes: 0, ..ours.clone() }).collect::<Vec<_>>()
+    };
+    found.rows.iter().zip(totals).flat_map(of).collect()
+}

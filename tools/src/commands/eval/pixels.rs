@@ -1,0 +1,72 @@
+//! A scene of pixels that a network of Depth Anything 3 makes of a capture's inputs.
+
+use super::{
+    Eval,
+    judge::{Judge, Made, Network},
+    theirs::{aligned, place},
+};
+use crate::{
+    cameras::Similarity,
+    capture::{Capture, Choice},
+    depth::check_finds_cameras,
+    options::{Size, refuse},
+    session::Session,
+    views::Fit,
+};
+use zipsplat::{
+    Result,
+    types::{DEFAULT_BOUND, Pose, poses::Poses},
+    weights::DepthCheckpoint,
+};
+
+impl Eval {
+    /// Checks the options of such a network, and gives the size of what is compared.
+    pub(super) fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<Size> {
+        let tokens = self.refine.is_some_and(|steps| steps.tokens);
+        for (option, given) in [("--fit squares", self.fit.fit == Fit::Squares), ("--refine STEPS:tokens", tokens)] {
+            refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        }
+        self.quality.check_pixels(checkpoint)?;
+        if self.pose_free {
+            check_finds_cameras(checkpoint.architecture())?;
+        }
+        Ok(self.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND)))
+    }
+}
+
+impl Judge<'_> {
+    /// The scene as `reconstruct` makes it of the whole photos, in the capture's world and unit. Without the cameras, those that the
+    /// network finds say where it is.
+    pub(super) fn of_pixels(
+        &mut self,
+        session: &mut Session<'_>,
+        (choice, capture): (&Choice, &Capture),
+        checkpoint: &DepthCheckpoint,
+    ) -> Result<Made> {
+        let seer = match self.seer.take() {
+            Some(seer) => seer,
+            None => self.eval.quality.question(checkpoint).open(session, &self.device)?,
+        };
+        let seer = self.seer.insert(seer);
+        let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
+        let known = if pose_free { &[][..] } else { &inputs[..] };
+        let (mut seen, took) = session.stage("depth", |stage| {
+            let shown = seer.show(&choice.inputs(), known, stage)?;
+            seer.see(shown, stage)
+        })?;
+        session.notes(&seen.notes);
+        if !pose_free {
+            seen.scale(false, choice.cloud())?;
+        }
+        let (first, keep) = (inputs[0].camera.pose, self.eval.quality.kept());
+        let mut scene = seen.scene(&Pose::IDENTITY, keep)?;
+        let to_cameras = match pose_free {
+            true => aligned(&Poses { frames: seen.frames()?, ..Poses::default() }, &inputs)?.0,
+            false => Similarity { scale: 1.0, pose: Pose::IDENTITY },
+        };
+        place(&mut scene, &to_cameras, &first, capture);
+        let [tokens, all] = seen.patches();
+        let network = Some(Network { tokens, all_tokens: all, peak_bytes: seen.depths.peak_bytes, took });
+        Ok(Made { network, ..Made::given(scene) })
+    }
+}
