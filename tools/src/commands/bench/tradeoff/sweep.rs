@@ -194,11 +194,11 @@ fn cases<'a>(
                 let mut settings = format!("--ratio {ratio}");
                 settings += &if whole { String::new() } else { format!(" --select {select}") };
                 settings += &if pool > 1 { format!(" --pool {pool}") } else { String::new() };
-                let mut refine = args.refine.clone();
-                let held = pool == args.pool[0] && (whole || *selection == args.select[0]);
-                refine.retain(|steps| steps.count > 0 && held);
+                let refine = Vec::new();
                 let case = Case { capture, shape, request, precision, weights, select, ratio, settings, keep, refine };
-                cases.push(case);
+                let refine =
+                    args.refine.iter().filter(|steps| steps.count > 0 && case.is_first(args)).copied().collect();
+                cases.push(Case { refine, ..case });
             }
         }
     }
@@ -206,9 +206,10 @@ fn cases<'a>(
 }
 
 impl Case<'_> {
-    /// True where all tokens are taken, or the first way to choose chooses.
+    /// True where all tokens are taken, or the first way to choose chooses, and keys are pooled as they are first.
     fn is_first(&self, args: &Tradeoff) -> bool {
-        self.shape.kept == Kept::All || self.request.selection == args.select[0]
+        let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
+        chosen && self.shape.pool == args.pool[0]
     }
 
     /// True of what others are compared with.
