@@ -97,7 +97,7 @@ fn named_weights_are_got_checked_converted_and_found() {
     let list = |state: &str| {
         let rows = place.run("weights list --json").json();
         assert_eq!((&rows[1]["name"], &rows[1]["state"]), (&"zipsplat".into(), &state.into()), "{rows}");
-        assert_eq!(rows[0]["state"], "built in");
+        assert_eq!((&rows[0]["name"], &rows[0]["state"]), (&"built-in".into(), &"built in".into()));
     };
     list("to get");
     let got = place.run(&format!("{GET} --json"));

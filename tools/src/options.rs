@@ -21,7 +21,7 @@ use zipsplat::{
 #[derive(Args)]
 pub struct Weights {
     /// Checkpoint (safetensors or PyTorch), a name of `zipsplat weights list`, or seeded:VARIANT[:KEY] for random numbers
-    /// [default: the model that is built in]
+    /// [default: built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
@@ -57,9 +57,15 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
+    /// The options as arguments of `zipsplat convert`.
+    pub fn as_input(&self) -> Vec<&str> {
+        let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
+        [self.weights.as_deref().unwrap_or(BUILT_IN)].into_iter().chain(variant).collect()
+    }
+
     /// Whether they are those that are built in.
     pub fn is_embedded(&self) -> bool {
-        self.weights.is_none()
+        self.weights.as_deref().is_none_or(|weights| weights == BUILT_IN)
     }
 
     /// Opens others, of the variant given.
@@ -92,6 +98,9 @@ impl Network {
     }
 }
 
+/// Name of the model that is built in.
+pub const BUILT_IN: &str = "built-in";
+
 /// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
@@ -101,9 +110,18 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     if is_of_depth(text) {
         let found = format!("{text}, of Depth Anything 3");
         let expected = format!(
-            "{expected} of ZipSplat; reconstruct, batch, depth, cameras and info take those of Depth Anything 3"
+            "{expected} of ZipSplat; reconstruct, batch, view, eval, depth, cameras and info take those of Depth Anything 3"
         );
         return Err(Error::argument("weights", found, expected));
+    }
+    if text == BUILT_IN {
+        refuse(
+            "--variant",
+            variant.is_some(),
+            "the model that is built in",
+            "a checkpoint that does not say its network",
+        )?;
+        return Checkpoint::embedded();
     }
     if let Some(path) = released::find(text)? {
         return Checkpoint::open(path, variant);

@@ -28,11 +28,13 @@ use zipsplat::{
   zipsplat convert scene.spz scene.glb
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
   zipsplat convert zipsplat.pt small.safetensors --dtype q8
+  zipsplat convert built-in small.safetensors --dtype q8
   zipsplat convert tensors.safetensors named.safetensors --variant vitb
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, or seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of `zipsplat weights list`, or
+    /// seeded:VARIANT[:KEY]
     input: String,
     /// File to write
     output: PathBuf,

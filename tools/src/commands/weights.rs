@@ -2,6 +2,7 @@
 
 use crate::{
     download::{Client, Promise, fetch, is_sha256, kept, promise},
+    options::BUILT_IN,
     released::{self, Kind, RELEASED, Released},
     session::Session,
     table::{Table, bytes},
@@ -253,9 +254,9 @@ fn list(session: &mut Session<'_>) -> Result<()> {
     if let Ok(embedded) = Checkpoint::embedded() {
         let what =
             format!("{} parameters, a demonstration", HumanCount(embedded.architecture().parameter_count() as u64));
-        table.row(["(default)".into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
+        table.row([BUILT_IN.into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
         rows.push(json!({
-            "name": null, "state": "built in", "bytes": embedded.bytes(), "licence": "Apache-2.0", "path": null, "what": what,
+            "name": BUILT_IN, "state": "built in", "bytes": embedded.bytes(), "licence": "Apache-2.0", "path": null, "what": what,
         }));
     }
     for released in &RELEASED {

@@ -30,7 +30,7 @@ type Meaning = (&'static str, fn(&Point) -> String);
 const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());
 const CHOSEN: Meaning = ("tokens chosen by", |p| p.select.clone());
 const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
-const PRECISION: Meaning = ("precision", |p| p.precision.clone());
+const PRECISION: Meaning = ("precision", Point::arithmetic);
 const KEPT: Meaning = ("Gaussians a token", |p| p.keep.to_string());
 const STEPS: Meaning = ("steps of refinement", |p| p.refine.clone());
 
@@ -55,14 +55,14 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let plain = those(&all, |p| !p.is_refined());
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
     let keep = plain.iter().map(|(_, p)| p.keep).max().unwrap_or(0);
-    let first = plain.first().map_or_else(String::new, |(_, p)| p.precision.clone());
+    let first = plain.first().map_or_else(String::new, |(_, p)| p.arithmetic());
     let own = name(&Selection::KMEANS);
     let kmeans = |p: &Point| p.select == "all" || p.select == own;
-    let full = those(&plain, |p| p.keep == keep && p.precision == first);
+    let full = those(&plain, |p| p.keep == keep && p.arithmetic() == first);
     let (best, ours) = (those(&full, |p| p.views == most), those(&full, kmeans));
-    let kept = those(&plain, |p| p.views == most && p.precision == first && kmeans(p));
+    let kept = those(&plain, |p| p.views == most && p.arithmetic() == first && kmeans(p));
     let whole = those(&plain, |p| p.keep == keep && p.select == "all");
-    let refined = those(&all, |p| p.views == most && p.precision == first && p.keep == keep && kmeans(p));
+    let refined = those(&all, |p| p.views == most && p.arithmetic() == first && p.keep == keep && kmeans(p));
     let refined = those(&refined, |p| !p.refine.contains(':'));
     let mut figures = vec![
         (

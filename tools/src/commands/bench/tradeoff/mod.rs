@@ -5,6 +5,7 @@ mod figures;
 mod page;
 mod point;
 mod refined;
+mod rounded;
 mod sweep;
 mod truth;
 
@@ -26,7 +27,7 @@ use zipsplat::{
     reconstruct::{Ratio, Selection},
     tune::Chosen,
     types::write_atomic,
-    weights::Checkpoint,
+    weights::{Checkpoint, Dtype},
 };
 
 /// What accuracy costs in time: a sweep over a capture, as a page with plots and pictures, and as a table
@@ -38,12 +39,14 @@ use zipsplat::{
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
   zipsplat bench tradeoff capture/ --views 4,8,16,24 --ratio 1,0.5,auto -o report/
+  zipsplat bench tradeoff capture/ --views 8,16 --ratio 1,auto --dtype f16,q8 --refine 0 -o report/
   zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fast --refine 0,10,25,50,100,50:tokens -o report/
 
 Writes tradeoff.html, one file that needs no other, and tradeoff.csv. Ctrl-C ends the sweep and writes what was measured.
 
 Reconstructions of at most 20 GFLOP are also computed in f64 on the CPU: of each stage's output the table has the rms of the
-difference over that of the truth, for the tokens that the first precision chose, and the PSNR of pictures of both.")]
+difference over that of the truth, for the tokens that the first precision chose, and the PSNR of pictures of both. Rounded weights
+are compared with the truth of those that are stored.")]
 pub struct Tradeoff {
     /// Folder with photos and their cameras: a transforms.json or a COLMAP model
     folder: PathBuf,
@@ -68,6 +71,11 @@ pub struct Tradeoff {
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
+    /// Types to round the weights to, as `convert --dtype` does: f16, bf16, q8. They follow on every number of photos and share of the
+    /// tokens, in the first arithmetic, with the first way to choose and the first number of Gaussians. own, the weights as they are
+    /// stored, is always there
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
+    dtype: Vec<Option<Dtype>>,
     /// Photos to compare with, at most
     #[arg(long, value_name = "N", default_value = "6", value_parser = clap::value_parser!(u32).range(1..))]
     targets: u32,
@@ -111,7 +119,8 @@ impl Tradeoff {
             .collect::<Result<_>>()?;
         captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
         let arithmetics = self.arithmetics(session, &device, &checkpoint)?;
-        let (sweep, stopped_of) = sweep::run(self, session, &device, &checkpoint, &arithmetics, &captures)?;
+        let rounded = rounded::all(self, session, &checkpoint)?;
+        let (sweep, stopped_of) = sweep::run(self, session, &device, (&checkpoint, &rounded), &arithmetics, &captures)?;
 
         outputs::make_folder(&self.output)?;
         let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;

@@ -99,19 +99,20 @@ fn took(ms: f64) -> String {
 /// Rows of points, `marked` ones green.
 fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) -> String {
     let mut html = String::from(
-        "<table><tr><th>photos<th>precision<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\
+        "<table><tr><th>photos<th>precision<th class=\"wide\">weights<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\
          <th class=\"wide\">Gaussians<th>time<th class=\"wide\">ms a picture<th class=\"wide\">peak<th class=\"wide\">file\
          <th>dB<th class=\"wide\">SSIM<th class=\"wide\">dB to exact<th class=\"wide\">to f64</tr>",
     );
     for i in rows {
         let p = &points[i];
         html += &format!(
-            "<tr data-point=\"{i}\"{}><td>{}<td>{}<td>{:.2}<td class=\"wide\">{}<td class=\"wide\">{}<td>{}<td class=\"wide\">{}\
+            "<tr data-point=\"{i}\"{}><td>{}<td>{}<td class=\"wide\">{}<td>{:.2}<td class=\"wide\">{}<td class=\"wide\">{}<td>{}<td class=\"wide\">{}\
              <td>{}<td class=\"wide\">{:.2}<td class=\"wide\">{}<td class=\"wide\">{}<td>{:.2}<td class=\"wide\">{:.3}\
              <td class=\"wide\">{}<td class=\"wide\">{}</tr>",
             if marked.contains(&i) { " class=\"front\"" } else { "" },
             p.views,
-            p.precision,
+            p.arithmetic(),
+            bytes(p.weight_bytes),
             p.ratio,
             p.select,
             p.keep,

@@ -1,5 +1,6 @@
 //! One combination of settings and what it gave.
 
+use super::rounded::OWN;
 use crate::table::counted;
 use serde::Serialize;
 use zipsplat::reconstruct::Selection;
@@ -9,6 +10,10 @@ use zipsplat::reconstruct::Selection;
 pub struct Point {
     pub views: usize,
     pub precision: String,
+    /// The type that the weights are rounded to; `own` where they are as they are stored.
+    pub weights: String,
+    /// Bytes of the weights on the device.
+    pub weight_bytes: u64,
     /// Tokens over all tokens.
     pub ratio: f64,
     /// The share as the command line has it: `auto`, too.
@@ -62,6 +67,11 @@ impl Point {
         self.refine != "0"
     }
 
+    /// The precision, and the type of the weights where they are rounded.
+    pub fn arithmetic(&self) -> String {
+        arithmetic(&self.precision, &self.weights)
+    }
+
     /// The settings in words.
     pub fn settings(&self) -> String {
         let photos = counted(self.views, "photo");
@@ -74,8 +84,13 @@ impl Point {
             Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
             None => format!(", {} steps of refinement", self.refine),
         };
-        format!("{photos}, {}, {chosen}, {} of a token's Gaussians{refined}", self.precision, self.keep)
+        format!("{photos}, {}, {chosen}, {} of a token's Gaussians{refined}", self.arithmetic(), self.keep)
     }
+}
+
+/// A precision, and the type of the weights where they are rounded.
+pub fn arithmetic(precision: &str, weights: &str) -> String {
+    if weights == OWN { precision.into() } else { format!("{precision}, {weights} weights") }
 }
 
 /// The name of a selection, as the command line takes it.
@@ -135,6 +150,8 @@ pub(super) mod tests {
         Point {
             views: 4,
             precision: "exact".into(),
+            weights: OWN.into(),
+            weight_bytes: 1 << 20,
             ratio: 0.5,
             asked_ratio: "0.5".into(),
             select: "kmeans:5".into(),

@@ -3,8 +3,9 @@
 use super::{
     Tradeoff,
     drawn::{compare, psnr_to_f64},
-    point::{Point, name},
+    point::{Point, arithmetic, name},
     refined::refine,
+    rounded::{OWN, Rounded},
     truth::{Compared, Errors, MOST_FLOPS, Truth},
 };
 use crate::{
@@ -47,10 +48,14 @@ struct Case<'a> {
     shape: Shape,
     request: Request,
     precision: &'a str,
+    /// The type that the weights are rounded to, or [`OWN`].
+    weights: &'a str,
     select: String,
     /// The share of tokens as the command line takes it, and all settings.
     ratio: String,
     settings: String,
+    /// Numbers of Gaussians of a token.
+    keep: &'a [usize],
     /// Steps of the refinements that follow.
     refine: Vec<Steps>,
 }
@@ -60,8 +65,6 @@ struct Bench<'a> {
     args: &'a Tradeoff,
     device: &'a Device,
     checkpoint: &'a Checkpoint,
-    /// Numbers of Gaussians of a token.
-    keep: Vec<usize>,
     renderer: Renderer,
     truth: Truth<'a>,
     sweep: Sweep,
@@ -106,38 +109,50 @@ pub fn run(
     args: &Tradeoff,
     session: &Session<'_>,
     device: &Device,
-    checkpoint: &Checkpoint,
+    (checkpoint, rounded): (&Checkpoint, &[Rounded]),
     arithmetics: &[(Precision, Arithmetic)],
     captures: &[Capture],
 ) -> Result<(Sweep, Option<usize>)> {
     let all = checkpoint.architecture().gaussians_per_token;
+    let keep = args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]);
+    let first = |checkpoint: &Checkpoint| {
+        let suits = |(_, arithmetic): &&(Precision, Arithmetic)| checkpoint.suits(*arithmetic).is_ok();
+        arithmetics.iter().find(suits).copied()
+    };
+    let own = arithmetics.iter().map(|arithmetic| (OWN, checkpoint, *arithmetic));
+    let rounded = rounded.iter().filter_map(|r| Some((r.dtype, &r.checkpoint, first(&r.checkpoint)?)));
+    let networks: Vec<_> = own.chain(rounded).collect();
     let mut bench = Bench {
         args,
         device,
         checkpoint,
-        keep: args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]),
         renderer: Renderer::new(device),
         truth: Truth::new(checkpoint),
         sweep: Sweep::default(),
         points: 0,
     };
     let stopped = session.stage("sweep", |stage| {
-        for (precision, arithmetic) in arithmetics {
+        for (i, (weights, checkpoint, (precision, arithmetic))) in networks.iter().enumerate() {
             stage.name("load weights");
             let model = Model::load_with(device, checkpoint, *arithmetic, |_| match stage.check() {
                 Ok(()) => ControlFlow::Continue(()),
                 Err(_) => ControlFlow::Break(()),
             })?;
-            let mut cases = cases(args, &model, precision.name(), captures)?;
-            let is_first = *precision == arithmetics[0].0;
-            let refinements: usize = cases.iter().map(|case| case.refine.len()).sum();
-            if is_first {
-                bench.points = cases.len() * bench.keep.len() * arithmetics.len() + refinements;
+            let mut cases = cases(args, &model, (precision.name(), weights), &keep, captures)?;
+            if i == 0 {
+                let with_first = cases.iter().filter(|case| case.is_first(args)).count();
+                let refinements: usize = cases.iter().map(|case| case.refine.len()).sum();
+                let roundings = networks.len() - arithmetics.len();
+                bench.points = cases.len() * keep.len() * arithmetics.len() + with_first * roundings + refinements;
             } else {
                 cases.iter_mut().for_each(|case| case.refine.clear());
             }
+            if *weights != OWN {
+                cases.retain(|case| case.is_first(args));
+                cases.iter_mut().for_each(|case| case.keep = &case.keep[..1]);
+            }
             for case in &cases {
-                stage.name(&format!("{}, {} views, {}", case.precision, case.capture.inputs.len(), case.settings));
+                stage.name(&format!("{}, {} views, {}", case.arithmetic(), case.capture.inputs.len(), case.settings));
                 bench.measure(&model, case, stage)?;
             }
         }
@@ -151,7 +166,13 @@ pub fn run(
 }
 
 /// The combinations, without those that differ only in what does not matter.
-fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [Capture]) -> Result<Vec<Case<'a>>> {
+fn cases<'a>(
+    args: &Tradeoff,
+    model: &Model,
+    (precision, weights): (&'a str, &'a str),
+    keep: &'a [usize],
+    captures: &'a [Capture],
+) -> Result<Vec<Case<'a>>> {
     let mut cases: Vec<Case<'a>> = Vec::new();
     for capture in captures {
         for &ratio in &args.ratio {
@@ -173,19 +194,36 @@ fn cases<'a>(args: &Tradeoff, model: &Model, precision: &'a str, captures: &'a [
                     if whole { format!("--ratio {ratio}") } else { format!("--ratio {ratio} --select {select}") };
                 let mut refine = args.refine.clone();
                 refine.retain(|steps| steps.count > 0 && (whole || *selection == args.select[0]));
-                cases.push(Case { capture, shape, request, precision, select, ratio, settings, refine });
+                let case = Case { capture, shape, request, precision, weights, select, ratio, settings, keep, refine };
+                cases.push(case);
             }
         }
     }
     Ok(cases)
 }
 
+impl Case<'_> {
+    /// True where all tokens are taken, or the first way to choose chooses.
+    fn is_first(&self, args: &Tradeoff) -> bool {
+        self.shape.kept == Kept::All || self.request.selection == args.select[0]
+    }
+
+    /// True of what others are compared with.
+    fn is_exact(&self) -> bool {
+        self.precision == Precision::Exact.name() && self.weights == OWN
+    }
+
+    fn arithmetic(&self) -> String {
+        arithmetic(self.precision, self.weights)
+    }
+}
+
 impl Bench<'_> {
     fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<()> {
         let forward = self.forward(model, case, stage)?;
-        for keep in self.keep.clone() {
+        for keep in case.keep {
             stage.check()?;
-            let found = self.point(model, case, &forward, keep)?;
+            let found = self.point(model, case, &forward, *keep)?;
             self.add(found, stage);
         }
         for steps in &case.refine {
@@ -214,7 +252,7 @@ impl Bench<'_> {
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
-        if shape.kept == Kept::All && case.precision == Precision::Exact.name() {
+        if shape.kept == Kept::All && case.is_exact() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
@@ -243,7 +281,7 @@ impl Bench<'_> {
         let key = (capture.inputs.len(), case.settings.clone(), keep);
         let pixels = drawn.pictures.concat();
         let psnr_to_exact = self.sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
-        if case.precision == Precision::Exact.name() {
+        if case.is_exact() {
             self.sweep.drawn_exactly.insert(key, pixels);
         }
         let point = Point {
@@ -288,6 +326,8 @@ impl Bench<'_> {
         Point {
             views: case.capture.inputs.len(),
             precision: case.precision.to_owned(),
+            weights: case.weights.to_owned(),
+            weight_bytes: model.weight_bytes(),
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             asked_ratio: case.ratio.clone(),
             select: case.select.clone(),
@@ -357,6 +397,14 @@ fn command(args: &Tradeoff, case: &Case<'_>, more: &str) -> String {
     if let Some(unit) = args.unit {
         options += &format!(" --unit {unit}");
     }
-    let words = ["zipsplat", "eval", &folder].into_iter().chain(options.split(' ')).chain(args.weights.as_arguments());
-    shlex::try_join(words).expect("no argument of a command holds a NUL")
+    let join = |words: Vec<&str>| shlex::try_join(words).expect("no argument of a command holds a NUL");
+    let eval = |weights: Vec<&str>| {
+        join(["zipsplat", "eval", &folder].into_iter().chain(options.split(' ')).chain(weights).collect())
+    };
+    if case.weights == OWN {
+        return eval(args.weights.as_arguments());
+    }
+    let (from, to) = (args.weights.as_input(), format!("{}.safetensors", case.weights));
+    let convert = ["zipsplat", "convert"].into_iter().chain(from).chain([&*to, "--dtype", case.weights]);
+    format!("{} && {}", join(convert.collect()), eval(vec!["--weights", &to]))
 }

@@ -1,0 +1,51 @@
+//! The same weights in fewer bytes.
+
+use super::Tradeoff;
+use crate::session::Session;
+use tempfile::TempDir;
+use zipsplat::{
+    Error, Result,
+    weights::{Checkpoint, Dtype},
+};
+
+/// A checkpoint's weights rounded to another type.
+pub struct Rounded {
+    /// Name of the type.
+    pub dtype: &'static str,
+    pub checkpoint: Checkpoint,
+    /// The file that it reads lies in here.
+    _folder: TempDir,
+}
+
+/// Name of a type of weights, where they are as they are stored.
+pub const OWN: &str = "own";
+
+/// A type to round to; none for weights as they are stored.
+pub fn parse(text: &str) -> Result<Option<Dtype>> {
+    let expected = || Error::argument("--dtype", text, format!("{OWN}, f16, bf16 or q8, as a list"));
+    if text == OWN { Ok(None) } else { text.parse().map(Some).map_err(|_| expected()) }
+}
+
+/// The weights in each of the types asked for, but for one that they have already.
+///
+/// # Errors
+/// A value that a type cannot hold, a full disk, [`Error::Cancelled`].
+pub fn all(args: &Tradeoff, session: &Session<'_>, checkpoint: &Checkpoint) -> Result<Vec<Rounded>> {
+    let mut dtypes: Vec<Dtype> = args.dtype.iter().flatten().copied().collect();
+    dtypes.dedup();
+    let has = |dtype: &Dtype| match dtype {
+        Dtype::Q8 => checkpoint.q8_names().next().is_some(),
+        dtype => checkpoint.stored().keys().all(|stored| *stored == dtype.name()),
+    };
+    dtypes.retain(|dtype| !has(dtype));
+    let round = |dtype: Dtype| {
+        let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
+        let path = folder.path().join("weights.safetensors");
+        let rounded = session.stage("round weights", |stage| {
+            checkpoint.save_with(&path, dtype, |done| stage.at(done))?;
+            Checkpoint::open(&path, None)
+        })?;
+        Ok(Rounded { dtype: dtype.name(), checkpoint: rounded.0, _folder: folder })
+    };
+    dtypes.into_iter().map(round).collect()
+}
