@@ -8,9 +8,10 @@
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT [parts, rows, columns] f32,
+//           the sums of each part's terms alone, which ops/linear_merge adds up
 //
-// One workgroup (a subgroup) owns ROWS rows of 4 columns a lane; A is read at addresses that are uniform over the
+// One workgroup (a subgroup) owns ROWS rows of 4 columns a lane, and where SPLIT `share` terms of their sums; A is read at addresses that are uniform over the
 // subgroup, so nothing passes through shared memory.
 #version 460
 #pragma element INPUT
@@ -24,6 +25,7 @@
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 4) const bool Q8 = false;
+layout(constant_id = 5) const bool SPLIT = false;
 
 const uint ROWS = LINEAR_ROWS;
 
@@ -36,6 +38,7 @@ layout(push_constant) uniform Push {
     uint rows;
     uint inner;
     uint columns;
+    uint share;
 };
 
 void main() {
@@ -56,7 +59,9 @@ void main() {
         sum[r] = vec4(0.0);
         row_at[r] = min(first_row + r, rows - 1) * quads_inner;
     }
-    for (uint k = 0; k < quads_inner; k++) {
+    uint first = SPLIT ? gl_WorkGroupID.z * share / 4 : 0;
+    uint end = SPLIT ? min(first + share / 4, quads_inner) : quads_inner;
+    for (uint k = first; k < end; k++) {
         vec4 b0, b1, b2, b3;
         if (Q8) {
             vec4 scale = q8_scales(scales[scales_at + k / (Q8_GROUP / 4) * panel_quads]);
@@ -82,9 +87,10 @@ void main() {
     }
 
     if (quad >= quads) return;
-    vec4 offset = bias_of(quad, columns);
+    vec4 offset = SPLIT ? vec4(0.0) : bias_of(quad, columns);
+    uint above = SPLIT ? gl_WorkGroupID.z * rows : 0;
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         uint row = first_row + r;
-        if (row < rows) finish(sum[r] + offset, row, quad, columns);
+        if (row < rows) finish(sum[r] + offset, above + row, quad, columns);
     }
 }

@@ -1,4 +1,4 @@
-// Sums of a linear layer that ops/linear_tiled left in parts, added from the first part to the last, with their epilogue.
+// Sums of a linear layer in parts, added from the first part to the last, and their epilogue.
 //
 // Sums      [parts, rows, columns] f32
 // Bias      [columns] f32

@@ -9,7 +9,7 @@
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
 // Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT [parts, rows, columns] f32,
-//           the sums of each part's terms alone
+//           the sums of each part's terms alone, which ops/linear_merge adds up
 //
 // One workgroup owns TILE_ROWS rows of TILE_COLUMNS columns, and where SPLIT `share` terms of their sums; a lane owns LANE_ROWS rows
 // of LANE_COLUMNS columns, its neighbours' between them. Factors pass through shared memory as f32, TILE_K terms at a time: while some
@@ -141,13 +141,13 @@ void main() {
         barrier();
     }
 
+    uint above = SPLIT ? gl_WorkGroupID.z * rows : 0;
     [[unroll]] for (uint q = 0; q < LANE_QUADS; q++) {
         uint quad = first_quad + own_quad + q * COLUMN_LANES;
         if (4 * quad >= columns) continue;
         vec4 offset = SPLIT ? vec4(0.0) : bias_of(quad, columns);
         [[unroll]] for (uint r = 0; r < LANE_ROWS; r++) {
             uint row = first_row + own_row + r * ROW_LANES;
-            uint above = SPLIT ? gl_WorkGroupID.z * rows : 0;
             if (row < rows) finish(sum[r][q] + offset, above + row, quad, columns);
         }
     }

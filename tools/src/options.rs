@@ -119,7 +119,7 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     if is_of_depth(text) {
         let found = format!("{text}, of Depth Anything 3");
         let expected = format!(
-            "{expected} of ZipSplat; reconstruct, batch, depth, cameras and info take those of Depth Anything 3"
+            "{expected} of ZipSplat; reconstruct, batch, view, eval, depth, cameras and info take those of Depth Anything 3"
         );
         return Err(Error::argument("weights", found, expected));
     }

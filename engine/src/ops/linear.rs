@@ -7,7 +7,7 @@ pub use lanes::{LaneTile, Lanes};
 use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
-    tile::Tile,
+    tile::{Tile, share},
     uniform::UNIFORM_TILE,
 };
 use crate::{
@@ -163,11 +163,43 @@ impl Linear {
             let (input, out) = (input.part(part.clone()), out.part(part.clone()));
             let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
-            match self.kernel {
-                LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue),
-                LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue),
+            let share = share(self.kernel.factor(), self.inner, input.count, self.columns);
+            let parts = self.inner.div_ceil(share);
+            if parts == 1 {
+                self.sums(rec, input, out, epilogue, share);
+            } else {
+                let sums = Rows::scratch(rec, "sums", parts * input.count, self.columns, Element::F32);
+                self.sums(rec, input, sums, Epilogue::default(), share);
+                self.merge(rec, sums, parts, out, epilogue);
             }
         }
+    }
+
+    /// Sums of `share` terms each: all terms and their epilogue, or parts of them one behind the other.
+    fn sums(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+        match self.kernel {
+            LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, share),
+            LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue, share),
+        }
+    }
+
+    /// Adds up sums in parts.
+    fn merge(&self, rec: &mut Recorder, sums: Rows, parts: usize, out: Rows, epilogue: Epilogue) {
+        let kernel = ops::LinearMerge {
+            sums: sums.tensor,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            rows: out.count as u32,
+            columns: self.columns as u32,
+            parts: parts as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            output: out.element,
+        };
+        rec.dispatch(kernel, out.count * self.columns.div_ceil(4));
     }
 
     /// The weight as factors, as integers and their scales; what it does not have stands for nothing.
@@ -186,10 +218,15 @@ impl Linear {
         }
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         let Units { factor, shape, .. } = units;
         let (columns, inner, rows) = (self.columns, self.inner, input.count);
         let tile = self.tile(rec.limits(), units, rows);
+        assert!(
+            share == inner || share.is_multiple_of(tile.k as usize),
+            "parts of {share} terms, {} at a time",
+            tile.k
+        );
         let (a, row_scales, column_scales) = match factor {
             Element::I8 => {
                 let (a, scales) = quantise_rows(rec, input);
@@ -224,12 +261,14 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
+            share: share as u32,
+            split: share < inner,
             factor,
             output: out.element,
         };
         let [tile_rows, tile_columns] = tile.sides(units);
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
-        let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
+        let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 

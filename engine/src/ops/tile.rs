@@ -1,7 +1,7 @@
 //! How matrix kernels cut their work into workgroups, and which candidate a kernel takes.
 
 use super::Units;
-use crate::gpu::Limits;
+use crate::gpu::{Element, Limits};
 use std::fmt;
 
 /// The candidate that a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on, four times
@@ -38,6 +38,20 @@ impl Tiles {
     }
 }
 
+/// Terms of the parts that a linear layer's sums of `inner` terms are cut into: all, unless they are many and 64 x 64 of the results
+/// give work to less than half of a large GPU's cores. A matter of the layer's shape alone, so that results keep their bits whatever
+/// was measured. Only those of 16-bit factors: sums of `exact` are added up term by term, and sums of integers are exact.
+pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
+    const LONG: usize = 2048;
+    let workgroups = (rows.div_ceil(64) * columns.div_ceil(64)).max(1);
+    if !Element::HALVES.contains(&factor) || inner < LONG || workgroups > BUSY / 4 {
+        return inner;
+    }
+    let parts = (BUSY / 2 / workgroups).min(2 * inner / LONG);
+    // Every kernel's depth divides them.
+    inner.div_ceil(parts).next_multiple_of(128)
+}
+
 /// The share of a matrix kernel's work that a workgroup owns. Rows and columns are those of a linear layer; or points and
 /// targets, of which the nearest are sought; or an attention's queries, each with all channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +68,7 @@ pub struct Tile {
 type Layout = ([u32; 2], [u32; 2]);
 
 /// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
-pub(super) const BUSY: usize = 256;
+const BUSY: usize = 256;
 
 impl Tile {
     /// Channels of the heads that attention's tiles are measured with: those of every DA3 network.

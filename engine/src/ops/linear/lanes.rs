@@ -3,7 +3,7 @@
 use super::{
     super::{
         rows::Rows,
-        tile::{BUSY, Tiles},
+        tile::Tiles,
         uniform::{UNIFORM_TILE, divides_panels, terms_of},
     },
     Epilogue, Linear, Weights,
@@ -33,9 +33,6 @@ pub struct LaneTile {
     /// Terms of the sums that pass through shared memory at a time; 0 where none do, in ops/linear and ops/linear_uniform.
     pub k: u32,
 }
-
-/// Sums of as many terms are cut into parts where they are few.
-const LONG: usize = 2048;
 
 impl Lanes {
     /// Factors of a type, by ops/linear.
@@ -83,22 +80,6 @@ impl LaneTile {
             && lanes <= limits.max_invocations
             && shared_bytes <= limits.shared_bytes
     }
-
-    /// Workgroups along columns and rows.
-    fn groups(&self, rows: usize, columns: usize) -> [usize; 2] {
-        [columns.div_ceil(self.sides[1] as usize), rows.div_ceil(self.sides[0] as usize)]
-    }
-
-    /// Terms of the parts that sums of `inner` terms are cut into: all of them, unless they are many and fewer workgroups have them
-    /// than half of a large GPU's cores, about [`BUSY`] / 2. Never by what was measured, so that results keep their bits. Sums of f32
-    /// factors stay whole: those of `exact` have one order.
-    fn share(&self, element: Element, inner: usize, workgroups: usize) -> usize {
-        if element == Element::F32 || inner < LONG || workgroups > BUSY / 4 {
-            return inner;
-        }
-        let parts = (BUSY / 2 / workgroups.max(1)).min(2 * inner / LONG);
-        inner.div_ceil(parts).next_multiple_of(self.k as usize)
-    }
 }
 
 impl fmt::Display for LaneTile {
@@ -116,14 +97,22 @@ fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
 }
 
 impl Linear {
-    /// Applies the layer on lanes.
-    pub(super) fn on_lanes(&self, rec: &mut Recorder, lanes: Lanes, input: Rows, out: Rows, epilogue: Epilogue) {
+    /// Applies the layer on lanes, `share` terms of its sums at a time.
+    pub(super) fn on_lanes(
+        &self,
+        rec: &mut Recorder,
+        lanes: Lanes,
+        input: Rows,
+        out: Rows,
+        epilogue: Epilogue,
+        share: usize,
+    ) {
         let candidates = LaneTile::candidates(rec.limits(), lanes.element);
         let chosen = lanes.tiles.of(input.count * self.columns).and_then(|index| candidates.get(index));
         match chosen.filter(|tile| tile.k > 0) {
-            Some(tile) => self.tiled(rec, *tile, input, out, epilogue),
+            Some(tile) => self.tiled(rec, *tile, input, out, epilogue, share),
             None if is_uniform(rec.limits(), [input.element, out.element]) => self.uniform(rec, input, out, epilogue),
-            None => self.panels(rec, input, out, epilogue),
+            None => self.panels(rec, input, out, epilogue, share),
         }
     }
 
@@ -155,7 +144,7 @@ impl Linear {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
+    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
         let [weight, integers, scales] = self.weights();
         let kernel = ops::Linear {
@@ -174,43 +163,19 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
+            share: share as u32,
+            split: share < self.inner,
             input: input.element,
             output: out.element,
         };
-        let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), 1];
+        let parts = self.inner.div_ceil(share);
+        let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), parts];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue) {
-        let workgroups = tile.groups(input.count, self.columns).iter().product();
-        let share = tile.share(input.element, self.inner, workgroups);
-        let parts = self.inner.div_ceil(share);
-        if parts == 1 {
-            return self.staged(rec, tile, input, out, epilogue, share);
-        }
-        let sums = Rows::scratch(rec, "sums", parts * input.count, self.columns, Element::F32);
-        self.staged(rec, tile, input, sums, Epilogue::default(), share);
-        let kernel = ops::LinearMerge {
-            sums: sums.tensor,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
-            rows: input.count as u32,
-            columns: self.columns as u32,
-            parts: parts as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
-            output: out.element,
-        };
-        rec.dispatch(kernel, input.count * self.columns.div_ceil(4));
-    }
-
-    /// Sums of `share` terms each, parts of them one behind the other, or all and their epilogue.
-    fn staged(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+    fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         let [weight, integers, scales] = self.weights();
-        let (rows, parts) = (input.count, self.inner.div_ceil(share));
+        let rows = input.count;
         let kernel = ops::LinearTiled {
             a: input.tensor,
             weight,
@@ -233,13 +198,13 @@ impl Linear {
             lane_rows: tile.lane[0],
             lane_columns: tile.lane[1],
             tile_k: tile.k,
-            split: parts > 1,
+            split: share < self.inner,
             input: input.element,
             output: out.element,
         };
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
-        let [along_columns, along_rows] = tile.groups(rows, self.columns);
-        let groups = [along_columns, along_rows, parts];
+        let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
+        let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 }

@@ -1,5 +1,6 @@
 //! `zipsplat bench tradeoff`: what accuracy costs in time, as a page to look at and a table.
 
+mod case;
 mod drawn;
 mod figures;
 mod page;

@@ -2,8 +2,9 @@
 
 use super::{
     Tradeoff,
+    case::{self, Case},
     drawn::{compare, psnr_to_f64},
-    point::{Point, arithmetic, name},
+    point::Point,
     refined::refine,
     rounded::{OWN, Rounded},
     truth::{Compared, Errors, MOST_FLOPS, Truth},
@@ -21,7 +22,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Progress, StageTimes},
     ops::{Arithmetic, Precision},
-    reconstruct::{Kept, Model, Ratio, Reconstruction, Request, Selection, Shape},
+    reconstruct::{Kept, Model, Reconstruction, Selection, Shape},
     stages::{
         cluster::{even_indices, random_indices},
         render::Renderer,
@@ -40,24 +41,6 @@ pub struct Sweep {
     pub pictures: Vec<Image>,
     /// Pictures of `exact`, which those of others are compared with, by number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
-}
-
-/// A reconstruction that is to be measured.
-struct Case<'a> {
-    capture: &'a Capture,
-    shape: Shape,
-    request: Request,
-    precision: &'a str,
-    /// The type that the weights are rounded to, or [`OWN`].
-    weights: &'a str,
-    select: String,
-    /// The share of tokens as the command line takes it, and all settings.
-    ratio: String,
-    settings: String,
-    /// Numbers of Gaussians of a token.
-    keep: &'a [usize],
-    /// Steps of the refinements that follow.
-    refine: Vec<Steps>,
 }
 
 /// The means of a sweep, and its results so far.
@@ -139,7 +122,7 @@ pub fn run(
                 Ok(()) => ControlFlow::Continue(()),
                 Err(_) => ControlFlow::Break(()),
             })?;
-            let mut cases = cases(args, &model, (precision.name(), weights), &keep, captures)?;
+            let mut cases = case::all(args, &model, (precision.name(), weights), &keep, captures)?;
             if i == 0 {
                 let with_first = cases.iter().filter(|case| case.is_first(args)).count();
                 let refinements: usize = cases.iter().map(|case| case.refine.len()).sum();
@@ -163,62 +146,6 @@ pub fn run(
         Ok(_) => Ok((bench.sweep, None)),
         Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, Some(bench.points))),
         Err(error) => Err(error),
-    }
-}
-
-/// The combinations, without those that differ only in what does not matter.
-fn cases<'a>(
-    args: &Tradeoff,
-    model: &Model,
-    (precision, weights): (&'a str, &'a str),
-    keep: &'a [usize],
-    captures: &'a [Capture],
-) -> Result<Vec<Case<'a>>> {
-    let mut cases: Vec<Case<'a>> = Vec::new();
-    for capture in captures {
-        for (&ratio, &pool) in args.ratio.iter().flat_map(|ratio| args.pool.iter().map(move |pool| (ratio, pool))) {
-            for selection in &args.select {
-                let cameras = Some(capture.cameras());
-                let request = Request { ratio, selection: selection.clone(), cameras, unit: 1.0, pool };
-                let shape = model.shape(&capture.images(), &request)?;
-                let whole = shape.kept == Kept::All;
-                let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
-                if cases.iter().any(same) {
-                    continue;
-                }
-                let select = if whole { "all".into() } else { name(selection) };
-                let ratio = match ratio {
-                    Ratio::Auto => "auto".into(),
-                    Ratio::Fixed(ratio) => ratio.to_string(),
-                };
-                let mut settings = format!("--ratio {ratio}");
-                settings += &if whole { String::new() } else { format!(" --select {select}") };
-                settings += &if pool > 1 { format!(" --pool {pool}") } else { String::new() };
-                let refine = Vec::new();
-                let case = Case { capture, shape, request, precision, weights, select, ratio, settings, keep, refine };
-                let refine =
-                    args.refine.iter().filter(|steps| steps.count > 0 && case.is_first(args)).copied().collect();
-                cases.push(Case { refine, ..case });
-            }
-        }
-    }
-    Ok(cases)
-}
-
-impl Case<'_> {
-    /// True where all tokens are taken, or the first way to choose chooses, and keys are pooled as they are first.
-    fn is_first(&self, args: &Tradeoff) -> bool {
-        let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
-        chosen && self.shape.pool == args.pool[0]
-    }
-
-    /// True of what others are compared with.
-    fn is_exact(&self) -> bool {
-        self.precision == Precision::Exact.name() && self.weights == OWN
-    }
-
-    fn arithmetic(&self) -> String {
-        arithmetic(self.precision, self.weights)
     }
 }
 
@@ -292,7 +219,7 @@ impl Bench<'_> {
             keep,
             psnr_to_exact,
             psnr_to_f64,
-            command: command(self.args, case, &format!("--keep {keep}")),
+            command: case.command(self.args, &format!("--keep {keep}")),
             ..drawn.point(self.settings(model, case, forward), &scene)?
         };
         Ok((point, drawn.picture(capture)?))
@@ -317,7 +244,7 @@ impl Bench<'_> {
             refine_ms,
             total_ms: forward.ms + refine_ms,
             peak_bytes: refined.peak_bytes.max(forward.made.peak_bytes),
-            command: command(self.args, case, &format!("--refine {steps} --start scene")),
+            command: case.command(self.args, &format!("--refine {steps} --start scene")),
             ..drawn.point(self.settings(model, case, forward), &refined.scene)?
         };
         Ok((point, drawn.picture(case.capture)?))
@@ -389,27 +316,4 @@ fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32
     let pairs = seen.len();
     seen.dedup_by_key(|(cluster, _)| *cluster);
     Ok((observed("nearest")?, pairs as f64 / seen.len().max(1) as f64))
-}
-
-/// The command that shows a case with `more` options.
-fn command(args: &Tradeoff, case: &Case<'_>, more: &str) -> String {
-    let folder = args.folder.to_string_lossy();
-    let mut options = format!("--views {} {}", case.capture.inputs.len(), case.settings);
-    options += &format!(" {more} --precision {} --targets {}", case.precision, args.targets);
-    if let Some(size) = args.size {
-        options += &format!(" --size {size}");
-    }
-    if let Some(unit) = args.unit {
-        options += &format!(" --unit {unit}");
-    }
-    let join = |words: Vec<&str>| shlex::try_join(words).expect("no argument of a command holds a NUL");
-    let eval = |weights: Vec<&str>| {
-        join(["zipsplat", "eval", &folder].into_iter().chain(options.split(' ')).chain(weights).collect())
-    };
-    if case.weights == OWN {
-        return eval(args.weights.as_arguments());
-    }
-    let (from, to) = (args.weights.as_input(), format!("{}.safetensors", case.weights));
-    let convert = ["zipsplat", "convert"].into_iter().chain(from).chain([&*to, "--dtype", case.weights]);
-    format!("{} && {}", join(convert.collect()), eval(vec!["--weights", &to]))
 }
