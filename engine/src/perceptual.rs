@@ -3,9 +3,9 @@
 use crate::{
     Error, Result,
     gpu::{Device, Limits, Recorder, Resident, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout},
+    ops::{Arithmetic, ParameterLayout, Precision},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
-    tune::cache_folder,
+    tune::{Chosen, cache_folder},
     weights::Tensors,
 };
 use std::{
@@ -32,15 +32,21 @@ pub(crate) struct LpipsWeights {
 
 impl LpipsWeights {
     /// The places of a network's parameters, which need no device.
-    pub fn layout(limits: &Limits, network: LpipsNetwork, gradients: bool) -> (ParameterLayout, Lpips) {
-        let mut parameters = ParameterLayout::new(limits, Arithmetic::EXACT);
+    pub fn layout(
+        limits: &Limits,
+        arithmetic: Arithmetic,
+        network: LpipsNetwork,
+        gradients: bool,
+    ) -> (ParameterLayout, Lpips) {
+        let mut parameters = ParameterLayout::new(limits, arithmetic);
         let lpips = Lpips::new(&mut parameters, network, gradients);
         (parameters, lpips)
     }
 
     /// As [`Perceptual::open`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
-        let layout = |gradients: bool| Self::layout(device.limits(), network, gradients);
+        let arithmetic = Chosen::of(device, Some(Precision::Exact))?.arithmetic;
+        let layout = |gradients: bool| Self::layout(device.limits(), arithmetic, network, gradients);
         let name = format!("LPIPS ({})", network.name());
         let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
         let (parameters, lpips) = layout(gradients);

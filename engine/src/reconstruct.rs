@@ -15,8 +15,9 @@ use crate::{
     Error, Result,
     cameras::FoundCamera,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
-    ops::{Arithmetic, Parameters},
+    ops::{Arithmetic, Parameters, Precision},
     stages::render::{DeviceScene, SceneMemory},
+    tune::Chosen,
     types::{Camera, Image, LeftOut, Scene},
     weights::{Architecture, Checkpoint},
 };
@@ -94,7 +95,7 @@ impl Model {
         checkpoint: &Checkpoint,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        Self::load_with(device, checkpoint, Arithmetic::EXACT, progress)
+        Self::load_with(device, checkpoint, Chosen::of(device, Some(Precision::Exact))?.arithmetic, progress)
     }
 
     /// As [`Model::load`], for an arithmetic that the device has.
@@ -218,7 +219,7 @@ impl Model {
             check_cameras(cameras, images)?;
         }
         let chosen = (request.ratio, &request.selection);
-        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())
+        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())?.pooled(request.pool)
     }
 
     /// Records a plan for a shape, observing its intermediate tensors where asked.

@@ -1,12 +1,13 @@
 // Attention as ops/attention computes it, for drivers of CPUs: all lanes load the same (shared/uniform.glsl).
 //
 // Q       [heads, sequences * queries, DIM] f32, already scaled by 1 / sqrt(DIM)
-// K       [heads, sequences, DIM, padded keys] f32: keys run fastest, padded to a multiple of 4
+// K       [heads, sequences, panels, DIM, PANEL] f32: panels of keys, in which keys run fastest, the last padded
 // V       [heads, sequences * keys, DIM] f32
+// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
 // Out     [sequences * queries, heads * DIM] f32
 //
-// One workgroup (a subgroup) owns TILE_ROWS queries of a head. A tile has KEY_VECTORS keys a lane, of which there are no more than
-// keys: the last tile begins earlier where keys end, and those that had their turn weigh nothing in it.
+// One workgroup (a subgroup) owns TILE_ROWS queries of a head, and goes through the keys panel by panel, so that it reads on: where
+// the channels of a key lie as far apart as there are keys, each is in a page of its own.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -22,11 +23,13 @@ layout(constant_id = 2) const uint VECTORS = 8; // DIM / subgroup size
 layout(constant_id = 3) const uint TERMS = 4; // of a score in one pass of the loop; divides DIM
 layout(constant_id = 4) const uint TILE_ROWS = 6;
 layout(constant_id = 5) const uint KEY_VECTORS = 2;
+layout(constant_id = 6) const bool POOLED = false;
 
 layout(set = 0, binding = 0) readonly buffer Q { float q[]; };
 layout(set = 0, binding = 1) readonly buffer K { float k[]; };
 layout(set = 0, binding = 2) readonly buffer V { float v[]; };
 layout(set = 0, binding = 3) writeonly buffer Out { float result[]; };
+layout(set = 0, binding = 4) readonly buffer LogCounts { float log_counts[]; };
 
 layout(push_constant) uniform Push {
     uint queries;
@@ -40,6 +43,7 @@ layout(push_constant) uniform Push {
 
 // Channels that are summed up together, in registers.
 const uint TOGETHER = 2;
+const uint PANEL = KEY_VECTORS * gl_WorkGroupSize.x;
 
 // The state of each query so far: its highest score, the lane's part of the sum of its weights, and the sum of the values times their
 // weights.
@@ -47,11 +51,11 @@ uint64_t q_at[TILE_ROWS];
 float highest[TILE_ROWS];
 float total[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
-// Scores of the tile's keys, then their weights.
+// Scores of the panel's keys, then their weights.
 float weight[TILE_ROWS][KEY_VECTORS];
 
-// Scores of the tile whose keys lie at `k_at`, of `stride` keys a channel.
-void score(uint64_t k_at, uint64_t stride) {
+// Scores of the panel of keys at `k_at`.
+void score(uint64_t k_at) {
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) weight[r][n] = 0.0;
     }
@@ -59,9 +63,10 @@ void score(uint64_t k_at, uint64_t stride) {
     do {
         uint64_t offset = 4 * uint64_t(c);
         [[unroll]] for (uint j = 0; j < TERMS; j++) {
-            uint64_t channel_at = k_at + (offset + 4 * j) * stride;
             float key[KEY_VECTORS];
-            [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) key[n] = vector_at(channel_at, n * gl_WorkGroupSize.x);
+            [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
+                key[n] = vector_at(k_at + offset * PANEL, j * PANEL + n * gl_WorkGroupSize.x);
+            }
             [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
                 float x = Values(q_at[r] + offset).values[j];
                 [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) weight[r][n] += x * key[n];
@@ -71,13 +76,20 @@ void score(uint64_t k_at, uint64_t stride) {
     } while (c < DIM);
 }
 
-// Turns scores of keys from `begin` on into weights, those before `first` into 0, and scales what was summed before to them.
-void softmax(uint begin, uint first) {
+// Adds to the scores of so many keys, from `first` of all sequences on, what their patches weigh.
+void weigh(uint first, uint count) {
+    [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
+        float more = log_counts[first + min(n * gl_WorkGroupSize.x + lane, count - 1)];
+        [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) weight[r][n] += more;
+    }
+}
+
+// Turns the scores of so many keys into weights, those of padding into 0, and scales what was summed before to them.
+void softmax(uint count) {
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         float most = LOWEST;
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
-            bool is_new = begin + n * gl_WorkGroupSize.x + lane >= first;
-            most = mix(most, max(most, weight[r][n]), is_new);
+            most = mix(most, max(most, weight[r][n]), n * gl_WorkGroupSize.x + lane < count);
         }
         float now = highest[r];
         [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) now = max(now, subgroupBroadcast(most, i));
@@ -85,20 +97,20 @@ void softmax(uint begin, uint first) {
         highest[r] = now;
         total[r] *= keep;
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
-            bool is_new = begin + n * gl_WorkGroupSize.x + lane >= first;
-            weight[r][n] = mix(0.0, exp(weight[r][n] - now), is_new);
+            weight[r][n] = mix(0.0, exp(weight[r][n] - now), n * gl_WorkGroupSize.x + lane < count);
             total[r] += weight[r][n];
         }
         [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] *= keep;
     }
 }
 
-// Adds the tile's values, which lie at `v_at`, times their weights.
-void gather(uint64_t v_at) {
+// Adds the panel's values, so many at `v_at`, times their weights.
+void gather(uint64_t v_at, uint count) {
     [[unroll]] for (uint first = 0; first < VECTORS; first += TOGETHER) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
             [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
-                uint key = n * gl_WorkGroupSize.x + i;
+                // Padding, which has no values, weighs nothing.
+                uint key = min(n * gl_WorkGroupSize.x + i, count - 1);
                 [[unroll]] for (uint c = first; c < min(first + TOGETHER, VECTORS); c++) {
                     float value = vector_at(v_at, key * DIM + c * gl_WorkGroupSize.x);
                     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) sum[r][c] += subgroupBroadcast(weight[r][n], i) * value;
@@ -113,8 +125,8 @@ void main() {
     uint first_query = gl_WorkGroupID.x * TILE_ROWS;
     uint sequence = gl_WorkGroupID.z;
     uint head_sequence = gl_WorkGroupID.y * sequences + sequence;
-    uint64_t padded_keys = (keys + 3) / 4 * 4;
-    uint64_t k_base = packUint2x32(k_address) + 4 * head_sequence * DIM * padded_keys;
+    uint64_t padded_keys = (keys + PANEL - 1) / PANEL * PANEL;
+    uint64_t k_base = packUint2x32(k_address) + 4 * head_sequence * padded_keys * DIM;
     uint64_t v_base = packUint2x32(v_address) + 4 * uint64_t(head_sequence) * keys * DIM;
 
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
@@ -125,14 +137,15 @@ void main() {
         [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] = 0.0;
     }
 
-    const uint tile = KEY_VECTORS * gl_WorkGroupSize.x;
     uint first = 0;
     do {
-        uint begin = min(first, keys - tile);
-        score(k_base + 4 * uint64_t(begin), padded_keys);
-        softmax(begin, first);
-        gather(v_base + 4 * uint64_t(begin) * DIM);
-        first += tile;
+        uint64_t offset = 4 * uint64_t(first) * DIM;
+        uint count = min(keys - first, PANEL);
+        score(k_base + offset);
+        if (POOLED) weigh(sequence * keys + first, count);
+        softmax(count);
+        gather(v_base + offset, count);
+        first += PANEL;
     } while (first < keys);
 
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {

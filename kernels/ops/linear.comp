@@ -8,34 +8,29 @@
 // Bias      [columns] f32
 // Gamma     [columns] f32, LayerScale; read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT [parts, rows, columns] f32,
+//           the sums of each part's terms alone, which ops/linear_merge adds up
 //
-// One workgroup (a subgroup) owns ROWS rows of 4 columns a lane; A is read at addresses that are uniform over the
+// One workgroup (a subgroup) owns ROWS rows of 4 columns a lane, and where SPLIT `share` terms of their sums; A is read at addresses that are uniform over the
 // subgroup, so nothing passes through shared memory.
 #version 460
 #pragma element INPUT
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
-#include "shared/gelu.glsl"
+#include "shared/epilogue.glsl"
 #include "shared/limits.glsl"
 #include "shared/q8.glsl"
 
 layout(local_size_x_id = 0) in;
 
-layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
-layout(constant_id = 2) const bool SCALE = false;
-layout(constant_id = 3) const bool ADD = false;
 layout(constant_id = 4) const bool Q8 = false;
+layout(constant_id = 5) const bool SPLIT = false;
 
 const uint ROWS = LINEAR_ROWS;
 
 layout(set = 0, binding = 0) readonly buffer A { INPUT4 a[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { INPUT4 weight[]; };
-layout(set = 0, binding = 2) readonly buffer Bias { float bias[]; };
-layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
-layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
-layout(set = 0, binding = 5) buffer Out { OUTPUT result[]; };
 layout(set = 0, binding = 6) readonly buffer Integers { uvec4 integers[]; };
 layout(set = 0, binding = 7) readonly buffer Scales { uvec2 scales[]; };
 
@@ -43,15 +38,8 @@ layout(push_constant) uniform Push {
     uint rows;
     uint inner;
     uint columns;
+    uint share;
 };
-
-void store(uint row, uint column, float value) {
-    if (ACTIVATION == 1) value = gelu(value);
-    if (SCALE) value *= gamma[column];
-    uint at = row * columns + column;
-    if (ADD) value += residual[at];
-    result[at] = to_OUTPUT(value);
-}
 
 void main() {
     uint quad = gl_WorkGroupID.y * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
@@ -71,7 +59,9 @@ void main() {
         sum[r] = vec4(0.0);
         row_at[r] = min(first_row + r, rows - 1) * quads_inner;
     }
-    for (uint k = 0; k < quads_inner; k++) {
+    uint first = SPLIT ? gl_WorkGroupID.z * share / 4 : 0;
+    uint end = SPLIT ? min(first + share / 4, quads_inner) : quads_inner;
+    for (uint k = first; k < end; k++) {
         vec4 b0, b1, b2, b3;
         if (Q8) {
             vec4 scale = q8_scales(scales[scales_at + k / (Q8_GROUP / 4) * panel_quads]);
@@ -97,21 +87,10 @@ void main() {
     }
 
     if (quad >= quads) return;
-    vec4 offset = vec4(bias[4 * quad], 0.0, 0.0, 0.0);
-    [[unroll]] for (uint c = 1; c < 4; c++) offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;
+    vec4 offset = SPLIT ? vec4(0.0) : bias_of(quad, columns);
+    uint above = SPLIT ? gl_WorkGroupID.z * rows : 0;
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         uint row = first_row + r;
-        if (row < rows) {
-            vec4 v = sum[r] + offset;
-            if (ACTIVATION == 2) {
-                uint at = row * (columns / 2) + 2 * quad;
-                result[at] = to_OUTPUT(silu(v.x) * v.y);
-                result[at + 1] = to_OUTPUT(silu(v.z) * v.w);
-            } else {
-                [[unroll]] for (uint c = 0; c < 4; c++) {
-                    if (4 * quad + c < columns) store(row, 4 * quad + c, v[c]);
-                }
-            }
-        }
+        if (row < rows) finish(sum[r] + offset, above + row, quad, columns);
     }
 }

@@ -5,13 +5,12 @@
 // Integers, Scales  [columns, inner] i8, [columns, inner / Q8_GROUP] f16: a weight and what 1 stands for in a group of terms; read
 //           where Q8, where they are multiplied and rounded to FACTOR
 // RowScales, ColumnScales  [rows], [columns] f32: what 1 stands for in a row of A or Weight; read where FACTOR is i8
-// Bias      [columns] f32
-// Gamma     [columns] f32, LayerScale; read where SCALE
+// Bias, Gamma  [columns] f32; the latter, LayerScale, read where SCALE
 // Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
+// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT as in ops/linear
 //
-// One workgroup owns TILE_M rows of TILE_N columns, each of its subgroups REPEAT_M x REPEAT_N matrices of them. Tiles of A
-// and Weight pass through shared memory twice TILE_K deep: while one is multiplied, the next is on its way.
+// One workgroup owns TILE_M rows of TILE_N columns, and where SPLIT `share` terms of their sums, whole TILE_K; a subgroup owns REPEAT_M x
+// REPEAT_N matrices of them. Tiles of A and Weight pass through shared memory twice TILE_K deep: one is multiplied while the next is on its way.
 #version 460
 #pragma factor f16 bf16 i8
 #pragma element OUTPUT
@@ -31,6 +30,7 @@ layout(constant_id = 9) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 Sw
 layout(constant_id = 10) const bool SCALE = false;
 layout(constant_id = 11) const bool ADD = false;
 layout(constant_id = 12) const bool Q8 = false; // not where FACTOR is i8
+layout(constant_id = 13) const bool SPLIT = false;
 
 const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
@@ -65,6 +65,7 @@ layout(push_constant) uniform Push {
     uint rows;
     uint inner;
     uint columns;
+    uint share;
 };
 
 shared Piece staged[SHARED];
@@ -127,7 +128,7 @@ vec4 sums_at(uint at, uint row, uint column) {
 #else
     vec4 sum = uintBitsToFloat(staged[at]);
 #endif
-    return sum + bias[column];
+    return SPLIT ? sum : sum + bias[column];
 }
 
 // The quad of results whose first sums are `quad` of the strip's row at `strip`.
@@ -139,7 +140,7 @@ void finish(uint strip, uint quad, uint row, uint column) {
         v = vec4(silu(v.x) * v.y, silu(v.z) * v.w, silu(w.x) * w.y, silu(w.z) * w.w);
     }
     if (SCALE) v *= gamma[column];
-    uint at = row * (columns / 4 / MERGED) + column / MERGED;
+    uint at = ((SPLIT ? gl_WorkGroupID.z * rows : 0) + row) * (columns / 4 / MERGED) + column / MERGED;
     if (ADD) v += residual[at];
     result[at] = to_OUTPUT4(v);
 }
@@ -153,13 +154,14 @@ void main() {
     Sums sums[REPEAT_M * REPEAT_N];
     [[unroll]] for (uint i = 0; i < REPEAT_M * REPEAT_N; i++) sums[i] = Sums(0);
 
-    uint tiles = (inner + TILE_K - 1) / TILE_K;
-    load(first_row, first_column, 0);
+    uint first = SPLIT ? gl_WorkGroupID.z * share / TILE_K : 0;
+    uint tiles = ((SPLIT ? min(first * TILE_K + share, inner) : inner) + TILE_K - 1) / TILE_K;
+    load(first_row, first_column, first);
     stage(0);
     barrier();
-    for (uint tile = 0; tile < tiles; tile++) {
+    for (uint tile = first; tile < tiles; tile++) {
         if (tile + 1 < tiles) load(first_row, first_column, tile + 1);
-        uint base = tile % 2 * STAGE;
+        uint base = (tile - first) % 2 * STAGE;
         [[unroll]] for (uint k = 0; k < TILE_K / MATRIX_K; k++) {
             Left left[REPEAT_M];
             [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {

@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, LinearKernel, NearestKernel, Units, Weights};
+use zipsplat::ops::{AttentionKernel, Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
 use zipsplat_tests::device::device;
 pub use zipsplat_tests::random::{random, random_below};
 
@@ -85,9 +85,11 @@ pub fn elements() -> Vec<Element> {
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
-/// Kernels of linear layers that the device has, for weights in the type of the factors.
+/// Kernels of linear layers that the device has, for weights in the type of the factors: on lanes by rule and with the first tile
+/// in shared memory.
 pub fn linear_kernels() -> Vec<LinearKernel> {
-    let panels = elements().into_iter().map(|element| LinearKernel::Panels(element, Weights::Factors));
+    let lanes = |element| [Lanes::of(element), Lanes { element, tiles: Tiles::always(1) }];
+    let panels = elements().into_iter().flat_map(lanes).map(|lanes| LinearKernel::Panels(lanes, Weights::Factors));
     let units = Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, device().limits()));
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).collect()
 }

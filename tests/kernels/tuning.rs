@@ -3,8 +3,10 @@
 use std::ops::ControlFlow;
 use zipsplat::{
     Error,
-    gpu::{Element, Matrices, Recorder, Run},
-    ops::{Arithmetic, Epilogue, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, Weights, pack_matrix},
+    gpu::{Element, Recorder, Run},
+    ops::{
+        Arithmetic, Epilogue, LaneTile, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, Weights, pack_matrix,
+    },
     tune::{Measured, Tuning},
 };
 use zipsplat_tests::{compare::assert_same, device::device};
@@ -24,14 +26,16 @@ fn measures_every_tile_and_can_be_stopped() {
     });
     outcome.unwrap();
     assert_eq!(tuning.unusable, Vec::<String>::new());
-    assert_eq!(tuning.measured.is_empty(), limits.matrices == Matrices::default());
+    let has = |factor| tuning.measured.iter().any(|m| m.kernel == "linear" && m.factor == factor);
+    assert!(has(Element::F32), "on lanes");
+    assert!(Element::HALVES.iter().all(|half| has(*half) == limits.half_storage), "on matrix units or lanes");
     for measured in &tuning.measured {
-        let units = Units::of(measured.factor, limits).unwrap();
-        let candidates = match measured.kernel.as_str() {
-            "linear" => Tile::linear(limits, units).len(),
-            "attention" => Tile::attention(limits, units, Tile::TUNED_CHANNELS).len(),
-            "nearest" => Tile::nearest(limits, units).len(),
-            other => panic!("{other} has no tiles"),
+        let candidates = match (measured.kernel.as_str(), Units::of(measured.factor, limits)) {
+            ("linear", Some(units)) => Tile::linear(limits, units).len(),
+            ("linear", None) => LaneTile::candidates(limits, measured.factor).len(),
+            ("attention", Some(units)) => Tile::attention(limits, units, Tile::TUNED_CHANNELS).len(),
+            ("nearest", Some(units)) => Tile::nearest(limits, units).len(),
+            other => panic!("{other:?} has no tiles"),
         };
         // Larger results are not measured with tiles that are slow already.
         let alike = tuning.measured.iter().filter(|m| (&m.kernel, m.factor) == (&measured.kernel, measured.factor));
@@ -40,18 +44,16 @@ fn measures_every_tile_and_can_be_stopped() {
         assert!((least..=candidates).contains(&measured.tiles.len()), "{measured:?}");
         assert!(measured.tiles.iter().all(|(_, ms)| *ms > 0.0), "{measured:?}");
     }
-    if !tuning.measured.is_empty() {
-        let known = tuning.clone();
-        let stopped = tuning.measure(device(), |_, _| ControlFlow::Break(()));
-        assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
-        assert_eq!(tuning, known, "what was known stays");
-        let mut others = Tuning { unusable: vec![first.clone()], ..Tuning::default() };
-        let stopped = others.measure(device(), |tile, _| {
-            assert_ne!(tile, first, "it is not tried again");
-            ControlFlow::Break(())
-        });
-        assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
-    }
+    let known = tuning.clone();
+    let stopped = tuning.measure(device(), |_, _| ControlFlow::Break(()));
+    assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+    assert_eq!(tuning, known, "what was known stays");
+    let mut others = Tuning { unusable: vec![first.clone()], ..Tuning::default() };
+    let stopped = others.measure(device(), |tile, _| {
+        assert_ne!(tile, first, "it is not tried again");
+        ControlFlow::Break(())
+    });
+    assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
 }
 
 #[test]
@@ -78,6 +80,24 @@ fn the_fastest_tile_is_taken() {
     }
     assert_eq!(tuning("a tile of another version").applied(fast, limits), fast);
     assert_eq!(kept(&tuning(&names[0])), tuning(&names[0]));
+}
+
+#[test]
+fn the_fastest_tile_of_lanes_is_taken_for_f32() {
+    let limits = device().limits();
+    let tiles = LaneTile::candidates(limits, Element::F32);
+    let exact = Arithmetic::EXACT;
+    for (index, best) in tiles.iter().enumerate() {
+        let times = tiles.iter().map(|tile| (tile.to_string(), if tile == best { 1.0 } else { 2.0 }));
+        let (kernel, values) = ("linear".into(), 1 << 14);
+        let measured = vec![Measured { kernel, factor: Element::F32, values, tiles: times.collect() }];
+        let tuned = |arithmetic| Tuning { measured: measured.clone(), ..Tuning::default() }.applied(arithmetic, limits);
+        let tiles = Tiles::always(index);
+        assert_eq!(tuned(exact), Arithmetic { tiles, exact_tiles: tiles, ..exact });
+        if let Some(fast) = Arithmetic::of(Precision::Fast, limits) {
+            assert_eq!(tuned(fast), Arithmetic { exact_tiles: tiles, ..fast }, "of f16 nothing was measured");
+        }
+    }
 }
 
 /// The tuning as another process reads it.

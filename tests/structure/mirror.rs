@@ -6,7 +6,7 @@ use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
 /// that they share.
-const STEPS: [(&str, &str); 24] = [
+const STEPS: [(&str, &str); 26] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("cluster/nearest_uniform", "cluster/nearest"),
@@ -20,6 +20,8 @@ const STEPS: [(&str, &str); 24] = [
     ("ops/attention_matrix", "ops/attention"),
     ("ops/attention_uniform", "ops/attention"),
     ("ops/linear_matrix", "ops/linear"),
+    ("ops/linear_merge", "ops/linear"),
+    ("ops/linear_tiled", "ops/linear"),
     ("ops/linear_uniform", "ops/linear"),
     ("ops/scan_apply", "ops/scan"),
     ("ops/scan_reduce", "ops/scan"),

@@ -47,6 +47,10 @@ impl Precision {
 pub struct Arithmetic {
     /// Type of the factors of matrix products.
     pub element: Element,
+    /// How work is cut for linear layers with such factors on lanes.
+    pub tiles: Tiles,
+    /// How work is cut for linear layers on lanes that are f32 whatever the precision.
+    pub exact_tiles: Tiles,
     /// Matrix units that linear layers run on, where they do.
     pub linear: Option<Units>,
     /// Matrix units that attention runs on, where it does.
@@ -77,8 +81,20 @@ impl Units {
 
 impl Arithmetic {
     /// f32 throughout.
-    pub const EXACT: Self =
-        Self { element: Element::F32, linear: None, attention: None, quantised: None, nearest: None };
+    pub const EXACT: Self = Self {
+        element: Element::F32,
+        tiles: Tiles::BY_RULE,
+        exact_tiles: Tiles::BY_RULE,
+        linear: None,
+        attention: None,
+        quantised: None,
+        nearest: None,
+    };
+
+    /// f32 throughout, with work cut in the same way.
+    pub(super) fn exact(&self) -> Self {
+        Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
+    }
 
     /// The arithmetic of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
@@ -91,6 +107,6 @@ impl Arithmetic {
         let quantised = Units::of(Element::I8, limits).filter(|_| precision == Precision::Turbo);
         let can = limits.half_storage && (precision != Precision::Turbo || quantised.is_some());
         let nearest = Units::of(Element::F16, limits);
-        can.then_some(Self { element, linear: matrices, attention: matrices, quantised, nearest })
+        can.then_some(Self { element, linear: matrices, attention: matrices, quantised, nearest, ..Self::EXACT })
     }
 }

@@ -1,15 +1,19 @@
 //! Linear layers with fused epilogues.
 
+mod lanes;
+
+pub use lanes::{LaneTile, Lanes};
+
 use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
-    tile::Tile,
-    uniform::{UNIFORM_TILE, divides_panels, terms_of},
+    tile::{Tile, share},
+    uniform::UNIFORM_TILE,
 };
 use crate::{
     gpu::{Element, Limits, Recorder, Tensor},
     kernels::{
-        limits::{LINEAR_ROWS, PANEL_COLUMNS, Q8_GROUP},
+        limits::{PANEL_COLUMNS, Q8_GROUP},
         ops,
     },
 };
@@ -38,8 +42,9 @@ pub struct Linear {
 /// The kernel of a linear layer, which decides the layout of its weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
-    /// ops/linear, or ops/linear_uniform where that is faster: inputs and weight of this type, the weight `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
-    Panels(Element, Weights),
+    /// On lanes: ops/linear, ops/linear_uniform where that is faster, or ops/linear_tiled where a tile was chosen. The weight is
+    /// `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
+    Panels(Lanes, Weights),
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
     /// behind them, `[columns]` f32 from where a slice may start; inputs are f16 and become such integers row by row.
     Matrix(Units, Weights),
@@ -90,7 +95,9 @@ impl LinearKernel {
     /// Type of the factors, and so of the weight.
     pub fn factor(self) -> Element {
         match self {
-            LinearKernel::Panels(element, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => element,
+            LinearKernel::Panels(Lanes { element, .. }, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => {
+                element
+            }
         }
     }
 
@@ -106,7 +113,7 @@ impl LinearKernel {
         match self {
             LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => None,
             LinearKernel::Matrix(units, _) => Some(LinearKernel::Matrix(units, Weights::Q8)),
-            LinearKernel::Panels(element, _) => Some(LinearKernel::Panels(element, Weights::Q8)),
+            LinearKernel::Panels(lanes, _) => Some(LinearKernel::Panels(lanes, Weights::Q8)),
         }
     }
 
@@ -156,14 +163,43 @@ impl Linear {
             let (input, out) = (input.part(part.clone()), out.part(part.clone()));
             let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
-            match self.kernel {
-                LinearKernel::Panels(..) if self.is_uniform(rec.limits(), out) => {
-                    self.uniform(rec, input, out, epilogue)
-                }
-                LinearKernel::Panels(..) => self.panels(rec, input, out, epilogue),
-                LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue),
+            let share = share(self.kernel.factor(), self.inner, input.count, self.columns);
+            let parts = self.inner.div_ceil(share);
+            if parts == 1 {
+                self.sums(rec, input, out, epilogue, share);
+            } else {
+                let sums = Rows::scratch(rec, "sums", parts * input.count, self.columns, Element::F32);
+                self.sums(rec, input, sums, Epilogue::default(), share);
+                self.merge(rec, sums, parts, out, epilogue);
             }
         }
+    }
+
+    /// Sums of `share` terms each: all terms and their epilogue, or parts of them one behind the other.
+    fn sums(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+        match self.kernel {
+            LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, share),
+            LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue, share),
+        }
+    }
+
+    /// Adds up sums in parts.
+    fn merge(&self, rec: &mut Recorder, sums: Rows, parts: usize, out: Rows, epilogue: Epilogue) {
+        let kernel = ops::LinearMerge {
+            sums: sums.tensor,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            rows: out.count as u32,
+            columns: self.columns as u32,
+            parts: parts as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            output: out.element,
+        };
+        rec.dispatch(kernel, out.count * self.columns.div_ceil(4));
     }
 
     /// The weight as factors, as integers and their scales; what it does not have stands for nothing.
@@ -182,70 +218,15 @@ impl Linear {
         }
     }
 
-    /// True where ops/linear_uniform computes the layer.
-    fn is_uniform(&self, limits: &Limits, out: Rows) -> bool {
-        let types = [self.element(), out.element] == [Element::F32; 2];
-        types && divides_panels(limits)
-    }
-
-    fn uniform(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
-        let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
-        let tile_columns = vectors * rec.limits().subgroup_size;
-        let [weight, integers, scales] = self.weights();
-        let kernel = ops::LinearUniform {
-            a: input.tensor,
-            weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
-            integers,
-            scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
-            q8: self.kernel.weights() == Weights::Q8,
-            terms: terms_of(self.inner),
-            tile_rows,
-            vectors,
-        };
-        let groups = [rows.div_ceil(tile_rows as usize), self.columns.div_ceil(tile_columns as usize), 1];
-        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
-    }
-
-    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
-        let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
-        let [weight, integers, scales] = self.weights();
-        let kernel = ops::Linear {
-            a: input.tensor,
-            weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
-            integers,
-            scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
-            q8: self.kernel.weights() == Weights::Q8,
-            input: input.element,
-            output: out.element,
-        };
-        let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), 1];
-        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
-    }
-
-    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         let Units { factor, shape, .. } = units;
         let (columns, inner, rows) = (self.columns, self.inner, input.count);
         let tile = self.tile(rec.limits(), units, rows);
+        assert!(
+            share == inner || share.is_multiple_of(tile.k as usize),
+            "parts of {share} terms, {} at a time",
+            tile.k
+        );
         let (a, row_scales, column_scales) = match factor {
             Element::I8 => {
                 let (a, scales) = quantise_rows(rec, input);
@@ -280,12 +261,14 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
+            share: share as u32,
+            split: share < inner,
             factor,
             output: out.element,
         };
         let [tile_rows, tile_columns] = tile.sides(units);
         // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
-        let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
+        let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 

@@ -1,6 +1,6 @@
 //! Parameters as kernels read them.
 
-use super::{LinearKernel, Units, Weights, linear::scales_at, q8::Q8, rows::SLICE};
+use super::{Lanes, LinearKernel, Units, Weights, linear::scales_at, q8::Q8, rows::SLICE};
 use crate::{gpu::Element, kernels::limits::PANEL_COLUMNS, kernels::limits::Q8_GROUP};
 use half::f16;
 use rayon::prelude::*;
@@ -71,9 +71,7 @@ pub(super) fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -
             scales_at(padded, inner) + size_of::<f16>() * padded * inner / GROUP
         }
         LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => scales_at(columns, inner) + 4 * columns,
-        LinearKernel::Panels(factor, _) | LinearKernel::Matrix(Units { factor, .. }, _) => {
-            factor.bytes() * inner * padded
-        }
+        LinearKernel::Panels(..) | LinearKernel::Matrix(..) => kernel.factor().bytes() * inner * padded,
     }
 }
 
@@ -109,8 +107,12 @@ impl Packing {
                     LinearKernel::Panels(_, Weights::Q8) | LinearKernel::Matrix(_, Weights::Q8) => {
                         panic!("weights of 8 bits come as such")
                     }
-                    LinearKernel::Panels(Element::F32, _) => panels::<4>(row, columns, padded, Element::F32, packed),
-                    LinearKernel::Panels(half, _) => panels::<2>(row, columns, padded, half, packed),
+                    LinearKernel::Panels(Lanes { element: Element::F32, .. }, _) => {
+                        panels::<4>(row, columns, padded, Element::F32, packed);
+                    }
+                    LinearKernel::Panels(Lanes { element: half, .. }, _) => {
+                        panels::<2>(row, columns, padded, half, packed);
+                    }
                     LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => {
                         quantised(row, columns, padded, packed);
                     }

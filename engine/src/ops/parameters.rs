@@ -1,7 +1,7 @@
 //! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
 
 use super::{
-    Arithmetic, AttentionKernel, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
+    Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
     packing::{Order, Packing, packed_bytes},
     rows::SLICE,
 };
@@ -142,12 +142,12 @@ impl ParameterLayout {
 
     /// As [`ParameterLayout::linear`], in f32 whatever the arithmetic: for what f16 cannot hold and costs nothing.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
-        self.matrix(name, &[inner], columns, false, Arithmetic::EXACT)
+        self.matrix(name, &[inner], columns, false, self.arithmetic.exact())
     }
 
     /// As [`ParameterLayout::convolution`], in f32 whatever the arithmetic.
     pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
-        self.matrix(name, kernel, columns, false, Arithmetic::EXACT)
+        self.matrix(name, kernel, columns, false, self.arithmetic.exact())
     }
 
     /// The layer from gradients by the results of the layer `name`, `[rows, columns]`, to those by its inputs, `[rows, inner]`:
@@ -191,7 +191,8 @@ impl ParameterLayout {
     }
 
     fn reordered(&mut self, name: &str, shape: &[usize], [inner, columns]: [usize; 2], order: Order) -> Linear {
-        let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
+        let lanes = Lanes { element: Element::F32, tiles: self.arithmetic.exact_tiles };
+        let kernel = LinearKernel::Panels(lanes, Weights::Factors);
         let bias_at = packed_bytes(inner, columns, kernel).next_multiple_of(SLICE);
         let packing = Packing::Reordered { order, inner, columns, kernel };
         let both = self.add::<u8>(&format!("{name}.weight"), shape, bias_at + size_of::<f32>() * columns, packing);
@@ -264,13 +265,13 @@ impl ParameterLayout {
 
     fn matrix(&mut self, name: &str, row: &[usize], columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
         // The matrix kernel writes whole vectors.
-        let Arithmetic { element, linear, quantised, .. } = arithmetic;
+        let Arithmetic { element, tiles, linear, quantised, .. } = arithmetic;
         let inner = row.iter().product::<usize>();
         let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
         let kernel = match quantised.or(linear) {
             Some(units) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(units, weights),
-            _ => LinearKernel::Panels(element, weights),
+            _ => LinearKernel::Panels(Lanes { element, tiles }, weights),
         };
         let (packing, shape) = (Packing::Matrix { inner, columns, gated, kernel }, [&[columns], row].concat());
         let bias = if gated { Packing::GatedVector } else { Packing::Vector };

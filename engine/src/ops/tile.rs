@@ -1,7 +1,7 @@
-//! How matrix kernels cut their work into workgroups.
+//! How matrix kernels cut their work into workgroups, and which candidate a kernel takes.
 
 use super::Units;
-use crate::gpu::Limits;
+use crate::gpu::{Element, Limits};
 use std::fmt;
 
 /// The candidate that a kernel takes, by the number of values of its result: [`Tiles::CLASSES`] sizes from 2^14 on, four times
@@ -12,6 +12,9 @@ pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 impl Tiles {
     /// Sizes that are told apart.
     pub const CLASSES: usize = 7;
+
+    /// Candidates by rule, whatever the size.
+    pub const BY_RULE: Self = Self([None; Self::CLASSES]);
 
     /// The candidate at an index, whatever the size.
     pub fn always(index: usize) -> Self {
@@ -33,6 +36,20 @@ impl Tiles {
         let class = values.max(1).ilog2().saturating_sub(13) as usize / 2;
         self.0[class.min(Self::CLASSES - 1)].map(usize::from)
     }
+}
+
+/// Terms of the parts that a linear layer's sums of `inner` terms are cut into: all, unless they are many and 64 x 64 of the results
+/// give work to less than half of a large GPU's cores. A matter of the layer's shape alone, so that results keep their bits whatever
+/// was measured. Only those of 16-bit factors: sums of `exact` are added up term by term, and sums of integers are exact.
+pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
+    const LONG: usize = 2048;
+    let workgroups = (rows.div_ceil(64) * columns.div_ceil(64)).max(1);
+    if !Element::HALVES.contains(&factor) || inner < LONG || workgroups > BUSY / 4 {
+        return inner;
+    }
+    let parts = (BUSY / 2 / workgroups).min(2 * inner / LONG);
+    // Every kernel's depth divides them.
+    inner.div_ceil(parts).next_multiple_of(128)
 }
 
 /// The share of a matrix kernel's work that a workgroup owns. Rows and columns are those of a linear layer; or points and

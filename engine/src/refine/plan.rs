@@ -107,7 +107,7 @@ pub fn plan_refinement(
     }
     kept_bytes += layout.bytes();
 
-    let look = request.look.map(|look| LpipsWeights::layout(limits, look.network, true));
+    let look = request.look.map(|look| LpipsWeights::layout(limits, Arithmetic::EXACT, look.network, true));
     kept_bytes += look.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = look.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };

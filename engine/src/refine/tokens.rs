@@ -10,9 +10,10 @@ use super::{
 use crate::{
     Error, Result,
     gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout},
+    ops::{ParameterLayout, Precision},
     reconstruct::SceneTokens,
     stages::gaussians::Head,
+    tune::Chosen,
     types::Scene,
     weights::{Architecture, Checkpoint},
 };
@@ -32,7 +33,8 @@ impl FrozenHead {
     /// [`Error::Memory`] where the device has too little, or where the checkpoint cannot be read.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();
-        let mut parameters = ParameterLayout::new(device.limits(), Arithmetic::EXACT);
+        let arithmetic = Chosen::of(device, Some(Precision::Exact))?.arithmetic;
+        let mut parameters = ParameterLayout::new(device.limits(), arithmetic);
         let head = Head::new(&mut parameters, &architecture);
         let memory = parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?.resident;
         Ok(Self { head, architecture, memory })

@@ -39,8 +39,8 @@ impl Operation for Attentions {
 
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
         let (kernel, queries) = match candidate {
-            Candidate::Lanes(element) => (AttentionKernel::Lanes(element), 35),
-            Candidate::Units(units, tile) => (AttentionKernel::Matrix(units), tile.sides(units)[0] + 3),
+            Candidate::Lanes(..) => (kernel(candidate), 35),
+            Candidate::Units(units, tile) => (kernel(candidate), tile.sides(units)[0] + 3),
         };
         let attended = |kernel: AttentionKernel| -> Result<Vec<f32>> {
             let (mut run, out) = attention(device, kernel, output, queries, 100)?;
@@ -51,12 +51,19 @@ impl Operation for Attentions {
         Ok(deviation(LIMIT * output.roundoff(), 0.0, &exact, &fast))
     }
 
-    fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run> {
-        attention(device, AttentionKernel::Matrix(units), units.factor, rows, TERMS).map(|(run, _)| run)
+    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run> {
+        attention(device, kernel(candidate), candidate.factor(), rows, TERMS).map(|(run, _)| run)
     }
 
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
         vec![&mut arithmetic.attention]
+    }
+}
+
+fn kernel(candidate: Candidate) -> AttentionKernel {
+    match candidate {
+        Candidate::Lanes(lanes, _) => AttentionKernel::Lanes(lanes.element),
+        Candidate::Units(units, _) => AttentionKernel::Matrix(units),
     }
 }
 
@@ -69,7 +76,7 @@ fn attention(
     keys: usize,
 ) -> Result<(Run, Tensor)> {
     let heads = Heads::new(COLUMNS / Tile::TUNED_CHANNELS, COLUMNS);
-    let attention = Attention { heads, sequences: 1, queries, keys, kernel };
+    let attention = Attention { heads, sequences: 1, queries, keys, pool: None, kernel };
     let tokens = [queries, keys, keys];
     let values = [0, 1, 2].map(|i| encoded_noise(i as u64 + 1, tokens[i], COLUMNS, factor, kernel.element()));
     let mut rec = Recorder::new(device.limits());

@@ -1,7 +1,7 @@
 //! Where what was found of a device is kept in the user's cache: another driver, or other kernels, and it is found anew.
 
 use crate::{
-    gpu::{Device, Needs},
+    gpu::{Device, Module, Needs},
     kernels::MODULES,
 };
 use std::{
@@ -24,8 +24,11 @@ pub fn cache_folder() -> Option<PathBuf> {
 pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
     let cache = cache_folder()?;
     let mut kernels = DefaultHasher::new();
-    let is_fast = |needs: Needs| needs.half_storage || needs.matrices.is_some();
-    MODULES.iter().filter(|module| is_fast(module.needs)).for_each(|module| module.hash(&mut kernels));
+    let has_choice = |module: &Module| {
+        let Needs { half_storage, matrices } = module.needs;
+        half_storage || matrices.is_some() || module.name.starts_with("ops/linear")
+    };
+    MODULES.iter().filter(|module| has_choice(module)).for_each(|module| module.hash(&mut kernels));
     let subgroup = device.limits().subgroup_size;
     Some(cache.join(format!("{kind}/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
 }

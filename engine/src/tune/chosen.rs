@@ -38,8 +38,9 @@ impl Chosen {
         precision: Option<Precision>,
         progress: impl FnMut(&str, f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        let exact = |notes| Self { precision: Precision::Exact, arithmetic: Arithmetic::EXACT, notes };
         let limits = device.limits();
+        let tuned = |arithmetic| Tuning::known(device).unwrap_or_default().applied(arithmetic, limits);
+        let exact = |notes| Self { precision: Precision::Exact, arithmetic: tuned(Arithmetic::EXACT), notes };
         let wanted = precision.unwrap_or(Precision::best(limits));
         if wanted == Precision::Exact {
             return Ok(exact(Vec::new()));
@@ -51,8 +52,7 @@ impl Chosen {
             let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));
             return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
         };
-        let arithmetic = Tuning::known(device).unwrap_or_default().applied(arithmetic, limits);
-        Ok(Self { precision: wanted, arithmetic, notes })
+        Ok(Self { precision: wanted, arithmetic: tuned(arithmetic), notes })
     }
 }
 

@@ -8,7 +8,10 @@ use super::{
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Activation, Arithmetic, Epilogue, Linear, LinearKernel, Q8, Rows, Tile, Units, Weights, pack_matrix},
+    ops::{
+        Activation, Arithmetic, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights,
+        pack_matrix,
+    },
 };
 
 pub(super) struct LinearLayers;
@@ -33,22 +36,27 @@ impl Operation for LinearLayers {
         Tile::linear(limits, units)
     }
 
+    fn lane_tiles(&self, limits: &Limits, factor: Element) -> Vec<LaneTile> {
+        LaneTile::candidates(limits, factor)
+    }
+
     /// Results go on in f32, or only feed other products.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
         let name = kernel_name("ops/linear", on_units, factor);
-        let outputs = [Element::F32, LinearKernel::Panels(factor, Weights::Factors).element()];
-        outputs.map(|output| (format!("{name}_{}", output.name()), output)).into()
+        let own = if factor == Element::I8 { Element::F16 } else { factor };
+        let outputs = [Element::F32].into_iter().chain((own != Element::F32).then_some(own));
+        outputs.map(|output| (format!("{name}_{}", output.name()), output)).collect()
     }
 
+    /// In f32 none but none at all: all tiles give the same bits.
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
-        // On matrix units more than one workgroup each way, the last of them not whole.
-        let (kernel, rows, columns) = match candidate {
-            Candidate::Lanes(element) => (LinearKernel::Panels(element, Weights::Factors), 35, 40),
-            Candidate::Units(units, tile) => {
-                let [rows, columns] = tile.sides(units);
-                (LinearKernel::Matrix(units, Weights::Factors), rows + 3, columns + 8)
-            }
+        // More than one workgroup each way, the last of them not whole.
+        let [rows, columns] = match candidate {
+            Candidate::Lanes(_, Some(tile)) => tile.sides.map(|side| side as usize),
+            Candidate::Lanes(..) => [32, 32],
+            Candidate::Units(units, tile) => tile.sides(units),
         };
+        let (kernel, rows, columns) = (kernel(candidate), rows + 3, columns + 8);
         let mut cases = vec![(Activation::None, kernel, 72), (Activation::Gelu, kernel, 72)];
         cases.extend(columns.is_multiple_of(8).then_some((Activation::SwiGlu, kernel, 72)));
         cases.extend(kernel.with_q8().map(|q8| (Activation::None, q8, 96)));
@@ -60,14 +68,21 @@ impl Operation for LinearLayers {
                 run.execute()?;
                 Ok(output.decode(&run.read::<u8>(out)?))
             };
-            let exact = product(LinearKernel::Panels(Element::F32, Weights::Factors), Element::F32)?;
-            worst = worse(worst, deviation(LIMIT, output.roundoff(), &exact, &product(kernel, output)?));
+            let exact = LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors);
+            let (exact, fast) = (product(exact, Element::F32)?, product(kernel, output)?);
+            worst = worse(
+                worst,
+                match kernel.factor() {
+                    Element::F32 => same_bits(&exact, &fast).then_some(0.0),
+                    _ => deviation(LIMIT, output.roundoff(), &exact, &fast),
+                },
+            );
         }
         Ok(worst)
     }
 
-    fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run> {
-        let kernel = LinearKernel::Matrix(units, Weights::Factors);
+    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run> {
+        let kernel = kernel(candidate);
         let sizes = [rows, TERMS, COLUMNS];
         let layer = Layer { kernel, sizes, activation: Activation::None, output: kernel.element() };
         layer.run(device, kernel).map(|(run, _)| run)
@@ -76,6 +91,21 @@ impl Operation for LinearLayers {
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
         vec![&mut arithmetic.linear, &mut arithmetic.quantised]
     }
+
+    fn chosen_on_lanes<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
+        vec![(arithmetic.element, &mut arithmetic.tiles), (Element::F32, &mut arithmetic.exact_tiles)]
+    }
+}
+
+fn kernel(candidate: Candidate) -> LinearKernel {
+    match candidate {
+        Candidate::Lanes(lanes, _) => LinearKernel::Panels(lanes, Weights::Factors),
+        Candidate::Units(units, _) => LinearKernel::Matrix(units, Weights::Factors),
+    }
+}
+
+fn same_bits(a: &[f32], b: &[f32]) -> bool {
+    a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
 /// A layer and its rows.

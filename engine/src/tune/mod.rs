@@ -18,7 +18,7 @@ pub use tuning::{Measured, Tuning};
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Run},
-    ops::{Arithmetic, Tile, Tiles, Units},
+    ops::{Arithmetic, LaneTile, Lanes, Tile, Tiles, Units},
 };
 
 /// An operation with several candidates to compute it: an exact one in f32, and fast ones on lanes and on matrix units.
@@ -35,27 +35,37 @@ trait Operation: Sync {
     /// Ways to cut the work for matrix units that are within a device's limits.
     fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile>;
 
+    /// Ways to cut the work of lanes, that of the rule first, where there are several.
+    fn lane_tiles(&self, _limits: &Limits, _factor: Element) -> Vec<LaneTile> {
+        Vec::new()
+    }
+
     /// Kernels that factors of a type need, on matrix units or on lanes: name, and type of the results.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)>;
 
     /// How far a candidate with results of this type is off its exact twin, see [`self_test::deviation`].
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>>;
 
-    /// A run on matrix units to be timed, whose result has `rows` rows of [`COLUMNS`] values.
-    fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run>;
+    /// A run to be timed, whose result has `rows` rows of [`COLUMNS`] values.
+    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run>;
 
     /// The fields in which an arithmetic keeps the matrix units that were chosen.
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;
+
+    /// The fields in which an arithmetic keeps how the work of lanes is cut, with the type of the factors.
+    fn chosen_on_lanes<'a>(&self, _arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
+        Vec::new()
+    }
 }
 
 /// All operations that have candidates.
 const OPERATIONS: [&dyn Operation; 3] = [&linear::LinearLayers, &attention::Attentions, &nearest::NearestSearches];
 
-/// One of the fast ways to compute an operation.
+/// One of the ways to compute an operation.
 #[derive(Clone, Copy)]
 enum Candidate {
-    /// With factors of this type, on lanes.
-    Lanes(Element),
+    /// On lanes that always take the same tile, this one where there are several.
+    Lanes(Lanes, Option<LaneTile>),
     /// On matrix units that always take this tile.
     Units(Units, Tile),
 }
@@ -65,7 +75,38 @@ const COLUMNS: usize = 1024;
 /// Terms of a sum, or keys, of timed runs.
 const TERMS: usize = 1024;
 
+impl Candidate {
+    /// Type of the factors.
+    fn factor(self) -> Element {
+        match self {
+            Candidate::Lanes(lanes, _) => lanes.element,
+            Candidate::Units(units, _) => units.factor,
+        }
+    }
+
+    /// Name of its tile.
+    fn tile(self) -> String {
+        match self {
+            Candidate::Lanes(_, tile) => tile.map(|tile| tile.to_string()).unwrap_or_default(),
+            Candidate::Units(_, tile) => tile.to_string(),
+        }
+    }
+}
+
 impl dyn Operation {
+    /// The candidates on lanes: with factors of f32, and of types that the device keeps and has no matrix units for.
+    fn on_lanes(&self, limits: &Limits) -> Vec<Candidate> {
+        let halves =
+            self.lanes().iter().copied().filter(|half| limits.half_storage && limits.matrices.of(*half).is_none());
+        let of = |factor| {
+            let always = move |(index, tile)| {
+                Candidate::Lanes(Lanes { tiles: Tiles::always(index), ..Lanes::of(factor) }, Some(tile))
+            };
+            self.lane_tiles(limits, factor).into_iter().enumerate().map(always)
+        };
+        [Element::F32].into_iter().chain(halves).flat_map(of).collect()
+    }
+
     /// Every type of factors that the device has matrix units for, with the candidates for it.
     fn on_units(&self, limits: &Limits) -> Vec<(Units, Vec<Candidate>)> {
         let units = self.factors().iter().filter_map(|factor| Units::of(*factor, limits));

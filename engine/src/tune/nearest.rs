@@ -62,9 +62,13 @@ impl Operation for NearestSearches {
         Ok(deviation(LIMIT, 0.0, &exact, &fast))
     }
 
-    fn timed(&self, device: &Device, units: Units, rows: usize) -> Result<Run> {
+    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run> {
+        let kernel = match candidate {
+            Candidate::Lanes(..) => NearestKernel::Lanes,
+            Candidate::Units(units, _) => NearestKernel::Matrix(units),
+        };
         let [points, targets] = [(1, rows), (2, COLUMNS)].map(|(seed, rows)| noise(seed, rows, TERMS, Element::F32));
-        nearest(device, NearestKernel::Matrix(units), [&points, &targets], TERMS).map(|(run, _)| run)
+        nearest(device, kernel, [&points, &targets], TERMS).map(|(run, _)| run)
     }
 
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {

@@ -4,7 +4,7 @@ use super::{Candidate, OPERATIONS, Operation, cache::cache_file};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits},
-    ops::Arithmetic,
+    ops::{Arithmetic, Lanes},
     types::write_atomic,
 };
 use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duration};
@@ -166,7 +166,8 @@ impl Group {
         let mut groups = Vec::new();
         for operation in OPERATIONS.into_iter().filter(|_| limits.half_storage) {
             for element in operation.lanes().iter().copied().filter(|element| on_lanes(*element)) {
-                let (kernels, candidates) = (operation.kernels(false, element), vec![Candidate::Lanes(element)]);
+                let (kernels, candidates) =
+                    (operation.kernels(false, element), vec![Candidate::Lanes(Lanes::of(element), None)]);
                 groups.push(Self { operation, kernels, candidates });
             }
             for (units, candidates) in operation.on_units(limits) {

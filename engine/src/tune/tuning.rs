@@ -1,10 +1,10 @@
-//! The fastest tile of each matrix kernel for results of each size, by measurement on the device at hand.
+//! The fastest tile of each kernel for results of each size, by measurement on the device at hand.
 
 use super::{COLUMNS, Candidate, OPERATIONS, Operation, cache::cache_file};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits, Run},
-    ops::{Arithmetic, Tiles, Units},
+    ops::{Arithmetic, Tiles},
     types::write_atomic,
 };
 use std::{
@@ -70,7 +70,7 @@ impl Tuning {
         write_atomic(&file, |out| out.write_all(&bytes))
     }
 
-    /// Measures every tile of every matrix kernel that is not known to be unusable. `progress` gets what comes next and the share
+    /// Measures every tile of every kernel that is not known to be unusable. `progress` gets what comes next and the share
     /// that is done, and may stop. Each time replaces what was known of its tile; the rest stays, also behind an error.
     ///
     /// # Errors
@@ -78,8 +78,9 @@ impl Tuning {
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();
         for operation in OPERATIONS {
-            let candidates = operation.on_units(device.limits()).into_iter().flat_map(|(_, candidates)| candidates);
-            tiles.extend(candidates.filter_map(|candidate| Timed::new(operation, candidate)));
+            let on_units = operation.on_units(device.limits()).into_iter().flat_map(|(_, candidates)| candidates);
+            let candidates = on_units.chain(operation.on_lanes(device.limits()));
+            tiles.extend(candidates.map(|candidate| Timed { operation, candidate, name: candidate.tile() }));
         }
         for (i, tile) in tiles.iter().enumerate() {
             let name = tile.full_name();
@@ -90,15 +91,15 @@ impl Tuning {
                 return Err(Error::Cancelled);
             }
             let outcome = tile.times(device);
-            if !matches!(outcome, Ok(_) | Err(Error::Memory { .. })) {
+            if !matches!(outcome, Ok(Some(_)) | Err(Error::Memory { .. })) {
                 self.unusable.push(name);
-                let of_kernel = self.measured.iter_mut().filter(|m| m.is_of(tile.operation, tile.units.factor));
+                let of_kernel = self.measured.iter_mut().filter(|m| m.is_of(tile.operation, tile.candidate.factor()));
                 of_kernel.for_each(|m| m.tiles.retain(|(name, _)| *name != tile.name));
             }
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
-                Ok(times) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
-                // A driver may refuse what it offers.
+                Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
+                // It computes wrongly, or a driver refuses what it offers.
                 _ => {}
             }
         }
@@ -106,7 +107,7 @@ impl Tuning {
     }
 
     fn add(&mut self, tile: &Timed, values: usize, ms: f64) {
-        let Timed { operation, units: Units { factor, .. }, .. } = *tile;
+        let (operation, factor) = (tile.operation, tile.candidate.factor());
         let is_it = |m: &Measured| m.is_of(operation, factor) && m.values == values;
         let at = self.measured.iter().position(is_it).unwrap_or_else(|| {
             self.measured.push(Measured { kernel: operation.name().into(), factor, values, tiles: Vec::new() });
@@ -123,17 +124,21 @@ impl Tuning {
     pub fn applied(&self, mut arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
         for operation in OPERATIONS {
             for units in operation.chosen(&mut arithmetic).into_iter().flatten() {
-                units.tiles = self.fastest(operation, *units, limits);
+                let candidates = operation.tiles(limits, *units).iter().map(ToString::to_string).collect();
+                units.tiles = self.fastest(operation, units.factor, candidates);
+            }
+            for (factor, tiles) in operation.chosen_on_lanes(&mut arithmetic) {
+                let candidates = operation.lane_tiles(limits, factor).iter().map(ToString::to_string).collect();
+                *tiles = self.fastest(operation, factor, candidates);
             }
         }
         arithmetic
     }
 
-    fn fastest(&self, operation: &dyn Operation, units: Units, limits: &Limits) -> Tiles {
-        let candidates: Vec<String> = operation.tiles(limits, units).iter().map(ToString::to_string).collect();
+    fn fastest(&self, operation: &dyn Operation, factor: Element, candidates: Vec<String>) -> Tiles {
         let mut tiles = Tiles::default();
         for class in 0..Tiles::CLASSES {
-            let is_it = |m: &&Measured| m.is_of(operation, units.factor) && m.values == Tiles::values(class);
+            let is_it = |m: &&Measured| m.is_of(operation, factor) && m.values == Tiles::values(class);
             let best = self.measured.iter().find(is_it).and_then(Measured::best);
             if let Some(index) = best.and_then(|best| candidates.iter().position(|name| name == best)) {
                 tiles.set_from(class, index);
@@ -146,25 +151,29 @@ impl Tuning {
 /// A tile to be timed.
 struct Timed {
     operation: &'static dyn Operation,
-    units: Units,
+    candidate: Candidate,
     name: String,
 }
 
 impl Timed {
-    fn new(operation: &'static dyn Operation, candidate: Candidate) -> Option<Self> {
-        let Candidate::Units(units, tile) = candidate else { return None };
-        Some(Self { operation, units, name: tile.to_string() })
-    }
-
     fn full_name(&self) -> String {
-        format!("{} {} {}", self.operation.name(), self.units.factor.name(), self.name)
+        format!("{} {} {}", self.operation.name(), self.candidate.factor().name(), self.name)
     }
 
-    /// Values of the result and milliseconds, for growing results until one takes long or does not fit.
-    fn times(&self, device: &Device) -> Result<Vec<(usize, f64)>> {
+    /// Values of the result and milliseconds, for growing results until one takes long or does not fit; none of a tile of lanes that
+    /// computes wrongly. Those of matrix units are tested before their precision is used.
+    fn times(&self, device: &Device) -> Result<Option<Vec<(usize, f64)>>> {
+        let (operation, candidate) = (self.operation, self.candidate);
+        if let Candidate::Lanes(lanes, Some(_)) = candidate {
+            for (_, output) in operation.kernels(false, lanes.element) {
+                if operation.deviation(device, candidate, output)?.is_none_or(|deviation| deviation > 1.0) {
+                    return Ok(None);
+                }
+            }
+        }
         let mut times = Vec::new();
         for values in (0..Tiles::CLASSES).map(Tiles::values) {
-            let run = self.operation.timed(device, self.units, values / COLUMNS);
+            let run = operation.timed(device, candidate, values / COLUMNS);
             let ms = match run.and_then(|run| median(device, run)) {
                 Err(Error::Memory { .. }) if !times.is_empty() => break,
                 ms => ms?,
@@ -174,16 +183,17 @@ impl Timed {
                 break;
             }
         }
-        Ok(times)
+        Ok(Some(times))
     }
 }
 
-/// Median milliseconds of matrix kernels on the device, once it is warm: a GPU whose clock fell while the host prepared the next
+/// Median milliseconds of the operation's kernels on the device, once it is warm: a GPU whose clock fell while the host prepared the next
 /// tile would be measured at a fifth of its speed.
 fn median(device: &Device, mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;
-        let kernels = profile.rows.iter().filter(|row| row.kernel.contains("_matrix"));
+        let is_timed = |kernel: &str| kernel.contains("_matrix") || kernel.starts_with("ops/linear");
+        let kernels = profile.rows.iter().filter(|row| is_timed(&row.kernel));
         Ok(kernels.map(|row| 1e3 * row.time.as_secs_f64()).sum())
     };
     let started = Instant::now();

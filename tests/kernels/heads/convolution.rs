@@ -8,7 +8,7 @@ use zipsplat::{
         heads::{Convolution, ConvolutionUniform},
         limits::{LINEAR_ROWS, PANEL_COLUMNS},
     },
-    ops::{LinearKernel, Weights, pack_matrix},
+    ops::{Lanes, LinearKernel, Weights, pack_matrix},
 };
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
@@ -37,7 +37,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     let turned: Vec<f32> = (0..columns * inner)
         .map(|i| weight[i / inner * inner + i % inner % channels * taps + i % inner / channels])
         .collect();
-    let weights = pack_matrix(LinearKernel::Panels(Element::F32, Weights::Factors), &turned, inner, columns);
+    let weights = pack_matrix(LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), &turned, inner, columns);
     let mut case = Case::new();
     let out = case.output::<f32>(pixels * columns);
     let kernel = Convolution {

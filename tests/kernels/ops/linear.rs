@@ -4,7 +4,9 @@ use crate::case::{Case, elements, linear_kernels, q8_kernels, random, stored, wi
 use zipsplat::{
     gpu::{Element, Limits},
     kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix},
+    ops::{
+        Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix,
+    },
 };
 use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
 use zipsplat_tests::device::device;
@@ -47,7 +49,7 @@ impl Layer {
         let rows = || (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect::<Vec<f32>>();
         let weight = match kernel {
             _ if kernel.weights() == Weights::Q8 => case.input(&pack_matrix(kernel, &rows(), inner, self.columns)),
-            LinearKernel::Panels(element, _) => {
+            LinearKernel::Panels(Lanes { element, .. }, _) => {
                 let at = |i| value(i / panel / inner * panel + i % panel, i / panel % inner);
                 let weight: Vec<f32> = (0..inner * self.columns.next_multiple_of(panel)).map(at).collect();
                 case.input_of(element, &weight)
@@ -133,7 +135,7 @@ fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, sc
 
 /// Whether there is a kernel that reads by address beside it.
 fn has_twin(kernel: LinearKernel) -> bool {
-    kernel == LinearKernel::Panels(Element::F32, Weights::Factors)
+    kernel == LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors)
 }
 
 fn check_kernel(
@@ -262,6 +264,17 @@ fn rows_beyond_the_most_workgroups() {
     check_plain(LINEAR_ROWS as usize * 65_536 + 1, 4, 4);
 }
 
+/// The bits of a layer's results in f32, computed within these limits.
+fn bits(limits: &Limits, kernel: LinearKernel, layer: &Layer, x: &[f32], activation: Activation) -> Vec<u32> {
+    let mut case = Case::within(limits);
+    let input = layer.rows(&mut case, kernel, x);
+    let device_layer = layer.input(&mut case, kernel, activation);
+    let epilogue = Epilogue { activation, ..Epilogue::default() };
+    let out = device_layer.apply(&mut case.rec, "out", input, Element::F32, epilogue).tensor;
+    case.rec.output(out);
+    case.result(out)
+}
+
 /// Weights that every type of factors holds: of each group the first is 127 times its scale, which is a power of two.
 fn grouped(inner: usize, columns: usize) -> Layer {
     let mut layer = Layer::random(inner, columns);
@@ -304,39 +317,24 @@ fn q8_weights_give_the_bits_of_what_they_stand_for() {
             let values: Vec<f32> = random(1, columns * inner).into_iter().enumerate().map(sized).collect();
             Q8::round(&values).expect("small weights").values(&mut layer.weight);
         }
-        let product = |kernel: LinearKernel| -> Vec<u32> {
-            let mut case = Case::new();
-            let input = layer.rows(&mut case, kernel, &x);
-            let device_layer = layer.input(&mut case, kernel, Activation::None);
-            let out = device_layer.apply(&mut case.rec, "out", input, Element::F32, Epilogue::default()).tensor;
-            case.rec.output(out);
-            case.result(out)
-        };
-        assert_same(&format!("{q8:?}"), &product(q8), &product(kernel));
+        let [expected, found] =
+            [kernel, q8].map(|kernel| bits(device().limits(), kernel, &layer, &x, Activation::None));
+        assert_same(&format!("{q8:?}"), &found, &expected);
     }
 }
 
 #[test]
 fn reading_by_address_changes_no_bit() {
-    let kernel = LinearKernel::Panels(Element::F32, Weights::Factors);
+    let kernel = LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors);
     // Terms of one pass: 16, 12, 8, 4.
     for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (12, 40, 4), (1, 4, 2)] {
         for activation in [Activation::None, Activation::Gelu, Activation::SwiGlu] {
-            let layer = Layer::random(inner, columns);
-            let x = random(3, rows * inner);
+            let (layer, x) = (Layer::random(inner, columns), random(3, rows * inner));
             if activation == Activation::SwiGlu && !columns.is_multiple_of(4) {
                 continue;
             }
-            let products = with_and_without_addresses(device().limits(), has_twin(kernel)).into_iter().map(|limits| {
-                let mut case = Case::within(&limits);
-                let input = layer.rows(&mut case, kernel, &x);
-                let device_layer = layer.input(&mut case, kernel, activation);
-                let epilogue = Epilogue { activation, ..Epilogue::default() };
-                let out = device_layer.apply(&mut case.rec, "out", input, Element::F32, epilogue).tensor;
-                case.rec.output(out);
-                case.result::<u32>(out)
-            });
-            let products: Vec<_> = products.collect();
+            let all = with_and_without_addresses(device().limits(), has_twin(kernel));
+            let products: Vec<_> = all.iter().map(|limits| bits(limits, kernel, &layer, &x, activation)).collect();
             let name = format!("{rows} x {inner} -> {columns} {activation:?}");
             products.iter().for_each(|product| assert_same(&name, product, &products[0]));
         }
@@ -354,5 +352,49 @@ fn tiles_of_gpus() {
             println!("{tile}");
             check_kernel(&limits, (kernel, Element::F32), 270, &layer, Activation::Gelu, true, true);
         }
+    }
+    let x = random(3, 270 * layer.inner);
+    let of_tile = |index: usize| {
+        let lanes = Lanes { element: Element::F32, tiles: Tiles::always(index) };
+        bits(&limits, LinearKernel::Panels(lanes, Weights::Factors), &layer, &x, Activation::Gelu)
+    };
+    for (index, tile) in LaneTile::candidates(&limits, Element::F32).iter().enumerate().skip(1) {
+        assert_same(&tile.to_string(), &of_tile(index), &of_tile(0));
+    }
+}
+
+#[test]
+fn shared_memory_changes_no_bit() {
+    // Terms of one pass are 8: sums that end within it, too. Results and panels that end within a tile.
+    for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (50, 40, 4), (1, 4, 2), (3, 2600, 40)] {
+        let layer = Layer::random(inner, columns);
+        let x = random(3, rows * inner);
+        for element in elements() {
+            let products = [Tiles::BY_RULE, Tiles::always(1)].map(|tiles| {
+                let kernel = LinearKernel::Panels(Lanes { element, tiles }, Weights::Factors);
+                bits(device().limits(), kernel, &layer, &x, Activation::Gelu)
+            });
+            assert_same(&format!("{element:?} {rows} x {inner} -> {columns}"), &products[1], &products[0]);
+        }
+    }
+}
+
+#[test]
+fn long_sums_of_few_results_are_cut_into_parts() {
+    // Of 1,152, 1,152 and 800 terms; of f32 and of integers they stay whole.
+    let (rows, inner, columns) = (11, 3104, 40);
+    let layer = grouped(inner, columns);
+    let x = random(3, rows * inner);
+    for kernel in linear_kernels().into_iter().flat_map(|kernel| [Some(kernel), kernel.with_q8()]).flatten() {
+        for (activation, added) in [(Activation::Gelu, true), (Activation::SwiGlu, false)] {
+            check_kernel(device().limits(), (kernel, Element::F32), rows, &layer, activation, added, added);
+        }
+        let mut case = Case::new();
+        let input = layer.rows(&mut case, kernel, &x);
+        let device_layer = layer.input(&mut case, kernel, Activation::None);
+        let out = device_layer.apply(&mut case.rec, "out", input, kernel.element(), Epilogue::default()).tensor;
+        case.rec.output(out);
+        let is_cut = case.rec.finish().unwrap().arena_map().iter().any(|row| row.name.ends_with("sums"));
+        assert_eq!(is_cut, Element::HALVES.contains(&kernel.factor()), "{kernel:?}");
     }
 }

@@ -5,7 +5,7 @@ use zipsplat::{gpu::Element, kernels::ops::SplitHeads, stages::backbone::rotary_
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{
     backbone::rope::{global_positions, local_positions},
-    ops::split_heads::{Part, split_heads},
+    ops::split_heads::{Part, Pool, split_heads},
     widen,
 };
 
@@ -22,9 +22,12 @@ struct Call {
     /// Patches of a view, rows and columns, by which the heads are rotated.
     grid: Option<(usize, usize)>,
     global: bool,
-    transpose: bool,
+    /// Rows of a sequence that lie side by side, in panels; 0 for whole rows one after the other.
+    panel: usize,
     /// Channels of a head behind the last, which are zeros.
     padding: usize,
+    /// Side of the groups of patches of `grid` whose means are taken, rows of `first_row` on of as many as there are.
+    side: usize,
 }
 
 const PLAIN: Call = Call {
@@ -37,8 +40,9 @@ const PLAIN: Call = Call {
     norm: false,
     grid: None,
     global: false,
-    transpose: false,
+    panel: 0,
     padding: 0,
+    side: 1,
 };
 
 const COLUMN: usize = 5;
@@ -55,22 +59,25 @@ impl Call {
     fn check_element(self, element: Element) {
         let Call { heads, dim, rows, sequence, .. } = self;
         let stride = heads * dim + 2 * COLUMN;
-        let projection = stored(element, random(1, rows * stride));
-        let (weight, bias) = (random(2, dim), random(3, dim));
         let (grid_rows, grid_columns) = self.grid.unwrap_or((1, 1));
+        let projection = stored(element, random(1, self.sources() * stride));
+        let (weight, bias) = (random(2, dim), random(3, dim));
         let table = &rotary_tables(grid_rows, grid_columns, dim)[usize::from(self.global)];
 
         let mut case = Case::new();
-        let padded = sequence.next_multiple_of(4);
-        let out_len = if self.transpose { self.out_rows / sequence * padded } else { self.out_rows };
+        let transpose = self.panel > 0;
+        let padded = sequence.next_multiple_of(self.panel.max(1));
+        let out_len = self.out_rows / sequence * padded;
         let channels = dim + self.padding;
         let out = case.output_of(element, heads * channels * out_len);
+        let log_counts = case.output::<f32>(self.out_rows);
         let kernel = SplitHeads {
             projection: case.input_of(element, &projection),
             weight: case.input(&weight),
             bias: case.input(&bias),
             rotary: case.input(table),
             out,
+            log_counts,
             rows: rows as u32,
             heads: heads as u32,
             dim: dim as u32,
@@ -80,18 +87,29 @@ impl Call {
             first_row: self.first_row as u32,
             out_rows: self.out_rows as u32,
             sequence: sequence as u32,
+            panel: self.panel as u32,
             tokens: (1 + grid_rows * grid_columns) as u32,
+            turned: (table.len() / dim) as u32,
+            columns: grid_columns as u32,
+            leading: 1,
+            pool: self.side as u32,
+            count: self.side > 1,
             scale: SCALE,
             eps: EPS,
             norm: self.norm,
             rotate: self.grid.is_some(),
-            transpose: self.transpose,
+            transpose,
             element,
         };
         case.rec.dispatch_groups(kernel, rows * heads);
-        let mut got: Vec<f32> = case.result_of(element, out);
+        let run = case.run();
+        let mut got = element.decode(&run.read::<u8>(out).unwrap());
+        let found_counts: Vec<f32> = run.read(log_counts).unwrap();
 
-        let truth = self.truth(&projection, stride, &weight, &bias);
+        let (truth, counts) = self.truth(&projection, stride, &weight, &bias);
+        let counted = self.first_row..self.first_row + counts.len();
+        assert!(found_counts.iter().enumerate().all(|(i, x)| counted.contains(&i) || x.is_nan()), "{self:?}: counts");
+        assert_close(&format!("{self:?}: counts"), &found_counts[counted], &counts, Tolerance::ELEMENTWISE);
         let written: Vec<f32> = (0..rows * heads * dim)
             .map(|i| std::mem::replace(&mut got[self.place(i / dim / heads, i / dim % heads, i % dim)], f32::NAN))
             .collect();
@@ -108,19 +126,34 @@ impl Call {
     /// Where channel `channel` of a head of this call's row `row` goes.
     fn place(&self, row: usize, head: usize, channel: usize) -> usize {
         let row = self.first_row + row;
-        let (sequences, padded) = (self.out_rows / self.sequence, self.sequence.next_multiple_of(4));
-        if self.transpose {
-            ((head * sequences + row / self.sequence) * self.dim + channel) * padded + row % self.sequence
+        let (sequences, within, panel) = (self.out_rows / self.sequence, row % self.sequence, self.panel);
+        if panel > 0 {
+            let first = (head * sequences + row / self.sequence) * self.sequence.div_ceil(panel);
+            ((first + within / panel) * self.dim + channel) * panel + within % panel
         } else {
             (head * self.out_rows + row) * (self.dim + self.padding) + channel
         }
     }
 
-    /// `[rows, heads, dim]`
-    fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> Vec<f64> {
+    /// The groups whose means are taken.
+    fn pool(&self) -> Option<Pool> {
+        let (rows, columns) = self.grid.filter(|_| self.side > 1)?;
+        Some(Pool { side: self.side, grid: [rows, columns], leading: 1 })
+    }
+
+    /// Rows of the projection.
+    fn sources(&self) -> usize {
+        let Some(Pool { side, grid, leading }) = self.pool() else { return self.rows };
+        let groups = leading + grid.iter().map(|patches| patches.div_ceil(side)).product::<usize>();
+        self.rows / groups * (leading + grid.iter().product::<usize>())
+    }
+
+    /// `[rows, heads, dim]`, and where means are taken the logarithms of how many rows each is of.
+    fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> (Vec<f64>, Vec<f64>) {
         let positions: Option<Vec<_>> = self.grid.map(|(rows, columns)| {
-            let view = if self.global { global_positions(rows, columns) } else { local_positions(rows, columns) };
-            let from = (0..self.rows).map(|row| view[(self.first_row + row) % view.len()]);
+            let view = if self.global { seen_from_patches(rows, columns) } else { local_positions(rows, columns) };
+            let first = if self.side > 1 { 0 } else { self.first_row };
+            let from = (0..self.sources()).map(|row| view[(first + row) % view.len()]);
             from.collect()
         });
         let part = Part {
@@ -130,16 +163,25 @@ impl Call {
             norm: self.norm.then_some((weight, bias, f64::from(EPS))),
             positions: positions.as_deref(),
         };
-        split_heads(&widen(projection), stride, part).iter().map(|x| x * f64::from(SCALE)).collect()
+        let heads: Vec<f64> =
+            split_heads(&widen(projection), stride, part).iter().map(|x| x * f64::from(SCALE)).collect();
+        let Some(pool) = self.pool() else { return (heads, Vec::new()) };
+        let (means, counts) = pool.means(&heads, self.heads * self.dim);
+        (means, counts.into_iter().map(f64::ln).collect())
     }
+}
+
+/// Places of a view's tokens in global blocks, moved together so that patches stand at the origin: only differences count.
+fn seen_from_patches(rows: usize, columns: usize) -> Vec<[f64; 2]> {
+    global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect()
 }
 
 #[test]
 fn every_switch() {
     for norm in [false, true] {
         for grid in [None, Some((2, 3))] {
-            for transpose in [false, true] {
-                Call { norm, grid, transpose, ..PLAIN }.check();
+            for panel in [0, 8] {
+                Call { norm, grid, panel, ..PLAIN }.check();
             }
         }
     }
@@ -162,9 +204,23 @@ fn heads_padded_to_whole_matrices() {
 
 #[test]
 fn parts_of_the_rows() {
-    for transpose in [false, true] {
+    for panel in [0, 4] {
         for (first_row, rows) in [(0, 0), (0, 1), (1, 1), (5, 9), (7, 7), (13, 1)] {
-            Call { first_row, rows, transpose, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
+            Call { first_row, rows, panel, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
+        }
+    }
+}
+
+/// Two views of 3 x 5 patches, then the second one's rows alone: groups at the borders have fewer patches, the camera token none.
+#[test]
+fn means_of_groups_of_patches() {
+    for (side, groups) in [(2, 7), (3, 3), (4, 3)] {
+        for (global, panel, padding) in [(false, 0, 0), (true, 4, 0), (true, 0, 16)] {
+            let grid = Some((3, 5));
+            let both = Call { rows: 2 * groups, out_rows: 2 * groups, sequence: 2 * groups, ..PLAIN };
+            let both = Call { side, grid, global, panel, padding, norm: true, ..both };
+            both.check();
+            Call { first_row: groups, rows: groups, ..both }.check();
         }
     }
 }
@@ -173,7 +229,9 @@ fn parts_of_the_rows() {
 fn sequences_of_every_remainder() {
     for sequence in 1..=9 {
         let rows = 3 * sequence;
-        Call { rows, out_rows: rows, sequence, transpose: true, ..PLAIN }.check();
+        for panel in [4, 12] {
+            Call { rows, out_rows: rows, sequence, panel, ..PLAIN }.check();
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use crate::noise::Noise;
 use zipsplat::{
     Result,
     gpu::{Device, Element},
-    ops::{FeatureMap, Linear, LinearKernel, Rows, Weights, pack_matrix},
+    ops::{FeatureMap, Lanes, Linear, LinearKernel, Rows, Weights, pack_matrix},
     stages::heads::{Convolution, How},
 };
 use zipsplat_reference::{heads::convolution::convolution, widen};
@@ -138,7 +138,8 @@ impl case::Problem for Problem {
             .weight
             .chunks(inner)
             .flat_map(|row| (0..inner).map(|i| row[i % self.channels * taps + i / self.channels]).collect::<Vec<_>>());
-        let (panels, turned) = (LinearKernel::Panels(Element::F32, Weights::Factors), turned.collect::<Vec<_>>());
+        let (panels, turned) =
+            (LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), turned.collect::<Vec<_>>());
         let packed = pack_matrix(panels, &turned, inner, self.columns);
         let pixels = out_height * out_width;
         let mut trial = Trial::new(device);

@@ -35,7 +35,7 @@ use serde::Serialize;
 use zipsplat::{
     Error, Result,
     gpu::{Device, Element, Limits},
-    ops::{Units, Weights},
+    ops::{LaneTile, Lanes, Tiles, Units, Weights},
 };
 
 /// Arithmetic of matrix products: the only thing that precision modes differ in.
@@ -47,6 +47,8 @@ pub struct Mode {
     pub matrix: bool,
     /// How weights lie on the device.
     pub weights: Weights,
+    /// Whether factors pass through shared memory on lanes.
+    pub tiled: bool,
 }
 
 /// How a mode holds the factors of matrix products.
@@ -70,7 +72,8 @@ impl Factors {
 
 impl Mode {
     /// f32 throughout.
-    pub const EXACT: Mode = Mode { factor: Element::F32, matrix: false, weights: Weights::Factors };
+    pub const EXACT: Mode = Mode { factor: Element::F32, matrix: false, weights: Weights::Factors, tiled: false };
+    const TILED: Mode = Mode { tiled: true, ..Mode::EXACT };
     const F16: Mode = Mode { factor: Element::F16, ..Mode::EXACT };
     const BF16: Mode = Mode { factor: Element::Bf16, ..Mode::EXACT };
     const F16_MATRIX: Mode = Mode { matrix: true, ..Mode::F16 };
@@ -79,10 +82,11 @@ impl Mode {
 
     /// Every mode: those of linear layers.
     pub const ALL: &[Mode] =
-        &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
+        &[Mode::EXACT, Mode::TILED, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
     /// The modes of linear layers whose weights have 8 bits.
     const Q8: &[Mode] = &[
         Mode { weights: Weights::Q8, ..Mode::EXACT },
+        Mode { weights: Weights::Q8, ..Mode::TILED },
         Mode { weights: Weights::Q8, ..Mode::F16 },
         Mode { weights: Weights::Q8, ..Mode::BF16 },
         Mode { weights: Weights::Q8, ..Mode::F16_MATRIX },
@@ -98,6 +102,7 @@ impl Mode {
     /// As in the report.
     pub fn name(self) -> &'static str {
         match (self.factor, self.matrix) {
+            (Element::F32, _) if self.tiled => "exact tiles",
             (Element::F32, _) => "exact",
             (Element::F16, false) => "f16",
             (Element::Bf16, false) => "bf16",
@@ -110,7 +115,13 @@ impl Mode {
     /// Whether a device has it.
     pub fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
-        stored && (!self.matrix || limits.matrices.of(self.factor).is_some())
+        let tiled = !self.tiled || LaneTile::candidates(limits, self.factor).len() > 1;
+        stored && tiled && (!self.matrix || limits.matrices.of(self.factor).is_some())
+    }
+
+    /// The lanes that it takes, with factors of a type.
+    fn lanes(self, factor: Element) -> Lanes {
+        Lanes { tiles: if self.tiled { Tiles::always(1) } else { Tiles::BY_RULE }, ..Lanes::of(factor) }
     }
 
     /// The matrix units that it takes.

@@ -12,7 +12,7 @@ use zipsplat::{
     Result,
     gpu::{Device, Element},
     kernels::limits::GROUP_FOLD,
-    ops::{Attention, AttentionKernel, Heads, Norm, Part, Rows},
+    ops::{Attention, AttentionKernel, Heads, Norm, Part, Rotary, Rows},
     stages::backbone::{interpolate_positions, rotary_tables},
 };
 use zipsplat_reference::{
@@ -53,8 +53,8 @@ enum Fault {
     SwappedAxes,
     /// Each token has its neighbour's position.
     NeighbourPosition,
-    /// The camera token has the patches' position.
-    TurnedCamera,
+    /// Across views patches turn with the camera token.
+    TurnedPatches,
     NoScale,
     NoNorm,
     NoEpsilon,
@@ -81,7 +81,12 @@ impl Problem {
     }
 
     fn positions(&self) -> Vec<[f64; 2]> {
-        if self.global { global_positions(self.rows, self.columns) } else { local_positions(self.rows, self.columns) }
+        let Self { rows, columns, .. } = *self;
+        match self.global {
+            // Moved together, so that patches stand at the origin: only differences count.
+            true => global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect(),
+            false => local_positions(rows, columns),
+        }
     }
 
     fn scale(&self) -> f64 {
@@ -123,13 +128,13 @@ impl case::Problem for Problem {
         let mut trial = Trial::new(device);
         let heads = Heads { count: HEADS, dim };
         let kernel = AttentionKernel::Lanes(Element::F32);
-        let shape = Attention { heads, sequences: 1, queries: tokens, keys: tokens, kernel };
+        let shape = Attention { heads, sequences: 1, queries: tokens, keys: tokens, pool: None, kernel };
         let (weight, bias) = (trial.input(&inputs.weight), trial.input(&inputs.bias));
         let norm = Norm { weight, bias, width: dim, eps: EPS };
-        let table = trial.input(&rotary_tables(rows, columns, dim)[usize::from(self.global)]);
+        let table = &rotary_tables(rows, columns, dim)[usize::from(self.global)];
         let part = Part {
             norm: self.norm.then_some(norm),
-            rotary: Some((table, tokens)),
+            rotary: Some(Rotary { table: trial.input(table), tokens, turned: table.len() / dim }),
             scale: shape.scale(),
             ..Part::default()
         };
@@ -181,7 +186,7 @@ impl case::Problem for Problem {
             Fault::Backwards => moved(&|[y, x]| [-y, -x]),
             Fault::SwappedAxes => moved(&|[y, x]| [x, y]),
             Fault::NeighbourPosition => moved(&|[y, x]| [y, x + 1.0]),
-            Fault::TurnedCamera => moved(&|_| [1.0; 2]),
+            Fault::TurnedPatches => moved(&|_| [-1.0; 2]),
             Fault::NoScale => truth.iter().map(|x| x / self.scale()).collect(),
             Fault::NoNorm => self.turned(&widen(&inputs.projection), &positions),
             Fault::NoEpsilon => normed(norm::Fault::NoEpsilon, 0.0),
@@ -268,7 +273,7 @@ pub fn area() -> Area {
             let name = format!("{rows} x {columns} patches, {}", if global { "across views" } else { "within a view" });
             let turns = Catches::from([Zero, NoRotation, Backwards, NoScale, NoNorm, NeighbourHead]);
             let catches = match (global, rows == columns) {
-                (true, _) => turns.and(&[TurnedCamera]),
+                (true, _) => turns.and(&[TurnedPatches]),
                 (false, true) if rows == 1 => turns.and(&[NeighbourPosition]),
                 _ => turns.and(&[NeighbourPosition, SwappedAxes]),
             };

@@ -17,13 +17,14 @@ use std::time::{Duration, Instant};
 use zipsplat::{
     Result,
     gpu::{Device, Element, Recorder, Run},
-    ops::{Epilogue, Linear, LinearKernel, Rows, Units, Weights, pack_matrix},
+    ops::{Epilogue, LaneTile, Lanes, Linear, LinearKernel, Rows, Tiles, Units, Weights, pack_matrix},
 };
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
-/// Time of linear layers, exact (also with weights of 8 bits) and fast, beside that of the `gemm` crate on the host in f32
+/// Time of linear layers, exact (also with weights of 8 bits) and fast, by every tile of lanes, beside that of the `gemm` crate on the
+/// host in f32
 #[derive(Args)]
 pub struct Gemm {
     /// Threads of the host
@@ -35,7 +36,7 @@ pub struct Gemm {
 
 #[derive(Serialize)]
 struct Row {
-    /// `exact`, `exact q8` with weights of 8 bits, or what computes it in `fast`.
+    /// `exact`, `exact q8` with weights of 8 bits, or what computes it in `fast`, and the tile where it is in shared memory.
     kernel: String,
     rows: usize,
     inner: usize,
@@ -138,12 +139,20 @@ fn larger_or_nan(most: f32, value: f32) -> f32 {
 fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKernel, Rate)>> {
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
-    let exact = [("exact", Weights::Factors), ("exact q8", Weights::Q8)];
-    let exact =
-        exact.map(|(name, weights)| (name.to_owned(), LinearKernel::Panels(Element::F32, weights), lanes.clone()));
-    let mut kernels = Vec::from(exact);
-    for element in Element::HALVES.into_iter().filter(|_| limits.half_storage) {
-        kernels.push((element.name().into(), LinearKernel::Panels(element, Weights::Factors), lanes.clone()));
+    let mut kernels = Vec::new();
+    let mut on_lanes = |name: String, tiled: Lanes, weights: Weights| {
+        kernels.push((name, LinearKernel::Panels(tiled, weights), lanes.clone()));
+    };
+    on_lanes("exact".into(), Lanes::of(Element::F32), Weights::Factors);
+    on_lanes("exact q8".into(), Lanes::of(Element::F32), Weights::Q8);
+    for element in [Element::F32].into_iter().chain(Element::HALVES.into_iter().filter(|_| limits.half_storage)) {
+        let name = if element == Element::F32 { "exact" } else { element.name() };
+        if element != Element::F32 {
+            on_lanes(name.into(), Lanes::of(element), Weights::Factors);
+        }
+        for (index, tile) in LaneTile::candidates(limits, element).iter().enumerate().skip(1) {
+            on_lanes(format!("{name}, {tile}"), Lanes { element, tiles: Tiles::always(index) }, Weights::Factors);
+        }
     }
     for units in Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, limits)) {
         let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;

@@ -85,7 +85,7 @@ impl Problem {
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
         match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
             Some(units) => LinearKernel::Matrix(units, mode.weights),
-            None => LinearKernel::Panels(self.factor(mode), mode.weights),
+            None => LinearKernel::Panels(mode.lanes(self.factor(mode)), mode.weights),
         }
     }
 

@@ -53,29 +53,19 @@ fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
     (0..count).map(one).collect()
 }
 
-/// (cos, sin) for every token of a view and every channel pair of a head, `[1 + rows * columns, dim / 2, 2]`: first for
-/// local blocks, where patch (y, x) stands at (y + 1, x + 1), then for global ones, where every patch stands at (1, 1).
-/// The camera token stands at the origin. The first half of the pairs turns with y, the second with x.
+/// (cos, sin) for tokens of a view and every channel pair of a head: `[1 + rows * columns, dim / 2, 2]` for local blocks,
+/// where the camera token stands at the origin and patch (y, x) at (y + 1, x + 1), then `[1, dim / 2, 2]` for global ones. There
+/// every patch stands one step from the camera token along both axes; as attention sees differences of places alone, the camera
+/// token stands at (-1, -1) and the patches at the origin, where nothing turns. The first half of the pairs turns with y, the
+/// second with x.
 pub fn rotary_tables(rows: usize, columns: usize, dim: usize) -> [Vec<f32>; 2] {
-    let table = |position: &dyn Fn(usize, usize) -> [f64; 2]| {
-        let mut out = Vec::with_capacity((1 + rows * columns) * dim);
-        push_token(&mut out, [0.0, 0.0], dim);
-        for y in 0..rows {
-            for x in 0..columns {
-                push_token(&mut out, position(y, x), dim);
-            }
-        }
-        out
-    };
-    [table(&|y, x| [(y + 1) as f64, (x + 1) as f64]), table(&|_, _| [1.0, 1.0])]
+    let patches = (0..rows * columns).map(|i| [i / columns + 1, i % columns + 1].map(|step| step as f64));
+    let local = [[0.0; 2]].into_iter().chain(patches).flat_map(|place| rotations(place, dim)).collect();
+    [local, rotations([-1.0; 2], dim).collect()]
 }
 
-fn push_token(out: &mut Vec<f32>, position: [f64; 2], dim: usize) {
-    let half = (dim / 2) as f64;
-    for p in position {
-        for j in 0..dim / 4 {
-            let angle = p * BASE.powf(-2.0 * j as f64 / half);
-            out.extend([angle.cos() as f32, angle.sin() as f32]);
-        }
-    }
+/// (cos, sin) for every channel pair of a head at a place (y, x).
+fn rotations(place: [f64; 2], dim: usize) -> impl Iterator<Item = f32> {
+    let angle = move |i: usize| place[i / (dim / 4)] * BASE.powf(-2.0 * (i % (dim / 4)) as f64 / (dim / 2) as f64);
+    (0..dim / 2).map(angle).flat_map(|angle| [angle.cos() as f32, angle.sin() as f32])
 }

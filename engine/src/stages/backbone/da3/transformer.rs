@@ -10,7 +10,7 @@ use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
     kernels::backbone as kernels,
-    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Rows, Sequences},
+    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Pool, Rotary, Rows, Sequences},
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
 
@@ -69,13 +69,14 @@ impl Transformer {
         }
     }
 
-    /// `[1 + patches, width]` f32: [`interpolate`]; where blocks rotate, `[1 + patches, head / 2, 2]` f32 twice: [`rotary_tables`], for
-    /// local and for global blocks; and with cameras, without which the camera encoder does not run, `[views, POSE_VALUES]` f32.
+    /// `[1 + patches, width]` f32: [`interpolate`]; where blocks rotate, `[1 + patches, head / 2, 2]` and `[1, head / 2, 2]` f32:
+    /// [`rotary_tables`], for local and for global blocks; and with cameras, without which the camera encoder does not run, `[views, POSE_VALUES]` f32.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         let (a, tokens) = (&self.architecture, 1 + grid.patches());
         let mut inputs = vec![rec.input::<f32>("positions", tokens * a.width)];
         if a.rotates() {
-            inputs.extend(["rotary_local", "rotary_global"].map(|name| rec.input::<f32>(name, tokens * a.head_dim())));
+            let tables = [("rotary_local", tokens), ("rotary_global", 1)];
+            inputs.extend(tables.map(|(name, turned)| rec.input::<f32>(name, turned * a.head_dim())));
         }
         inputs.extend(cameras.then(|| rec.input::<[f32; POSE_VALUES]>("poses", grid.views)));
         inputs
@@ -88,12 +89,13 @@ impl Transformer {
     }
 
     /// Records all blocks for `images` `[views, 3, height, width]` f32 and calls `out` behind each out layer, with its index among those.
+    /// Blocks across views pool the keys of `pool` x `pool` patches.
     pub fn record(
         &self,
         rec: &mut Recorder,
         images: Tensor,
         inputs: &[Tensor],
-        (grid, reference): (ViewGrid, Reference),
+        (grid, reference, pool): (ViewGrid, Reference, usize),
         mut out: impl FnMut(&mut Recorder, usize, OutLayer),
     ) {
         let (a, tokens) = (&self.architecture, 1 + grid.patches());
@@ -120,11 +122,16 @@ impl Transformer {
             } else if !global {
                 local = x;
             }
-            let table = rotary.filter(|_| i >= a.rope_start).map(|rotary| (rotary[usize::from(global)], tokens));
+            let rotary = rotary.filter(|_| i >= a.rope_start).map(|tables| Rotary {
+                table: tables[usize::from(global)],
+                tokens,
+                turned: if global { 1 } else { tokens },
+            });
             let sequences = Sequences {
                 count: if global { 1 } else { grid.views },
                 tokens: if global { grid.views * tokens } else { tokens },
-                rotary: table,
+                rotary,
+                pool: Pool::of(pool, [grid.rows, grid.columns], 1).filter(|_| global),
             };
             rec.scope("block", |rec| block.record(rec, x, sequences));
             rec.observe(&format!("bb/block{i}"), x.tensor);

@@ -1,0 +1,210 @@
+//! Linear layers on lanes: the kernels, and how they cut their work into workgroups.
+
+use super::{
+    super::{
+        rows::Rows,
+        tile::Tiles,
+        uniform::{UNIFORM_TILE, divides_panels, terms_of},
+    },
+    Epilogue, Linear, Weights,
+};
+use crate::{
+    gpu::{Element, Limits, Recorder},
+    kernels::{limits::LINEAR_ROWS, ops},
+};
+use std::fmt;
+
+/// Lanes as a linear layer uses them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lanes {
+    /// Type of the factors.
+    pub element: Element,
+    /// How work is cut for them; by rule for ops/linear.
+    pub tiles: Tiles,
+}
+
+/// The share of a linear layer that a workgroup of lanes owns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LaneTile {
+    /// Rows and columns of the workgroup.
+    pub sides: [u32; 2],
+    /// Rows and columns of a lane.
+    pub lane: [u32; 2],
+    /// Terms of the sums that pass through shared memory at a time; 0 where none do, in ops/linear and ops/linear_uniform.
+    pub k: u32,
+}
+
+impl Lanes {
+    /// Factors of a type, by ops/linear.
+    pub const fn of(element: Element) -> Self {
+        Self { element, tiles: Tiles::BY_RULE }
+    }
+}
+
+impl LaneTile {
+    /// Candidates, that of the rule first.
+    pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
+        const GPU: &[LaneTile] = &[
+            LaneTile { sides: [128, 128], lane: [8, 8], k: 8 },
+            LaneTile { sides: [128, 64], lane: [8, 8], k: 8 },
+            LaneTile { sides: [64, 64], lane: [8, 8], k: 8 },
+            LaneTile { sides: [64, 64], lane: [8, 4], k: 16 },
+            LaneTile { sides: [64, 64], lane: [4, 4], k: 16 },
+            LaneTile { sides: [32, 32], lane: [4, 4], k: 16 },
+        ];
+        // On a CPU larger ones take long to compile.
+        const CPU: &[LaneTile] = &[LaneTile { sides: [8, 32], lane: [2, 4], k: 8 }];
+        let ruled = match is_uniform(limits, [element, Element::F32]) {
+            true => {
+                let [rows, vectors] = UNIFORM_TILE;
+                Self { sides: [rows, vectors * limits.subgroup_size], lane: UNIFORM_TILE, k: 0 }
+            }
+            false => Self { sides: [LINEAR_ROWS, 4 * limits.subgroup_size], lane: [LINEAR_ROWS, 4], k: 0 },
+        };
+        let staged = if limits.cpu { CPU } else { GPU }.iter().copied().filter(|tile| tile.fits(limits));
+        [ruled].into_iter().chain(staged).collect()
+    }
+
+    /// Lanes of the workgroup.
+    fn lanes(&self) -> u32 {
+        self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
+    }
+
+    /// True where a workgroup of whole subgroups and its shared memory, as kernels/ops/linear_tiled.comp lays it out, are within the
+    /// device's limits.
+    fn fits(&self, limits: &Limits) -> bool {
+        let [rows, columns] = self.sides;
+        let shared_bytes = 16 * (rows * (self.k / 4 + 1) + self.k * columns / 4);
+        let lanes = self.lanes();
+        lanes.is_multiple_of(limits.subgroup_size)
+            && lanes <= limits.max_invocations
+            && shared_bytes <= limits.shared_bytes
+    }
+}
+
+impl fmt::Display for LaneTile {
+    /// Sides, those of a lane, depth.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { sides: [rows, columns], lane: [lane_rows, lane_columns], k } = self;
+        write!(f, "{rows}x{columns} of {lane_rows}x{lane_columns}")?;
+        if *k > 0 { write!(f, ", k {k}") } else { Ok(()) }
+    }
+}
+
+/// True where ops/linear_uniform takes the place of ops/linear, for inputs and results of these types.
+fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
+    types == [Element::F32; 2] && divides_panels(limits)
+}
+
+impl Linear {
+    /// Applies the layer on lanes, `share` terms of its sums at a time.
+    pub(super) fn on_lanes(
+        &self,
+        rec: &mut Recorder,
+        lanes: Lanes,
+        input: Rows,
+        out: Rows,
+        epilogue: Epilogue,
+        share: usize,
+    ) {
+        let candidates = LaneTile::candidates(rec.limits(), lanes.element);
+        let chosen = lanes.tiles.of(input.count * self.columns).and_then(|index| candidates.get(index));
+        match chosen.filter(|tile| tile.k > 0) {
+            Some(tile) => self.tiled(rec, *tile, input, out, epilogue, share),
+            None if is_uniform(rec.limits(), [input.element, out.element]) => self.uniform(rec, input, out, epilogue),
+            None => self.panels(rec, input, out, epilogue, share),
+        }
+    }
+
+    fn uniform(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
+        let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
+        let tile_columns = vectors * rec.limits().subgroup_size;
+        let [weight, integers, scales] = self.weights();
+        let kernel = ops::LinearUniform {
+            a: input.tensor,
+            weight,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            integers,
+            scales,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            q8: self.kernel.weights() == Weights::Q8,
+            terms: terms_of(self.inner),
+            tile_rows,
+            vectors,
+        };
+        let groups = [rows.div_ceil(tile_rows as usize), self.columns.div_ceil(tile_columns as usize), 1];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+        let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
+        let [weight, integers, scales] = self.weights();
+        let kernel = ops::Linear {
+            a: input.tensor,
+            weight,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            integers,
+            scales,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            q8: self.kernel.weights() == Weights::Q8,
+            share: share as u32,
+            split: share < self.inner,
+            input: input.element,
+            output: out.element,
+        };
+        let parts = self.inner.div_ceil(share);
+        let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), parts];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+        let [weight, integers, scales] = self.weights();
+        let rows = input.count;
+        let kernel = ops::LinearTiled {
+            a: input.tensor,
+            weight,
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            integers,
+            scales,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            share: share as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            q8: self.kernel.weights() == Weights::Q8,
+            subgroups: tile.lanes() / rec.limits().subgroup_size,
+            tile_columns: tile.sides[1],
+            lane_rows: tile.lane[0],
+            lane_columns: tile.lane[1],
+            tile_k: tile.k,
+            split: share < self.inner,
+            input: input.element,
+            output: out.element,
+        };
+        // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
+        let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
+        let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(share)];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+}
