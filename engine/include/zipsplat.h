@@ -601,6 +601,9 @@ typedef struct zs_reconstruct_options {
     // The capture that `cameras` are of, for ZS_UNIT_AUTO: its points and all its cameras then say how far away the scene is; where
     // it is NULL, `cameras` do. Default NULL.
     const struct zs_capture *capture;
+    // For many photos: attention across them sees the mean of `pool` x `pool` patches in place of each, 1 to 4. More are faster
+    // and less exact. Default 1.
+    uint64_t pool;
 } zs_reconstruct_options;
 
 // Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).

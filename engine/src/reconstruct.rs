@@ -219,7 +219,7 @@ impl Model {
             check_cameras(cameras, images)?;
         }
         let chosen = (request.ratio, &request.selection);
-        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())
+        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())?.pooled(request.pool)
     }
 
     /// Records a plan for a shape, observing its intermediate tensors where asked.

@@ -3,6 +3,7 @@
 // Q       [heads, sequences * queries, DIM] ELEMENT, already scaled by 1 / sqrt(DIM)
 // K       [heads, sequences, DIM, padded keys] ELEMENT: keys run fastest, padded to a multiple of 4
 // V       [heads, sequences * keys, DIM] ELEMENT
+// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
 // Out     [sequences * queries, heads * DIM] ELEMENT
 //
 // One workgroup (a subgroup) owns ROWS queries of a head; each lane scores 4 keys at a time, then gathers 4 channels of
@@ -23,6 +24,7 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const uint DIM = 64;
 layout(constant_id = 2) const uint VECTORS = 2; // ceil(DIM / (4 * subgroup size))
 layout(constant_id = 3) const uint PARTS = 1; // the power of two at or below 4 * subgroup size / DIM, at least 1
+layout(constant_id = 4) const bool POOLED = false;
 
 const uint ROWS = ATTENTION_ROWS;
 
@@ -30,6 +32,7 @@ layout(set = 0, binding = 0) readonly buffer Q { ELEMENT4 q[]; };
 layout(set = 0, binding = 1) readonly buffer K { ELEMENT4 k[]; };
 layout(set = 0, binding = 2) readonly buffer V { ELEMENT4 v[]; };
 layout(set = 0, binding = 3) writeonly buffer Out { ELEMENT4 result[]; };
+layout(set = 0, binding = 4) readonly buffer LogCounts { float log_counts[]; };
 
 layout(push_constant) uniform Push {
     uint queries;
@@ -64,6 +67,13 @@ void score(uint q_at[ROWS], uint k_at, uint key_quads, out vec4 scores[ROWS]) {
             scores[r] += x.w * k3;
         }
     }
+}
+
+// Adds to the scores of 4 keys what their patches weigh.
+void weigh(uint sequence, uint first_key, inout vec4 scores[ROWS]) {
+    vec4 more;
+    [[unroll]] for (uint i = 0; i < 4; i++) more[i] = log_counts[sequence * keys + min(first_key + i, keys - 1)];
+    [[unroll]] for (uint r = 0; r < ROWS; r++) scores[r] += more;
 }
 
 // Turns the scores of keys from `first_key` on into weights, for all lanes to read, and scales what was summed before to them.
@@ -144,6 +154,7 @@ void main() {
         uint key_quad = tile + gl_LocalInvocationID.x;
         vec4 scores[ROWS];
         score(q_at, k_base + min(key_quad, key_quads - 1), key_quads, scores);
+        if (POOLED) weigh(sequence, 4 * key_quad, scores);
         softmax(4 * key_quad, scores);
         subgroupMemoryBarrierShared();
         subgroupBarrier();

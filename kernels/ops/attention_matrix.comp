@@ -2,6 +2,7 @@
 //
 // Q       [heads, sequences * queries, CHANNELS] FACTOR, already scaled by 1 / sqrt(head size); readable a workgroup beyond its end
 // K, V    [heads, sequences * keys, CHANNELS] FACTOR; channels past the head's size are zeros
+// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
 // Out     [sequences * queries, heads * dim] FACTOR, saturated
 //
 // One workgroup owns SUBGROUPS * ROWS queries of a head, each subgroup ROWS of them. Keys and values pass through shared
@@ -18,6 +19,7 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 5) const uint REPEAT_M = 2; // matrices that a subgroup's queries fill
 layout(constant_id = 6) const uint TILE = 32;    // keys in shared memory
 layout(constant_id = 7) const uint CHANNELS = 64; // of a head, padded to whole matrices
+layout(constant_id = 8) const bool POOLED = false;
 
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
@@ -34,6 +36,7 @@ layout(set = 0, binding = 0) readonly buffer Q { uvec4 q[]; };
 layout(set = 0, binding = 1) readonly buffer K { uvec4 k[]; };
 layout(set = 0, binding = 2) readonly buffer V { uvec4 v[]; };
 layout(set = 0, binding = 3) writeonly buffer Out { FACTOR4 result[]; };
+layout(set = 0, binding = 4) readonly buffer LogCounts { float log_counts[]; };
 
 layout(push_constant) uniform Push {
     uint queries;
@@ -48,6 +51,14 @@ shared uvec4 staged[2 * TILE * STRIDE + SUBGROUPS * ROWS * SCORE_STRIDE];
 uvec4 next_k[LOADS];
 uvec4 next_v[LOADS];
 Sums sums[REPEAT_M * BLOCKS];
+
+// What the patches of 4 keys add to their scores.
+vec4 more(uint first_key) {
+    vec4 sum;
+    uint first = gl_WorkGroupID.z * keys;
+    [[unroll]] for (uint i = 0; i < 4; i++) sum[i] = log_counts[first + min(first_key + i, keys - 1)];
+    return sum;
+}
 
 #include "shared/running_softmax.glsl"
 

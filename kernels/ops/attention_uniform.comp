@@ -3,6 +3,7 @@
 // Q       [heads, sequences * queries, DIM] f32, already scaled by 1 / sqrt(DIM)
 // K       [heads, sequences, panels, DIM, PANEL] f32: panels of keys, in which keys run fastest, the last padded
 // V       [heads, sequences * keys, DIM] f32
+// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
 // Out     [sequences * queries, heads * DIM] f32
 //
 // One workgroup (a subgroup) owns TILE_ROWS queries of a head, and goes through the keys panel by panel, so that it reads on: where
@@ -22,11 +23,13 @@ layout(constant_id = 2) const uint VECTORS = 8; // DIM / subgroup size
 layout(constant_id = 3) const uint TERMS = 4; // of a score in one pass of the loop; divides DIM
 layout(constant_id = 4) const uint TILE_ROWS = 6;
 layout(constant_id = 5) const uint KEY_VECTORS = 2;
+layout(constant_id = 6) const bool POOLED = false;
 
 layout(set = 0, binding = 0) readonly buffer Q { float q[]; };
 layout(set = 0, binding = 1) readonly buffer K { float k[]; };
 layout(set = 0, binding = 2) readonly buffer V { float v[]; };
 layout(set = 0, binding = 3) writeonly buffer Out { float result[]; };
+layout(set = 0, binding = 4) readonly buffer LogCounts { float log_counts[]; };
 
 layout(push_constant) uniform Push {
     uint queries;
@@ -71,6 +74,14 @@ void score(uint64_t k_at) {
         }
         c += TERMS;
     } while (c < DIM);
+}
+
+// Adds to the scores of so many keys, from `first` of all sequences on, what their patches weigh.
+void weigh(uint first, uint count) {
+    [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
+        float more = log_counts[first + min(n * gl_WorkGroupSize.x + lane, count - 1)];
+        [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) weight[r][n] += more;
+    }
 }
 
 // Turns the scores of so many keys into weights, those of padding into 0, and scales what was summed before to them.
@@ -131,6 +142,7 @@ void main() {
         uint64_t offset = 4 * uint64_t(first) * DIM;
         uint count = min(keys - first, PANEL);
         score(k_base + offset);
+        if (POOLED) weigh(sequence * keys + first, count);
         softmax(count);
         gather(v_base + offset, count);
         first += PANEL;

@@ -5,7 +5,7 @@
 // Out       [rows, row] f32, pixels first on of a picture with out_width pixels a line; a row is
 //           [side, side, channels] and zeros behind
 //
-// The picture is 0 outside. Where spread > 1, spread - 1 zeros lie between its pixels (a transposed convolution).
+// The picture is 0 outside. Where SPREAD > 1, SPREAD - 1 zeros lie between its pixels (a transposed convolution).
 // RECTIFIED values are at least 0; GATED ones are 0 where their gate is not above 0.
 // One workgroup (a subgroup) owns a row, and a lane every so many channels of each of its taps: places are divided out once a tap.
 #version 460
@@ -16,6 +16,7 @@ layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const bool RECTIFIED = false;
 layout(constant_id = 2) const bool GATED = false;
+layout(constant_id = 3) const uint SPREAD = 1;
 
 layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
 layout(set = 0, binding = 1) readonly buffer Gate { float gate[]; };
@@ -33,7 +34,6 @@ layout(push_constant) uniform Push {
     uint side;
     uint step;
     uint padding;
-    uint spread;
 };
 
 void main() {
@@ -41,11 +41,13 @@ void main() {
     if (row_index >= rows) return;
     uint pixel = first + row_index, begin = row_index * row, lane = gl_LocalInvocationID.x;
     ivec2 corner = ivec2(uvec2(pixel % out_width, pixel / out_width) * step) - int(padding);
+    uvec2 tap_at = uvec2(0);
     for (uint tap = 0; tap < side * side; tap++) {
-        ivec2 spread_at = corner + ivec2(tap % side, tap / side);
-        uvec2 at = uvec2(max(spread_at, ivec2(0))) / spread;
+        ivec2 spread_at = corner + ivec2(tap_at);
+        tap_at = tap_at.x + 1 < side ? tap_at + uvec2(1, 0) : uvec2(0, tap_at.y + 1);
+        uvec2 at = uvec2(max(spread_at, ivec2(0))) / SPREAD;
         bool inside = all(greaterThanEqual(spread_at, ivec2(0))) && all(lessThan(at, uvec2(width, height)))
-            && at * spread == uvec2(spread_at);
+            && at * SPREAD == uvec2(spread_at);
         uint from = inside ? ((at.y - source_first) * width + at.x) * channels : 0;
         for (uint c = lane; c < channels; c += gl_WorkGroupSize.x) {
             float value = inside ? source[from + c] : 0;

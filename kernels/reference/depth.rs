@@ -99,7 +99,7 @@ pub fn features(weights: &Weights, sizes: &Sizes, images: &Images, reference: us
         let global = i >= sizes.alt_start && i % 2 == 1;
         let (sequences, at) = if global { (1, &global_at) } else { (images.views, &local_at) };
         let positions = (i >= sizes.alt_start).then_some(at.as_slice());
-        let options = Options { heads: sizes.heads, eps: BLOCK_EPS, sequences, positions };
+        let options = Options { heads: sizes.heads, eps: BLOCK_EPS, sequences, positions, pool: None };
         x = block(&scope.scope(&format!("blocks.{i}")), &x, options);
         if !global {
             local = x.clone();

@@ -15,6 +15,7 @@ use super::gaussians::head::head;
 use super::model::Model;
 use super::ops::add::add;
 use super::ops::gather_rows::gather_rows;
+use super::ops::split_heads::Pool;
 use super::widen;
 
 /// Intermediate results by golden key: `bb/block0`, `prep/layer1`, `scene_ca0`.
@@ -29,15 +30,18 @@ pub struct Tokens {
     pub layers: Vec<Vec<f64>>,
     /// `[views * patches, color_width]`.
     pub color: Vec<f64>,
+    /// Groups of patches that fusion sees as one.
+    pub pool: Pool,
     /// `bb/*`, `prep/*` and `color/tokens`.
     pub taps: Taps,
 }
 
-/// Images, with cameras where they are known, to tokens.
-pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>) -> Tokens {
+/// Images, with cameras where they are known, to tokens; attention across views pools `side` x `side` patches.
+pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize) -> Tokens {
     let architecture = &model.architecture;
     let mut taps = Taps::new();
-    let features = backbone(model, images, priors, &mut taps);
+    let pool = Pool { side, grid: images.grid(architecture.patch), leading: 0 };
+    let features = backbone(model, images, priors, pool, &mut taps);
     let layers: Vec<Vec<f64>> =
         features.iter().enumerate().map(|(layer, feature)| prepare(model, feature, layer)).collect();
     for (j, (feature, layer)) in features.iter().zip(&layers).enumerate() {
@@ -47,11 +51,11 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>) -> Token
     let embed = model.scope("color_embed.proj");
     let color = patch_embed(images, embed.get("weight"), embed.get("bias"), architecture.patch);
     taps.insert("color/tokens".into(), color.clone());
-    Tokens { layers, color, taps }
+    Tokens { layers, color, pool, taps }
 }
 
 /// One feature `[views * patches, 2 width]` per output layer, deepest first.
-fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<Vec<f64>> {
+fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool, taps: &mut Taps) -> Vec<Vec<f64>> {
     let architecture = &model.architecture;
     let weights = model.scope("backbone.backbone");
     let [rows, columns] = images.grid(architecture.patch);
@@ -76,6 +80,7 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, taps: &mut
             eps: BACKBONE_EPS,
             sequences,
             positions: (i >= architecture.rope_start).then_some(positions.as_slice()),
+            pool: (global && pool.side > 1).then_some(Pool { leading: 1, ..pool }),
         };
         x = block(&weights.scope(&format!("blocks.{i}")), &x, options);
         taps.insert(format!("bb/block{i}"), x.clone());
@@ -124,17 +129,17 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     for (l, layer) in tokens.layers.iter().enumerate() {
         let queries = gather_rows(layer, width, nearest);
         let weights = model.scope(&format!("cross_attention.{l}"));
-        let delta = cross_attention(&weights, &queries, layer, architecture.fusion_heads);
+        let delta = cross_attention(&weights, &queries, layer, architecture.fusion_heads, Some(tokens.pool));
         scene = add(&scene, &delta);
         taps.insert(format!("ca{l}_delta"), delta);
         taps.insert(format!("scene_ca{l}"), scene.clone());
-        let options = Options { heads: architecture.fusion_heads, eps: EPS, sequences: 1, positions: None };
+        let options = Options { heads: architecture.fusion_heads, eps: EPS, sequences: 1, positions: None, pool: None };
         scene = block(&model.scope(&format!("self_attention.{l}")), &scene, options);
         taps.insert(format!("scene_sa{l}"), scene.clone());
     }
     let queries = gather_rows(&tokens.color, color_width, nearest);
     let weights = model.scope("color_cross_attention");
-    let delta = cross_attention(&weights, &queries, &tokens.color, architecture.color_heads);
+    let delta = cross_attention(&weights, &queries, &tokens.color, architecture.color_heads, None);
     let color = add(&queries, &delta);
     let raw = head(&model.scope("gaussian_head.gaussian_head"), &scene, width, &color, color_width);
     let packed = 11 + 3 * (architecture.sh_degree + 1).pow(2);

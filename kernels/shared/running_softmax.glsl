@@ -1,7 +1,8 @@
 // Softmax of rows of scores that come TILE at a time, with a running maximum, by the lanes of one subgroup.
 //
 // A row lies in shared memory `staged`, SCORE_STRIDE pieces: TILE scores as f32, which become weights as FACTOR in its
-// first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take.
+// first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take. Where POOLED, the includer's
+// `vec4 more(uint first_key)` is added to the scores of 4 keys.
 #extension GL_KHR_shader_subgroup_shuffle : require
 #include "shared/numbers.glsl"
 
@@ -38,6 +39,7 @@ bool softmax(uint scores, uint first_key, uint keys) {
         float now = highest[i];
         [[unroll]] for (uint c = 0; c < LANE_QUADS; c++) {
             s[c] = uintBitsToFloat(staged[row + part + c]);
+            if (POOLED) s[c] += more(first_key + 4 * (part + c));
             if (first_key + TILE > keys) {
                 uint key = first_key + 4 * (part + c);
                 s[c] = mix(vec4(LOWEST), s[c], lessThan(key + uvec4(0, 1, 2, 3), uvec4(keys)));

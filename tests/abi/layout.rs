@@ -37,7 +37,7 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_reconstruct_options {
             struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data,
-            capture
+            capture, pool
         }
         zs_depth_options {
             struct_size, side, cameras_from, own_focal_lengths, camera_count, reserved, cameras, progress, user_data

@@ -107,9 +107,10 @@ fn options_and_cameras_give_rusts_scene() {
         let mut options =
             zs_reconstruct_options { ratio: number, selection: choice as i32, seed: 7, ..reconstruct_options() };
         if posed {
-            (options.cameras, options.camera_count) = (c_cameras.as_ptr(), 3);
+            (options.cameras, options.camera_count, options.pool) = (c_cameras.as_ptr(), 3, 2);
         }
-        let request = Request { ratio, selection, cameras: posed.then(|| relative.clone()), unit: 1.0 };
+        let (cameras, pool) = if posed { (Some(relative.clone()), 2) } else { (None, 1) };
+        let request = Request { ratio, selection, cameras, unit: 1.0, pool };
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }

@@ -177,7 +177,7 @@ fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, 
     if observe {
         rec = rec.observing();
     }
-    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kept: Kept::Kmeans(5), cameras: true });
+    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kept: Kept::Kmeans(5), cameras: true, pool: 1 });
     let plan = rec.finish().unwrap();
     (plan.arena_map(), plan.arena_bytes())
 }

@@ -46,6 +46,30 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     rows.map(|row| row.flops as f64).sum()
 }
 
+/// Of 18 x 18 patches and a camera token 9 x 9 keys and one are left in global blocks, in fusion 81 of 324; nothing else is less.
+#[test]
+fn pooled_keys_take_as_much_less() {
+    let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));
+    let shape = Shape::new(&architecture, 24, [252; 2], (Ratio::Auto, &Selection::KMEANS), false).expect("a shape");
+    let plan = |shape| {
+        let network = Network::new(&architecture, &limits, Arithmetic::EXACT);
+        network.plan(&limits, shape).expect("it fits")
+    };
+    let [all, pooled] = [1, 2].map(|side| plan(shape.pooled(side).expect("a side")));
+    let [before, after] = [&all, &pooled].map(|made| {
+        let profile = Profile::outline(&made.plan);
+        ["backbone/block", "fuse/cross", ""].map(|scope| counted(&profile, scope, "ops/attention"))
+    });
+    let tokens = 24.0 * 325.0;
+    let blocks = (architecture.alt_start..architecture.depth).filter(|block| block % 2 == 1).count();
+    let each = 4.0 * architecture.width as f64 * tokens * (tokens - 24.0 * 82.0);
+    assert_eq!(before[0] - after[0], blocks as f64 * each);
+    assert_eq!(4.0 * after[1], before[1]);
+    assert_eq!(before[2] - after[2], before[0] - after[0] + before[1] - after[1]);
+    assert_eq!((all.plan.flops() - pooled.plan.flops()) as f64, before[2] - after[2]);
+    assert!(pooled.bytes() <= all.bytes());
+}
+
 #[test]
 fn plans_state_the_arithmetic_of_the_reference() {
     let limits = Limits::default();

@@ -6,10 +6,13 @@ use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Model, Ratio, Request, Selection};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
 use zipsplat::weights::{Architecture, Checkpoint};
-use zipsplat_tests::compare::{Tolerance, assert_gaussians_within, assert_nearest, assert_same, assert_tap_within};
+use zipsplat_tests::compare::{
+    Tolerance, assert_close, assert_gaussians_within, assert_nearest, assert_same, assert_tap_within,
+};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::{fast_arithmetics, images, model};
+use zipsplat_tests::reference::{backbone::patch_embed::Images, forward, model::Model as Reference};
 
 /// The tolerance of each tap.
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
@@ -74,6 +77,7 @@ fn check(file: &str, arithmetic: Arithmetic) {
             selection: Selection::Given(given),
             cameras: cameras.clone(),
             unit: 1.0,
+            pool: 1,
         };
         let (taps, _) = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
@@ -202,7 +206,8 @@ fn embedded() {
             let key = |part: &str| format!("{case}/{name}/{part}");
             let nearest = |key| Selection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
             let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
-            let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone(), unit: 1.0 };
+            let request =
+                Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone(), unit: 1.0, pool: 1 };
             let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
             let tolerance = |field: &str| {
                 let table = Tolerance::of_field(field);
@@ -213,6 +218,31 @@ fn embedded() {
             assert_gaussians_within(&name, &packed(&found.scene().unwrap()), &golden.f32(&name), width, tolerance);
         }
     }
+}
+
+/// Pooled keys and values against our own f64 forward pass: views of 5 x 5 patches, whose groups at the border are smaller.
+#[test]
+fn pooled_keys() {
+    let golden = Golden::committed("micro.v2_native.safetensors");
+    let reference = Reference::generated("micro", &golden::json("micro.manifest.json").expect("it is committed"));
+    let views = Images::from_u8(&golden.u8("in/images_u8"), golden.shape("in/images_u8"));
+    let chosen = vec![49, 0, 12, 30, 7];
+    for side in [2, 3] {
+        let mut tokens = forward::tokens(&reference, &views, None, side);
+        let mut truth = forward::gaussians(&reference, &tokens, &chosen);
+        truth.append(&mut tokens.taps);
+        for arithmetic in [Arithmetic::EXACT].into_iter().chain(fast_arithmetics()) {
+            let request = Request { selection: Selection::Given(chosen.clone()), pool: side, ..Request::default() };
+            let (taps, _) = observe(&model("micro", arithmetic), &images(&golden), &request);
+            for name in ["bb/block1", "bb/block2", "prep/layer0", "prep/layer1", "ca0_delta", "scene_sa1", "raw"] {
+                let name = name.to_owned();
+                assert_close(&name, &taps[&name], &truth[&name], tap_tolerance(arithmetic, &name));
+            }
+        }
+    }
+    let wrong = Request { pool: 5, ..Request::default() };
+    let refused = model("micro", Arithmetic::EXACT).shape(&images(&golden), &wrong).expect_err("no such groups");
+    assert_eq!(refused.to_string(), "pool: found 5, expected 1 to 4, the side of a group");
 }
 
 /// Tests of a configuration in f32 and in every faster arithmetic.

@@ -284,7 +284,7 @@ fn forward_passes(config: &str, cases: &[&str]) {
 fn forward_pass(model: &Model, golden: &Golden) {
     let images = Images::from_u8(&golden.u8("in/images_u8"), golden.shape("in/images_u8"));
     let known = golden.has("in/pose").then(|| priors(&golden.f64("in/camera"), &golden.f64("in/pose")));
-    let tokens = forward::tokens(model, &images, known.as_deref());
+    let tokens = forward::tokens(model, &images, known.as_deref(), 1);
     let mut compared = compare_taps(golden, "", &tokens.taps);
     for (ratio, prefix) in golden.compressions() {
         compare_clusters(model, golden, &tokens, ratio, &prefix);

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What more photos and fewer tokens cost and give (figures 11 to 13 of the paper): views.py CAPTURE [options]
 
-For each number of input photos and each ratio one run of `zipsplat eval`, judged by some of the other photos, evenly spread (the same ones at
+For each number of input photos, each ratio and each side of pooled patches (`--pools`) one run of `zipsplat eval`, judged by some of the other photos, evenly spread (the same ones at
 every ratio, others with other inputs), beside what `info --plan` says that it takes: PSNR, Gaussians, time of the forward pass, peak memory and the planned one. A table goes to standard output, as
 Markdown; with --png the pictures of one number of photos at all ratios go side by side into a file. What has run already is read from
 the folder. Where the machine is shared, --cpu counts CPU time over cores. Needs Pillow for --png.
@@ -21,6 +21,7 @@ def arguments():
     parser.add_argument("capture", type=Path)
     parser.add_argument("--views", default="8,24,96,176", help="numbers of input photos")
     parser.add_argument("--ratios", default="1,auto,0.1,0.01")
+    parser.add_argument("--pools", default="1", help="sides of the groups of patches that attention across photos sees as one")
     parser.add_argument("--targets", type=int, default=8)
     parser.add_argument("--size", default="84x84")
     parser.add_argument("--out", type=Path, default=Path("views"), help="folder for the runs")
@@ -31,13 +32,18 @@ def arguments():
     return parser.parse_args()
 
 
-def run(args, views, ratio):
+def place(args, views, ratio, pool="1"):
+    """The folder of a run."""
+    return args.out / (f"{args.capture.name}.{views}.{ratio}" + ("" if pool == "1" else f".{pool}"))
+
+
+def run(args, views, ratio, pool):
     """What eval says, with the planned bytes and the CPU time of the forward pass."""
-    folder = args.out / f"{args.capture.name}.{views}.{ratio}"
+    folder = place(args, views, ratio, pool)
     path = folder / "eval.json"
     if path.exists():
         return json.loads(path.read_text())
-    shape = ["--views", views, "--ratio", ratio, "--size", args.size, *shlex.split(args.options)]
+    shape = ["--views", views, "--ratio", ratio, "--pool", pool, "--size", args.size, *shlex.split(args.options)]
     said, cpu = timed("eval", args.capture, *shape, "--targets", args.targets, "--lpips", "none", "-o", folder, "--overwrite")
     planned, _ = timed("info", "--plan", "--poses", *shape)
     said |= {"planned_bytes": planned["peak_bytes"], "flops": planned["flops"], "cpu": cpu / os.cpu_count()}
@@ -51,7 +57,7 @@ def picture(args, ratios):
 
     side, rows = int(args.size.split("x")[0]), []
     for i, ratio in enumerate(ratios):
-        sheet = Image.open(args.out / f"{args.capture.name}.{args.pictures}.{ratio}" / "comparison.png").convert("RGB")
+        sheet = Image.open(place(args, args.pictures, ratio) / "comparison.png").convert("RGB")
         rows += [sheet.crop((x, 0, x + side, sheet.height)) for x in ([0, side] if i == 0 else [side])]
     out = Image.new("RGB", (side * len(rows), rows[0].height))
     for i, row in enumerate(rows):
@@ -62,17 +68,17 @@ def picture(args, ratios):
 def main():
     args = arguments()
     args.out.mkdir(parents=True, exist_ok=True)
-    ratios = args.ratios.split(",")
-    print("| photos | ratio | tokens | Gaussians | as PLY | dB | SSIM | GFLOP | time | peak | planned |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    ratios, pools = args.ratios.split(","), args.pools.split(",")
+    print("| photos | ratio | pool | tokens | Gaussians | as PLY | dB | SSIM | GFLOP | time | peak | planned |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for views in map(int, args.views.split(",")):
-        for ratio in ratios:
-            said = run(args, views, ratio)
+        for ratio, pool in ((ratio, pool) for ratio in ratios for pool in pools):
+            said = run(args, views, ratio, pool)
             mean, count = said["mean"], said["gaussians"]
-            ply = (args.out / f"{args.capture.name}.{views}.{ratio}" / "scene.ply").stat().st_size
+            ply = (place(args, views, ratio, pool) / "scene.ply").stat().st_size
             seconds = said["cpu"] if args.cpu else said["seconds"]
             mib = [f"{said[name] / 2**20:.1f} MiB" for name in ("peak_bytes", "planned_bytes")]
-            print(f"| {views} | {ratio} | {said['tokens']:,} | {count:,} | {ply / 1e6:.1f} MB | {mean['psnr']:.2f} | {mean['ssim']:.3f} "
+            print(f"| {views} | {ratio} | {pool} | {said['tokens']:,} | {count:,} | {ply / 1e6:.1f} MB | {mean['psnr']:.2f} | {mean['ssim']:.3f} "
                   f"| {said['flops'] / 1e9:.0f} | {seconds:.1f} s | {mib[0]} | {mib[1]} |", flush=True)  # fmt: skip
     if args.png:
         picture(args, ratios)

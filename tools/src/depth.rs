@@ -88,6 +88,7 @@ impl Quality {
     /// # Errors
     /// [`Error::Argument`] for more Gaussians of a patch than it has pixels.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
+        refuse("--pool", self.pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
         let all = checkpoint.architecture().backbone.patch.pow(2) as u32;
         match self.kept() {
             Some(keep) if keep > all => {

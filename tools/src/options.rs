@@ -9,7 +9,7 @@ use std::{fmt, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
-    ops::{Arithmetic, Precision},
+    ops::{Arithmetic, Pool, Precision},
     reconstruct::{Ratio, Selection},
     stages::cluster::auto_ratio,
     tune::Chosen,
@@ -119,7 +119,7 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     if is_of_depth(text) {
         let found = format!("{text}, of Depth Anything 3");
         let expected = format!(
-            "{expected} of ZipSplat; reconstruct, batch, depth, cameras and info take those of Depth Anything 3"
+            "{expected} of ZipSplat; reconstruct, batch, view, eval, depth, cameras and info take those of Depth Anything 3"
         );
         return Err(Error::argument("weights", found, expected));
     }
@@ -154,6 +154,9 @@ pub struct Quality {
     /// How those tokens are chosen: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
+    /// With many photos: attention across photos sees the mean of SxS patches, S from 1 to 4, in place of each: faster, less exact
+    #[arg(long, value_name = "S", default_value = "1")]
+    pub pool: usize,
     /// Keep of every token only the N Gaussians that show most [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     keep: Option<u32>,
@@ -217,6 +220,7 @@ pub struct ArithmeticOption {
 impl Quality {
     /// Checks what depends on the network.
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
+        Pool::check(self.pool)?;
         let all = architecture.gaussians_per_token;
         match self.keep {
             Some(keep) if keep as usize > all => {

@@ -92,9 +92,12 @@ pub struct zs_reconstruct_options {
     /// The capture that `cameras` are of, for ZS_UNIT_AUTO: its points and all its cameras then say how far away the scene is; where
     /// it is NULL, `cameras` do. Default NULL.
     pub capture: *const zs_capture,
+    /// For many photos: attention across them sees the mean of `pool` x `pool` patches in place of each, 1 to 4. More are faster
+    /// and less exact. Default 1.
+    pub pool: u64,
 }
 
-// SAFETY: repr(C), pairs of 32 bits, two f64, a u64 and pointers: no padding.
+// SAFETY: repr(C), pairs of 32 bits, two f64, two u64 and an even number of pointers: no padding.
 unsafe impl Versioned for zs_reconstruct_options {
     const NAME: &str = "zs_reconstruct_options";
     const FIRST_SIZE: usize = 48 + 3 * POINTER;
@@ -113,6 +116,7 @@ unsafe impl Versioned for zs_reconstruct_options {
             progress: None,
             user_data: std::ptr::null_mut(),
             capture: std::ptr::null(),
+            pool: 1,
         }
     }
 }
@@ -155,7 +159,9 @@ pub unsafe extern "C" fn zs_reconstruct(
             (width, height) => [width, height],
         };
         // Whatever can be refused is refused before pixels are touched.
-        Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?;
+        let pool = usize::try_from(options.pool).unwrap_or(usize::MAX);
+        Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?
+            .pooled(pool)?;
         if !cameras.is_empty() && cameras.len() != images.len() {
             return Err(Failure::argument("number of cameras", cameras.len(), format!("0 or {image_count}")));
         }
@@ -176,7 +182,7 @@ pub unsafe extern "C" fn zs_reconstruct(
         };
         let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let unposed = cameras.is_none();
-        let request = Request { ratio, selection, cameras, unit };
+        let request = Request { ratio, selection, cameras, unit, pool };
         let told = &told;
         let progress = |of_all: Range<f64>| {
             move |now: Progress<'_>| {

@@ -1,7 +1,7 @@
 //! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
 
 use super::{
-    Columns, Norm, Rows, Tile, Units,
+    Columns, Norm, Pool, Rows, Tile, Units,
     uniform::{UNIFORM_TILE, terms_of},
 };
 use crate::{
@@ -41,6 +41,8 @@ pub struct Part {
     pub keys: bool,
     /// Factor, or 0 for none.
     pub scale: f32,
+    /// Where pooled keys leave the logarithm of how many patches each is the mean of.
+    pub log_counts: Option<Tensor>,
 }
 
 /// Rotary embedding: rotations of the tokens of a view, the same in every view.
@@ -65,6 +67,8 @@ pub struct Attention {
     pub queries: usize,
     /// Keys of a sequence.
     pub keys: usize,
+    /// Groups of patches whose means the keys and values are.
+    pub pool: Option<Pool>,
     /// The kernel that computes it.
     pub kernel: AttentionKernel,
 }
@@ -90,8 +94,9 @@ impl AttentionKernel {
 }
 
 impl Attention {
-    /// Tensors for queries, keys and values.
-    pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 3] {
+    /// Tensors for queries, keys and values, and `[sequences * keys]` f32 for [`Part::log_counts`] where keys are pooled, else the
+    /// keys again.
+    pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
         let (queries, keys, values) = match self.kernel {
@@ -106,7 +111,9 @@ impl Attention {
             }
         };
         let element = self.kernel.element();
-        [("queries", queries), ("keys", keys), ("values", values)].map(|(name, len)| rec.tensor_of(element, name, len))
+        let lens = [("queries", queries), ("keys", keys), ("values", values)];
+        let [q, k, v] = lens.map(|(name, len)| rec.tensor_of(element, name, len));
+        [q, k, v, self.pool.map_or(k, |_| rec.tensor::<f32>("log_counts", sequences * self.keys))]
     }
 
     /// Channels of a head as queries, keys and values hold it.
@@ -119,21 +126,29 @@ impl Attention {
         }
     }
 
-    /// Takes a part out of columns of a projection, whose first row is row `first_row` of all, into `out`.
+    /// Takes a part out of columns of a projection, whose first row is row `first_row` of all, into `out`. Of views whose keys are
+    /// pooled the projection has all rows.
     pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
-        let sequence = if part.keys || part.scale == 0.0 { self.keys } else { self.queries };
+        let of_keys = part.keys || part.scale == 0.0;
+        let (sequence, pool) = if of_keys { (self.keys, self.pool) } else { (self.queries, None) };
         let Columns { of: Rows { tensor: projection, count: rows, width: stride, .. }, first: column, .. } =
             projection.into();
         let (norm_weight, norm_bias, eps) =
             part.norm.map_or((projection, projection, 0.0), |n| (n.weight, n.bias, n.eps));
-        let Rotary { table, tokens, turned } =
-            part.rotary.unwrap_or(Rotary { table: projection, tokens: 1, turned: 0 });
+        let Rotary { table, tokens, turned } = part.rotary.unwrap_or(Rotary {
+            table: projection,
+            tokens: pool.map_or(1, |pool| pool.tokens()),
+            turned: 0,
+        });
+        let (rows, first_row) = (Pool::keys_of(pool, rows), Pool::keys_of(pool, first_row));
+        let log_counts = part.log_counts.filter(|_| pool.is_some());
         let kernel = ops::SplitHeads {
             projection,
             weight: norm_weight,
             bias: norm_bias,
             rotary: table,
             out,
+            log_counts: log_counts.unwrap_or(out),
             rows: rows as u32,
             heads: self.heads.count as u32,
             dim: self.heads.dim as u32,
@@ -146,10 +161,14 @@ impl Attention {
             panel: self.panel(rec.limits()) as u32,
             tokens: tokens as u32,
             turned: turned as u32,
+            columns: pool.map_or(1, |pool| pool.grid[1]) as u32,
+            leading: pool.map_or(0, |pool| pool.leading) as u32,
             scale: if part.scale == 0.0 { 1.0 } else { part.scale },
             eps,
             norm: part.norm.is_some(),
             rotate: part.rotary.is_some(),
+            pool: pool.map_or(1, |pool| pool.side) as u32,
+            count: log_counts.is_some(),
             transpose: part.keys && matches!(self.kernel, AttentionKernel::Lanes(_)),
             element: self.kernel.element(),
         };
@@ -162,7 +181,7 @@ impl Attention {
     }
 
     /// softmax(q k) v of every head, `[sequences * queries, width]`.
-    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 3]) -> Rows {
+    pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 4]) -> Rows {
         let rows = self.sequences * self.queries;
         let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
         match self.kernel {
@@ -191,12 +210,13 @@ impl Attention {
             && self.queries.div_ceil(queries) <= limits.max_groups[0] as usize
     }
 
-    fn uniform(&self, rec: &mut Recorder, [q, k, v]: [Tensor; 3], out: Tensor) {
+    fn uniform(&self, rec: &mut Recorder, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
         let (dim, [tile_rows, key_vectors]) = (self.heads.dim as u32, UNIFORM_TILE);
         let kernel = ops::AttentionUniform {
             q,
             k,
             v,
+            log_counts,
             out,
             queries: self.queries as u32,
             keys: self.keys as u32,
@@ -207,17 +227,19 @@ impl Attention {
             terms: terms_of(self.heads.dim),
             tile_rows,
             key_vectors,
+            pooled: self.pool.is_some(),
         };
         self.dispatch(rec, kernel, tile_rows as usize);
     }
 
-    fn lanes(&self, rec: &mut Recorder, element: Element, [q, k, v]: [Tensor; 3], out: Tensor) {
+    fn lanes(&self, rec: &mut Recorder, element: Element, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
         let Heads { count, dim } = self.heads;
         let channels_at_once = 4 * rec.limits().subgroup_size;
         let kernel = ops::Attention {
             q,
             k,
             v,
+            log_counts,
             out,
             queries: self.queries as u32,
             keys: self.keys as u32,
@@ -226,18 +248,20 @@ impl Attention {
             dim: dim as u32,
             vectors: (dim as u32).div_ceil(channels_at_once),
             parts: 1 << (channels_at_once / dim as u32).max(1).ilog2(),
+            pooled: self.pool.is_some(),
             element,
         };
         self.dispatch(rec, kernel, ATTENTION_ROWS as usize);
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v]: [Tensor; 3], out: Tensor) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
         let tile = self.tile(rec.limits(), units);
         let Units { factor, shape, .. } = units;
         let kernel = ops::AttentionMatrix {
             q,
             k,
             v,
+            log_counts,
             out,
             queries: self.queries as u32,
             keys: self.keys as u32,
@@ -251,6 +275,7 @@ impl Attention {
             repeat_m: tile.repeats[0],
             tile: tile.k,
             channels: self.channels() as u32,
+            pooled: self.pool.is_some(),
             factor,
         };
         self.dispatch(rec, kernel, tile.sides(units)[0]);
@@ -289,7 +314,8 @@ mod tests {
         let units = Units::of(Element::F16, &limits).expect("an ordinary device has matrix units");
         let choose = |units, queries, count, dim| {
             let kernel = AttentionKernel::Matrix(units);
-            Attention { heads: Heads { count, dim }, sequences: 1, queries, keys: 1, kernel }.tile(&limits, units)
+            Attention { heads: Heads { count, dim }, sequences: 1, queries, keys: 1, pool: None, kernel }
+                .tile(&limits, units)
         };
         let tiles = Tile::attention(&limits, units, Tile::TUNED_CHANNELS);
         assert_eq!([(1, 1), (60_000, 24)].map(|(q, h)| choose(units, q, h, 64).subgroups), [[1, 1], [4, 1]]);

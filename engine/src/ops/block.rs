@@ -1,7 +1,7 @@
 //! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
 
 use super::{
-    Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Rotary, Rows,
+    Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rotary, Rows,
     row_chunks,
 };
 use crate::gpu::{Recorder, Tensor};
@@ -47,6 +47,8 @@ pub struct Sequences {
     pub tokens: usize,
     /// The rotations of queries and keys by their tokens' places.
     pub rotary: Option<Rotary>,
+    /// Groups of patches that keys and values are pooled by.
+    pub pool: Option<Pool>,
 }
 
 /// Norms on queries and keys add this to the variance, also where the block's other norms add less.
@@ -71,24 +73,25 @@ impl Block {
 
     /// Runs the block on `x`, the rows of all sequences, in place.
     pub fn record(&self, rec: &mut Recorder, x: Rows, sequences: Sequences) {
-        let Sequences { count, tokens, rotary } = sequences;
+        let Sequences { count, tokens, rotary, pool } = sequences;
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), x.width);
-        let attention = Attention { heads, sequences: count, queries: tokens, keys: tokens, kernel };
-        let [q, k, v] = attention.tensors(rec);
-        for part in row_chunks(rec, x.count, &[x.row_bytes(), output.bytes() * 3 * width]) {
+        let keys = Pool::keys_of(pool, tokens);
+        let attention = Attention { heads, sequences: count, queries: tokens, keys, pool, kernel };
+        let tensors @ [q, k, v, log_counts] = attention.tensors(rec);
+        for part in Pool::chunks(pool, rec, x.count, &[x.row_bytes(), output.bytes() * 3 * width]) {
             let normed = self.norm1.apply(rec, x.part(part.clone()), self.qkv.element());
             let qkv = self.qkv.apply(rec, "qkv", normed, output, Epilogue::default());
             let [q_norm, k_norm] = self.qk_norm.map_or([None; 2], |n| n.map(Some));
             let parts = [
-                (Part { norm: q_norm, rotary, keys: false, scale: attention.scale() }, q),
-                (Part { norm: k_norm, rotary, keys: true, scale: 0.0 }, k),
+                (Part { norm: q_norm, rotary, scale: attention.scale(), ..Part::default() }, q),
+                (Part { norm: k_norm, rotary, keys: true, log_counts: Some(log_counts), ..Part::default() }, k),
                 (Part::default(), v),
             ];
             for (i, (what, out)) in parts.into_iter().enumerate() {
                 attention.split(rec, qkv.columns(i * width, width), part.start, what, out);
             }
         }
-        let attended = attention.record(rec, [q, k, v]);
+        let attended = attention.record(rec, tensors);
         let epilogue = Epilogue { gamma: Some(self.gamma1), residual: Some(x), ..Epilogue::default() };
         self.proj.record(rec, attended, x, epilogue);
         self.mlp.record(rec, x, None, x);

@@ -1,7 +1,7 @@
 //! A cross-attention block: queries look at keys; what it adds to the queries is returned on its own.
 
 use super::{
-    Attention, AttentionKernel, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Part, Rows,
+    Attention, AttentionKernel, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rows,
     block::{Mlp, QK_NORM_EPS},
     row_chunks,
 };
@@ -41,25 +41,28 @@ impl CrossBlock {
         }
     }
 
-    /// The two residuals d1 + d2 of `queries` looking at `keys`: d1 = gamma1 * attention, d2 = gamma2 * mlp(norm(queries + d1)).
-    pub fn record(&self, rec: &mut Recorder, queries: Rows, keys: Rows) -> Rows {
+    /// The two residuals d1 + d2 of `queries` looking at `keys`, or at what they are pooled to: d1 = gamma1 * attention,
+    /// d2 = gamma2 * mlp(norm(queries + d1)).
+    pub fn record(&self, rec: &mut Recorder, queries: Rows, keys: Rows, pool: Option<Pool>) -> Rows {
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), queries.width);
-        let attention = Attention { heads, sequences: 1, queries: queries.count, keys: keys.count, kernel };
-        let [q, k, v] = attention.tensors(rec);
+        let count = Pool::keys_of(pool, keys.count);
+        let attention = Attention { heads, sequences: 1, queries: queries.count, keys: count, pool, kernel };
+        let tensors @ [q, k, v, log_counts] = attention.tensors(rec);
         for part in row_chunks(rec, queries.count, &[queries.row_bytes()]) {
             let normed = self.norm_q.apply(rec, queries.part(part.clone()), self.q_proj.element());
             let projected = self.q_proj.apply(rec, "q", normed, output, Epilogue::default());
             let what = Part { norm: Some(self.q_norm), scale: attention.scale(), ..Part::default() };
             attention.split(rec, projected, part.start, what, q);
         }
-        for part in row_chunks(rec, keys.count, &[keys.row_bytes(), output.bytes() * 2 * width]) {
+        for part in Pool::chunks(pool, rec, keys.count, &[keys.row_bytes(), output.bytes() * 2 * width]) {
             let normed = self.norm_kv.apply(rec, keys.part(part.clone()), self.kv_proj.element());
             let projected = self.kv_proj.apply(rec, "kv", normed, output, Epilogue::default());
-            let of_keys = Part { norm: Some(self.k_norm), keys: true, ..Part::default() };
+            let log_counts = Some(log_counts);
+            let of_keys = Part { norm: Some(self.k_norm), keys: true, log_counts, ..Part::default() };
             attention.split(rec, projected.columns(0, width), part.start, of_keys, k);
             attention.split(rec, projected.columns(width, width), part.start, Part::default(), v);
         }
-        let attended = attention.record(rec, [q, k, v]);
+        let attended = attention.record(rec, tensors);
         let epilogue = Epilogue { gamma: Some(self.gamma1), ..Epilogue::default() };
         let delta = self.proj.apply(rec, "delta", attended, Element::F32, epilogue);
         self.mlp.record(rec, delta, Some(queries), delta);

@@ -72,7 +72,7 @@ impl SceneTokens {
 }
 
 impl Model {
-    /// Runs the backbone alone and keeps what it makes of the images on the device. Of `request`, cameras and unit count.
+    /// Runs the backbone alone and keeps what it makes of the images on the device. Of `request`, cameras, unit and pooling count.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
@@ -162,6 +162,7 @@ impl Model {
     fn shape_of(&self, features: &Features, request: &Request) -> Result<Shape> {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
-        Shape::new(self.architecture(), grid.views, size, (request.ratio, &request.selection), cameras)
+        let chosen = (request.ratio, &request.selection);
+        Shape::new(self.architecture(), grid.views, size, chosen, cameras)?.pooled(features.shape.pool)
     }
 }

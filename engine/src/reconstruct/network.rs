@@ -4,7 +4,7 @@ use super::{Kept, Shape};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout, Rows, join_columns},
+    ops::{Arithmetic, ParameterLayout, Pool, Rows, join_columns},
     stages::{Architecture, Stages, ViewGrid, cluster, render::SceneTensors},
     types::Scene,
     weights::Checkpoint,
@@ -188,7 +188,8 @@ impl Network {
         });
         clustered.into_iter().for_each(|chosen| rec.output(chosen));
         let chosen = clustered.or(indices).map(|indices| (indices, tokens));
-        let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
+        let pool = Pool::of(shape.pool, [grid.rows, grid.columns], 0);
+        let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen, pool));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
         (Choice { unit: None, indices, chosen: clustered }, [scene, colors])
     }
@@ -200,7 +201,8 @@ impl Network {
 
     fn features(&self, rec: &mut Recorder, shape: Shape, inputs: &Inputs) -> Vec<Rows> {
         let Inputs { images, backbone } = inputs;
-        rec.scope("backbone", |rec| self.stages.backbone.record(rec, *images, backbone, shape.grid))
+        let stage = &self.stages.backbone;
+        rec.scope("backbone", |rec| stage.record(rec, *images, backbone, shape.grid, shape.pool))
     }
 }
 

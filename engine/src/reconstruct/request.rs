@@ -2,6 +2,7 @@
 
 use crate::{
     Error, Result,
+    ops::Pool,
     stages::{
         Architecture, ViewGrid,
         cluster::{ROUNDS, auto_ratio, cluster_count, even_indices, random_indices},
@@ -58,12 +59,16 @@ pub struct Request {
     /// Length in the unit of `cameras`, and of the scene, that the network takes for 1: what the photos see at a median distance
     /// of about 1 from the first is what it is trained with.
     pub unit: f64,
+    /// Patches along each side of a group that attention across views, and of kept tokens to all, sees as one: the mean of their keys
+    /// and that of their values. 1 to [`Pool::MAX_SIDE`]; at 1 it sees every patch. The more there are, the faster and the
+    /// less exact; it pays with many photos.
+    pub pool: usize,
 }
 
 impl Default for Request {
-    /// Every token, no cameras, the network's own unit.
+    /// Every token, no cameras, the network's own unit, nothing pooled.
     fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0 }
+        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0, pool: 1 }
     }
 }
 
@@ -78,6 +83,8 @@ pub struct Shape {
     pub kept: Kept,
     /// Whether cameras are given.
     pub cameras: bool,
+    /// See [`Request::pool`].
+    pub pool: usize,
 }
 
 /// Tokens that a plan keeps.
@@ -105,7 +112,16 @@ impl Shape {
     ) -> Result<Self> {
         let grid = grid(architecture.patch, views, width as usize, height as usize)?;
         let (tokens, kept) = Kept::of(grid, chosen)?;
-        Ok(Self { grid, tokens, kept, cameras })
+        Ok(Self { grid, tokens, kept, cameras, pool: 1 })
+    }
+
+    /// The same with keys and values pooled: [`Request::pool`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a side that cannot be used.
+    pub fn pooled(self, pool: usize) -> Result<Self> {
+        Pool::check(pool)?;
+        Ok(Self { pool, ..self })
     }
 
     /// Stages and passes that a reconstruction of this shape does without, and why.
@@ -118,6 +134,10 @@ impl Shape {
         }
         if !self.cameras {
             left_out.push(LeftOut::new("camera encoder", "no cameras are given"));
+        }
+        if self.pool > 1 {
+            let why = format!("attention across views sees the means of {0} x {0} patches", self.pool);
+            left_out.push(LeftOut::new("keys of single patches", why));
         }
         left_out
     }

@@ -4,7 +4,7 @@
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
-    ops::{Block, CrossBlock, Ffn, Heads, ParameterLayout, Rows, Sequences, add, gather_rows},
+    ops::{Block, CrossBlock, Ffn, Heads, ParameterLayout, Pool, Rows, Sequences, add, gather_rows},
     stages::Architecture,
 };
 
@@ -29,8 +29,14 @@ impl Fuse {
     }
 
     /// Records the fusion of `layers`, all tokens of each, deepest first, for the `count` tokens `chosen`, or for all of them.
-    /// Returns the scene tokens.
-    pub fn record(&self, rec: &mut Recorder, layers: &[Rows], chosen: Option<(Tensor, usize)>) -> Rows {
+    /// They see what `pool` makes of the layers. Returns the scene tokens.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        layers: &[Rows],
+        chosen: Option<(Tensor, usize)>,
+        pool: Option<Pool>,
+    ) -> Rows {
         let pick = |rec: &mut Recorder, layer: Rows| match chosen {
             Some((indices, count)) => gather_rows(rec, layer, indices, count),
             None => layer,
@@ -41,11 +47,11 @@ impl Fuse {
         rec.observe("scene_init", scene.tensor);
         for (l, ((cross, own), layer)) in self.cross.iter().zip(&self.own).zip(layers).enumerate() {
             let queries = if l == 0 { first } else { pick(rec, *layer) };
-            let delta = rec.scope("cross", |rec| cross.record(rec, queries, *layer));
+            let delta = rec.scope("cross", |rec| cross.record(rec, queries, *layer, pool));
             rec.observe(&format!("ca{l}_delta"), delta.tensor);
             add(rec, scene, delta);
             rec.observe(&format!("scene_ca{l}"), scene.tensor);
-            let sequences = Sequences { count: 1, tokens: scene.count, rotary: None };
+            let sequences = Sequences { count: 1, tokens: scene.count, rotary: None, pool: None };
             rec.scope("self", |rec| own.record(rec, scene, sequences));
             rec.observe(&format!("scene_sa{l}"), scene.tensor);
         }

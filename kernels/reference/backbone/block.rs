@@ -3,9 +3,9 @@
 use crate::model::Scope;
 use crate::ops::activation::{gelu, swiglu};
 use crate::ops::add::add;
-use crate::ops::attention::attention;
+use crate::ops::attention::{attention, attention_to_means};
 use crate::ops::linear::layer_scale;
-use crate::ops::split_heads::{Part, split_heads};
+use crate::ops::split_heads::{Part, Pool, split_heads};
 
 /// The epsilon of every LayerNorm but the backbone's `norm1`, `norm2` and final `norm`.
 pub const EPS: f64 = 1e-5;
@@ -21,6 +21,8 @@ pub struct Options<'a> {
     pub sequences: usize,
     /// Positions (y, x) of a sequence's tokens, where the block rotates queries and keys.
     pub positions: Option<&'a [[f64; 2]]>,
+    /// Groups by which keys and values are averaged, where all rows are one sequence.
+    pub pool: Option<Pool>,
 }
 
 /// `x += gamma1 * proj(attention(norm1(x))); x += gamma2 * mlp(norm2(x))`.
@@ -42,6 +44,10 @@ fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     let q = part(0, head_norm(weights, "q_norm"), options.positions);
     let k = part(1, head_norm(weights, "k_norm"), options.positions);
     let v = part(2, None, None);
+    if let Some(pool) = options.pool {
+        let ((k, counts), (v, _)) = (pool.means(&k, width), pool.means(&v, width));
+        return weights.linear("proj", &attention_to_means(&q, [&k, &v], &counts, options.heads, head_dim));
+    }
     let length = x.len() / options.sequences;
     let sequences = q.chunks(length).zip(k.chunks(length)).zip(v.chunks(length));
     let mixed: Vec<f64> = sequences.flat_map(|((q, k), v)| attention(q, k, v, options.heads, head_dim)).collect();

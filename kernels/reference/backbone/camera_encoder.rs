@@ -14,7 +14,7 @@ pub struct Prior {
 
 /// One token a view, by `blocks` blocks with `heads` heads; the views are one sequence.
 pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: usize) -> Vec<f64> {
-    let options = Options { heads, eps: EPS, sequences: 1, positions: None };
+    let options = Options { heads, eps: EPS, sequences: 1, positions: None, pool: None };
     let encoded: Vec<f64> = priors.iter().flat_map(encode).collect();
     let mut x = weights.layer_norm("token_norm", &mlp(&weights.scope("pose_branch"), &encoded), EPS);
     for i in 0..blocks {

@@ -6,6 +6,12 @@ use rayon::prelude::*;
 ///
 /// `q [queries, heads, head_dim]`, `k` and `v [keys, heads, head_dim]`; gives `[queries, heads, head_dim]`.
 pub fn attention(q: &[f64], k: &[f64], v: &[f64], heads: usize, head_dim: usize) -> Vec<f64> {
+    let once = vec![1.0; k.len() / (heads * head_dim)];
+    attention_to_means(q, [k, v], &once, heads, head_dim)
+}
+
+/// The same, where a key and its value stand for `counts [keys]` equal ones.
+pub fn attention_to_means(q: &[f64], [k, v]: [&[f64]; 2], counts: &[f64], heads: usize, head_dim: usize) -> Vec<f64> {
     let width = heads * head_dim;
     let keys = k.len() / width;
     let scale = 1.0 / (head_dim as f64).sqrt();
@@ -15,7 +21,7 @@ pub fn attention(q: &[f64], k: &[f64], v: &[f64], heads: usize, head_dim: usize)
         let scores: Vec<f64> =
             (0..keys).map(|t| scale * query.iter().zip(key(t)).map(|(a, b)| a * b).sum::<f64>()).collect();
         let largest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = scores.iter().map(|score| (score - largest).exp()).collect();
+        let weights: Vec<f64> = scores.iter().zip(counts).map(|(score, n)| n * (score - largest).exp()).collect();
         let total: f64 = weights.iter().sum();
         let mut mixed = vec![0.0; head_dim];
         for (t, weight) in weights.iter().enumerate() {

@@ -3,12 +3,13 @@
 use crate::case::{Case, attention_kernels, random, stored, with_and_without_addresses};
 use zipsplat::gpu::{Element, Limits};
 use zipsplat::kernels::limits::{ATTENTION_ROWS, GROUP_FOLD};
-use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Rows};
+use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Pool, Rows};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
-use zipsplat_tests::reference::{ops::attention::attention, widen};
+use zipsplat_tests::reference::ops::{attention::attention_to_means, split_heads};
+use zipsplat_tests::reference::widen;
 
-/// Queries, keys and values `[sequences * tokens, heads * dim]` of one attention.
+/// Queries, keys and values `[sequences * tokens, heads * dim]` of one attention, before any are pooled.
 struct Problem {
     /// For any kernel.
     shape: Attention,
@@ -26,12 +27,20 @@ impl Problem {
                 sequences,
                 queries,
                 keys,
+                pool: None,
                 kernel: AttentionKernel::Lanes(Element::F32),
             },
             q: random(1, sequences * queries * width),
             k: random(2, sequences * keys * width),
             v: random(3, sequences * keys * width),
         }
+    }
+
+    /// As many views of pooled patches.
+    fn pooled(views: usize, pool: Pool, count: usize, dim: usize) -> Problem {
+        let problem = Problem::random(1, 9, views * pool.tokens(), count, dim);
+        let shape = Attention { keys: views * pool.keys(), pool: Some(pool), ..problem.shape };
+        Problem { shape, ..problem }
     }
 
     /// Every kernel.
@@ -54,14 +63,14 @@ impl Problem {
         let mut case = Case::within(limits);
         let tensors = shape.tensors(&mut case.rec);
         let parts = [
-            (&self.q, shape.queries, Part { scale: shape.scale(), ..Part::default() }),
-            (&self.k, shape.keys, Part { keys: true, ..Part::default() }),
-            (&self.v, shape.keys, Part::default()),
+            (&self.q, Part { scale: shape.scale(), ..Part::default() }),
+            (&self.k, Part { keys: true, log_counts: Some(tensors[3]), ..Part::default() }),
+            (&self.v, Part::default()),
         ];
-        for (tensor, (values, tokens, part)) in tensors.into_iter().zip(parts) {
+        for (tensor, (values, part)) in tensors.into_iter().zip(parts) {
             // NaN as f32, and as two f16.
             case.rec.fill(tensor, u32::MAX);
-            let (count, width) = (shape.sequences * tokens, shape.heads.width());
+            let (count, width) = (values.len() / shape.heads.width(), shape.heads.width());
             let projection = Rows { tensor: case.input_of(element, values), count, width, element };
             shape.split(&mut case.rec, projection, 0, part, tensor);
         }
@@ -74,9 +83,23 @@ impl Problem {
     fn truth(&self, element: Element) -> Vec<f64> {
         let Attention { heads, queries, keys, .. } = self.shape;
         let [q, k, v] = [&self.q, &self.k, &self.v].map(|x| widen(&stored(element, x.clone())));
-        let kv = k.chunks(keys * heads.width()).zip(v.chunks(keys * heads.width()));
+        let (k, counts) = self.means(element, k);
+        let (v, _) = self.means(element, v);
+        let kv = k.chunks(keys * heads.width()).zip(v.chunks(keys * heads.width())).zip(counts.chunks(keys));
         let sequences = q.chunks(queries * heads.width()).zip(kv);
-        sequences.flat_map(|(q, (k, v))| attention(q, k, v, heads.count, heads.dim)).collect()
+        let attended = |(q, ((k, v), counts))| attention_to_means(q, [k, v], counts, heads.count, heads.dim);
+        sequences.flat_map(attended).collect()
+    }
+
+    /// The keys or values of all groups, as `element` stores them, and how many each is the mean of.
+    fn means(&self, element: Element, x: Vec<f64>) -> (Vec<f64>, Vec<f64>) {
+        let width = self.shape.heads.width();
+        let Some(Pool { side, grid, leading }) = self.shape.pool else {
+            let counts = vec![1.0; x.len() / width];
+            return (x, counts);
+        };
+        let (means, counts) = split_heads::Pool { side, grid, leading }.means(&x, width);
+        (widen(&stored(element, means.iter().map(|mean| *mean as f32).collect())), counts)
     }
 }
 
@@ -112,6 +135,13 @@ fn every_number_of_queries_and_sequences() {
     }
     let none = Problem::random(1, 0, 5, 2, 16);
     assert!(attention_kernels().into_iter().all(|kernel| none.attended(device().limits(), kernel).is_empty()));
+}
+
+#[test]
+fn keys_that_stand_for_several() {
+    for (side, grid, leading, dim) in [(2, [3, 5], 1, 64), (3, [4, 4], 0, 16), (4, [9, 7], 1, 16)] {
+        Problem::pooled(3, Pool { side, grid, leading }, 2, dim).check("pooled");
+    }
 }
 
 #[test]

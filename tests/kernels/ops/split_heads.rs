@@ -5,7 +5,7 @@ use zipsplat::{gpu::Element, kernels::ops::SplitHeads, stages::backbone::rotary_
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{
     backbone::rope::{global_positions, local_positions},
-    ops::split_heads::{Part, split_heads},
+    ops::split_heads::{Part, Pool, split_heads},
     widen,
 };
 
@@ -26,6 +26,8 @@ struct Call {
     panel: usize,
     /// Channels of a head behind the last, which are zeros.
     padding: usize,
+    /// Side of the groups of patches of `grid` whose means are taken, rows of `first_row` on of as many as there are.
+    side: usize,
 }
 
 const PLAIN: Call = Call {
@@ -40,6 +42,7 @@ const PLAIN: Call = Call {
     global: false,
     panel: 0,
     padding: 0,
+    side: 1,
 };
 
 const COLUMN: usize = 5;
@@ -56,9 +59,9 @@ impl Call {
     fn check_element(self, element: Element) {
         let Call { heads, dim, rows, sequence, .. } = self;
         let stride = heads * dim + 2 * COLUMN;
-        let projection = stored(element, random(1, rows * stride));
-        let (weight, bias) = (random(2, dim), random(3, dim));
         let (grid_rows, grid_columns) = self.grid.unwrap_or((1, 1));
+        let projection = stored(element, random(1, self.sources() * stride));
+        let (weight, bias) = (random(2, dim), random(3, dim));
         let table = &rotary_tables(grid_rows, grid_columns, dim)[usize::from(self.global)];
 
         let mut case = Case::new();
@@ -67,12 +70,14 @@ impl Call {
         let out_len = self.out_rows / sequence * padded;
         let channels = dim + self.padding;
         let out = case.output_of(element, heads * channels * out_len);
+        let log_counts = case.output::<f32>(self.out_rows);
         let kernel = SplitHeads {
             projection: case.input_of(element, &projection),
             weight: case.input(&weight),
             bias: case.input(&bias),
             rotary: case.input(table),
             out,
+            log_counts,
             rows: rows as u32,
             heads: heads as u32,
             dim: dim as u32,
@@ -85,6 +90,10 @@ impl Call {
             panel: self.panel as u32,
             tokens: (1 + grid_rows * grid_columns) as u32,
             turned: (table.len() / dim) as u32,
+            columns: grid_columns as u32,
+            leading: 1,
+            pool: self.side as u32,
+            count: self.side > 1,
             scale: SCALE,
             eps: EPS,
             norm: self.norm,
@@ -93,9 +102,14 @@ impl Call {
             element,
         };
         case.rec.dispatch_groups(kernel, rows * heads);
-        let mut got: Vec<f32> = case.result_of(element, out);
+        let run = case.run();
+        let mut got = element.decode(&run.read::<u8>(out).unwrap());
+        let found_counts: Vec<f32> = run.read(log_counts).unwrap();
 
-        let truth = self.truth(&projection, stride, &weight, &bias);
+        let (truth, counts) = self.truth(&projection, stride, &weight, &bias);
+        let counted = self.first_row..self.first_row + counts.len();
+        assert!(found_counts.iter().enumerate().all(|(i, x)| counted.contains(&i) || x.is_nan()), "{self:?}: counts");
+        assert_close(&format!("{self:?}: counts"), &found_counts[counted], &counts, Tolerance::ELEMENTWISE);
         let written: Vec<f32> = (0..rows * heads * dim)
             .map(|i| std::mem::replace(&mut got[self.place(i / dim / heads, i / dim % heads, i % dim)], f32::NAN))
             .collect();
@@ -121,11 +135,25 @@ impl Call {
         }
     }
 
-    /// `[rows, heads, dim]`
-    fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> Vec<f64> {
+    /// The groups whose means are taken.
+    fn pool(&self) -> Option<Pool> {
+        let (rows, columns) = self.grid.filter(|_| self.side > 1)?;
+        Some(Pool { side: self.side, grid: [rows, columns], leading: 1 })
+    }
+
+    /// Rows of the projection.
+    fn sources(&self) -> usize {
+        let Some(Pool { side, grid, leading }) = self.pool() else { return self.rows };
+        let groups = leading + grid.iter().map(|patches| patches.div_ceil(side)).product::<usize>();
+        self.rows / groups * (leading + grid.iter().product::<usize>())
+    }
+
+    /// `[rows, heads, dim]`, and where means are taken the logarithms of how many rows each is of.
+    fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> (Vec<f64>, Vec<f64>) {
         let positions: Option<Vec<_>> = self.grid.map(|(rows, columns)| {
             let view = if self.global { seen_from_patches(rows, columns) } else { local_positions(rows, columns) };
-            let from = (0..self.rows).map(|row| view[(self.first_row + row) % view.len()]);
+            let first = if self.side > 1 { 0 } else { self.first_row };
+            let from = (0..self.sources()).map(|row| view[(first + row) % view.len()]);
             from.collect()
         });
         let part = Part {
@@ -135,7 +163,11 @@ impl Call {
             norm: self.norm.then_some((weight, bias, f64::from(EPS))),
             positions: positions.as_deref(),
         };
-        split_heads(&widen(projection), stride, part).iter().map(|x| x * f64::from(SCALE)).collect()
+        let heads: Vec<f64> =
+            split_heads(&widen(projection), stride, part).iter().map(|x| x * f64::from(SCALE)).collect();
+        let Some(pool) = self.pool() else { return (heads, Vec::new()) };
+        let (means, counts) = pool.means(&heads, self.heads * self.dim);
+        (means, counts.into_iter().map(f64::ln).collect())
     }
 }
 
@@ -175,6 +207,20 @@ fn parts_of_the_rows() {
     for panel in [0, 4] {
         for (first_row, rows) in [(0, 0), (0, 1), (1, 1), (5, 9), (7, 7), (13, 1)] {
             Call { first_row, rows, panel, norm: true, grid: Some((2, 3)), ..PLAIN }.check();
+        }
+    }
+}
+
+/// Two views of 3 x 5 patches, then the second one's rows alone: groups at the borders have fewer patches, the camera token none.
+#[test]
+fn means_of_groups_of_patches() {
+    for (side, groups) in [(2, 7), (3, 3), (4, 3)] {
+        for (global, panel, padding) in [(false, 0, 0), (true, 4, 0), (true, 0, 16)] {
+            let grid = Some((3, 5));
+            let both = Call { rows: 2 * groups, out_rows: 2 * groups, sequence: 2 * groups, ..PLAIN };
+            let both = Call { side, grid, global, panel, padding, norm: true, ..both };
+            both.check();
+            Call { first_row: groups, rows: groups, ..both }.check();
         }
     }
 }

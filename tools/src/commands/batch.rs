@@ -206,9 +206,9 @@ impl Batch {
     /// Whatever a scene depends on but its capture.
     fn made_with(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
-        let Quality { ratio, select, .. } = &self.quality;
+        let Quality { ratio, select, pool, .. } = &self.quality;
         let options = [
-            format!("{ratio:?} {select:?} {:?} {:?}", self.quality.kept(), self.fit.fit),
+            format!("{ratio:?} {select:?} {pool} {:?} {:?}", self.quality.kept(), self.fit.fit),
             format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))

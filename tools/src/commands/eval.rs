@@ -211,7 +211,8 @@ impl Eval {
     fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
         let (Size(width, height), views) = (seeing.size, seeing.fit.count(&choice.inputs())?);
         let chosen = (self.quality.ratio, &self.quality.select);
-        Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free).map(drop)
+        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?;
+        shape.pooled(self.quality.pool).map(drop)
     }
 
     /// The cameras of a folder's photos, where they are not in it.

@@ -162,7 +162,8 @@ impl FromPhotos {
         session.notes(self.quality.doubt_size(&checkpoint));
         let count = fit.count(&photos)?;
         let chosen = (self.quality.ratio, &self.quality.select);
-        Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?;
+        Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?
+            .pooled(self.quality.pool)?;
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
@@ -174,7 +175,7 @@ impl FromPhotos {
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(told).filter(|told| !told.is_empty());
         let selection = self.quality.select.clone();
-        let request = Request { ratio: self.quality.ratio, selection, cameras, unit };
+        let request = Request { ratio: self.quality.ratio, selection, cameras, unit, pool: self.quality.pool };
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
         })?;

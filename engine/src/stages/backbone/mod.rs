@@ -19,8 +19,8 @@ pub trait Backbone: Send + Sync {
     fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor>;
 
     /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns the tokens of all views for each out
-    /// layer, f32, deepest first.
-    fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Vec<Rows>;
+    /// layer, f32, deepest first. Attention across views pools the keys of `pool` x `pool` patches.
+    fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid, pool: usize) -> Vec<Rows>;
 
     /// Writes the inputs of a run. Cameras are given where the inputs were made for them, in the network's unit of length.
     ///

@@ -45,7 +45,7 @@ impl Gaussians {
                 Some((indices, count)) => gather_rows(rec, tokens, indices, count),
                 None => tokens,
             };
-            let delta = self.color_cross.record(rec, queries, tokens);
+            let delta = self.color_cross.record(rec, queries, tokens, None);
             add(rec, delta, queries);
             rec.observe("color_feats", delta.tensor);
             delta

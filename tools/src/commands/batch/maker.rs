@@ -113,9 +113,9 @@ impl<'a> Maker<'a> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
                 let (cameras, turned) = batch.fit.fit.told(cameras);
-                let Quality { ratio, select, .. } = &batch.quality;
+                let Quality { ratio, select, pool, .. } = &batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-                let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit };
+                let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit, pool: *pool };
                 let made = model.reconstruct(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.scene()?;
                 batch.quality.prune(&mut scene, checkpoint.architecture());

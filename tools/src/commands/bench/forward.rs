@@ -39,6 +39,9 @@ pub struct Forward {
     /// Shares of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
+    /// Sides of the groups of patches that attention across views sees as one
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
+    pool: Vec<usize>,
     /// Pixels of each view [default: what the weights are best with]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
@@ -68,6 +71,7 @@ struct Row {
     tokens: usize,
     /// Share of all tokens that these are.
     ratio: f64,
+    pool: usize,
     #[serde(flatten)]
     part: Part,
     peak_bytes: u64,
@@ -79,11 +83,14 @@ impl Forward {
         let checkpoint = self.weights.open()?;
         let size = Size::or_best(self.size, &checkpoint);
         let Size(width, height) = size;
-        let requests: Vec<(usize, Request)> = (self.views.iter())
-            .flat_map(|&views| self.ratio.iter().map(move |&ratio| (views, Request { ratio, ..Request::default() })))
-            .collect();
-        for (views, Request { ratio, selection, .. }) in &requests {
-            Shape::new(checkpoint.architecture(), *views, [width, height], (*ratio, selection), false)?;
+        let of_views = |views| {
+            let pooled = |ratio| self.pool.iter().map(move |&pool| Request { ratio, pool, ..Request::default() });
+            self.ratio.iter().flat_map(move |&ratio| pooled(ratio)).map(move |request| (views, request))
+        };
+        let requests: Vec<(usize, Request)> = self.views.iter().flat_map(|&views| of_views(views)).collect();
+        for (views, Request { ratio, selection, pool, .. }) in &requests {
+            let chosen = (*ratio, selection);
+            Shape::new(checkpoint.architecture(), *views, [width, height], chosen, false)?.pooled(*pool)?;
         }
         self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
         let device = timed_device(session)?;
@@ -215,6 +222,7 @@ impl Forward {
             views: images.len(),
             tokens,
             ratio: 0.0,
+            pool: request.pool,
             part: Part::of(stage.to_owned(), Spread::of(times.iter().copied())),
             peak_bytes,
             arena_bytes: model.arena().bytes(),
@@ -247,6 +255,7 @@ impl Forward {
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
+            pool: shape.pool,
             part,
             peak_bytes,
             arena_bytes,
@@ -257,9 +266,10 @@ impl Forward {
 
 fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String {
     let Some(total) = rows.first() else { return String::new() };
+    let pooled = if total.pool > 1 { format!(" keys of {0} x {0} patches,", total.pool) } else { String::new() };
     let table = parts::table(rows.iter().map(|row| &row.part));
     format!(
-        "{} views, {} tokens, {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
+        "{} views, {} tokens,{pooled} {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
         total.views,
         total.tokens,
         bytes(total.peak_bytes),

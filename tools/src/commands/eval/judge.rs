@@ -147,6 +147,7 @@ impl<'a> Judge<'a> {
             selection: eval.quality.select.clone(),
             cameras: (!eval.pose_free).then_some(cameras),
             unit: 1.0,
+            pool: eval.quality.pool,
         };
         let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);
         let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;

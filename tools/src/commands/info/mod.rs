@@ -69,7 +69,7 @@ pub struct Info {
 /// Lets options that only plans take say so where there is none.
 fn for_plans(arg: Arg) -> Arg {
     match arg.get_id().as_str() {
-        "weights" | "ratio" | "select" | "keep" | "size" | "precision" => arg.requires("plan"),
+        "weights" | "ratio" | "select" | "pool" | "keep" | "size" | "precision" => arg.requires("plan"),
         "invalid" => arg.requires("file"),
         _ => arg,
     }

@@ -45,7 +45,7 @@ impl FromStr for Refinement {
 }
 
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
-    let Quality { ratio, select, arithmetic, .. } = &info.quality;
+    let Quality { ratio, select, pool, arithmetic, .. } = &info.quality;
     let checkpoint = match info.weights.open_network()? {
         Weights::Tokens(checkpoint) => checkpoint,
         Weights::Pixels(checkpoint) => return show_depth(session, info, views, &checkpoint),
@@ -55,6 +55,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let size = info.quality.size_for(&checkpoint);
     let Size(width, height) = size;
     let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
+    let shape = shape.pooled(*pool)?;
     let device = device(session)?;
     let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
     let (precision, arithmetic) = match &device {
@@ -123,7 +124,11 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
 
 /// The map of a plan from photos to depth, and to the patches that are kept.
 fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: &DepthCheckpoint) -> Result<()> {
-    for (option, given) in [("--pictures", info.pictures.is_some()), ("--refine", info.refine.is_some())] {
+    for (option, given) in [
+        ("--pictures", info.pictures.is_some()),
+        ("--refine", info.refine.is_some()),
+        ("--pool", info.quality.pool != 1),
+    ] {
         refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
     }
     let Quality { ratio, select, arithmetic, .. } = &info.quality;

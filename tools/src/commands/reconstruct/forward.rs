@@ -99,6 +99,7 @@ impl Forward {
         session.notes(quality.doubt_size(checkpoint));
         let (views, chosen) = (fit.count(photos)?, (quality.ratio, &quality.select));
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, poses.is_some())?;
+        let shape = shape.pooled(quality.pool)?;
         Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
     }
 
@@ -129,7 +130,8 @@ impl Planned<'_> {
         let (model, load_weights) = session.load_model(device, checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let length = unit.as_ref().map_or(1.0, |unit| unit.length);
-        let request = Request { ratio: quality.ratio, selection: quality.select.clone(), cameras, unit: length };
+        let (ratio, selection) = (quality.ratio, quality.select.clone());
+        let request = Request { ratio, selection, cameras, unit: length, pool: quality.pool };
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
         let mut scene = result.scene()?;

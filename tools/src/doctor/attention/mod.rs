@@ -86,7 +86,8 @@ impl case::Problem for Problem {
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
         let (kernel, width) = (Self::kernel(mode, device), self.width());
         let (queries, keys) = (self.queries(), self.keys());
-        let shape = Attention { heads: Heads { count: HEADS, dim: self.dim }, sequences: 1, queries, keys, kernel };
+        let shape =
+            Attention { heads: Heads { count: HEADS, dim: self.dim }, sequences: 1, queries, keys, pool: None, kernel };
         let mut trial = Trial::new(device);
         let tensors = shape.tensors(&mut trial.rec);
         let queries_part = Part { scale: shape.scale(), ..Part::default() };

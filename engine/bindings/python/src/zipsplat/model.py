@@ -100,6 +100,7 @@ class Model:
         unit: Union[float, str] = "auto",
         select: str = "kmeans",
         seed: int = 0,
+        pool: int = 1,
         size: Optional[tuple[int, int]] = None,
         progress: Optional[Progress] = None,
     ) -> Scene:
@@ -118,6 +119,8 @@ class Model:
                 cameras. The scene keeps the cameras' unit.
             select: Which tokens are kept: "kmeans", the method's own, "stride" or "random".
             seed: For "random", and for the order of photos of a refinement.
+            pool: For many photos: attention across them sees the mean of pool x pool patches in place of each, 1 to 4; more are faster
+                and less exact.
             size: Width and height of what the network sees of each photo, multiples of `patch`: photos are cropped around their
                 centre to this shape. None for the model's own.
             progress: Told the share that is done and what is under way. Where it returns False the work stops: CancelledError is
@@ -145,6 +148,7 @@ class Model:
             width=width,
             height=height,
             seed=seed,
+            pool=pool,
             progress=native_progress,
             user_data=told.handle,
         )

@@ -47,7 +47,7 @@ impl CameraEncoder {
             let embedded = self.fc2.apply(rec, "embedded", hidden, Element::F32, Epilogue::default());
             let x = self.token_norm.apply(rec, embedded, Element::F32);
             for block in &self.trunk {
-                block.record(rec, x, Sequences { count: 1, tokens: x.count, rotary: None });
+                block.record(rec, x, Sequences { count: 1, tokens: x.count, rotary: None, pool: None });
             }
             let tokens = self.trunk_norm.apply(rec, x, Element::F32).tensor;
             rec.observe("bb/cam_token", tokens);

@@ -37,7 +37,7 @@ impl DepthBackbone {
         reference: Reference,
     ) -> DepthFeatures {
         let (mut layers, mut last) = (Vec::new(), None);
-        self.transformer.record(rec, images, inputs, (grid, reference), |rec, layer, out| {
+        self.transformer.record(rec, images, inputs, (grid, reference, 1), |rec, layer, out| {
             layers.push(self.feature(rec, layer, out, grid));
             last = Some(out);
         });

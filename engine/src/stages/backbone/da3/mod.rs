@@ -40,10 +40,11 @@ impl Backbone for Da3 {
         self.transformer.inputs(rec, grid, cameras)
     }
 
-    fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Vec<Rows> {
+    fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid, pool: usize) -> Vec<Rows> {
         let (layers, final_norm) = (self.features.layers(), self.transformer.final_norm);
         let mut prepared = Vec::new();
-        self.transformer.record(rec, images, inputs, (grid, Reference::View(0)), |rec, layer, out| {
+        let asked = (grid, Reference::View(0), pool);
+        self.transformer.record(rec, images, inputs, asked, |rec, layer, out| {
             prepared.push(self.features.record(rec, layers - 1 - layer, [out.local, out.global], final_norm, grid));
         });
         prepared.reverse();

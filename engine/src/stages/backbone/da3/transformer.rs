@@ -10,7 +10,7 @@ use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
     kernels::backbone as kernels,
-    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Rotary, Rows, Sequences},
+    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Pool, Rotary, Rows, Sequences},
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
 
@@ -89,12 +89,13 @@ impl Transformer {
     }
 
     /// Records all blocks for `images` `[views, 3, height, width]` f32 and calls `out` behind each out layer, with its index among those.
+    /// Blocks across views pool the keys of `pool` x `pool` patches.
     pub fn record(
         &self,
         rec: &mut Recorder,
         images: Tensor,
         inputs: &[Tensor],
-        (grid, reference): (ViewGrid, Reference),
+        (grid, reference, pool): (ViewGrid, Reference, usize),
         mut out: impl FnMut(&mut Recorder, usize, OutLayer),
     ) {
         let (a, tokens) = (&self.architecture, 1 + grid.patches());
@@ -130,6 +131,7 @@ impl Transformer {
                 count: if global { 1 } else { grid.views },
                 tokens: if global { grid.views * tokens } else { tokens },
                 rotary,
+                pool: Pool::of(pool, [grid.rows, grid.columns], 1).filter(|_| global),
             };
             rec.scope("block", |rec| block.record(rec, x, sequences));
             rec.observe(&format!("bb/block{i}"), x.tensor);

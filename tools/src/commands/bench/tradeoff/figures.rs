@@ -32,6 +32,7 @@ const CHOSEN: Meaning = ("tokens chosen by", |p| p.select.clone());
 const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
 const PRECISION: Meaning = ("precision", Point::arithmetic);
 const KEPT: Meaning = ("Gaussians a token", |p| p.keep.to_string());
+const POOL: Meaning = ("side of pooled patches", |p| p.pool.to_string());
 const STEPS: Meaning = ("steps of refinement", |p| p.refine.clone());
 
 /// A point and its number in the sweep.
@@ -52,7 +53,8 @@ pub fn pareto(points: &[Point]) -> String {
 /// Heading and plot of each of the others.
 pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
-    let plain = those(&all, |p| !p.is_refined());
+    let held = sweep.points.first().map_or(1, |p| p.pool);
+    let plain = those(&all, |p| !p.is_refined() && p.pool == held);
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
     let keep = plain.iter().map(|(_, p)| p.keep).max().unwrap_or(0);
     let first = plain.first().map_or_else(String::new, |(_, p)| p.arithmetic());
@@ -94,6 +96,11 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
         ),
         ("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, |p| (p.gaussians as f64, p.psnr))),
     ];
+    if sweep.points.iter().any(|p| p.pool != held) {
+        let pooled = those(&all, |p| !p.is_refined() && p.keep == keep && p.arithmetic() == first && kmeans(p));
+        let pooled = those(&pooled, |p| Some(&p.asked_ratio) == sweep.points.first().map(|p| &p.asked_ratio));
+        figures.push(("Patches that attention sees as one", by(&pooled, TIME, PSNR, POOL, |p| (p.forward_ms, p.psnr))));
+    }
     if sweep.points.iter().any(Point::is_refined) {
         let plot = by(&refined, log("photos to refined Gaussians, ms"), PSNR, RATIO, |p| (p.total_ms, p.psnr));
         figures.insert(0, ("Steps of refinement, from left to right (section 4.2)", plot));

@@ -1,5 +1,6 @@
 //! `zipsplat bench tradeoff`: what accuracy costs in time, as a page to look at and a table.
 
+mod case;
 mod drawn;
 mod figures;
 mod page;
@@ -61,6 +62,9 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
     select: Vec<Selection>,
+    /// Sides of the groups of patches that attention across photos sees as one
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
+    pool: Vec<usize>,
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<usize>>,

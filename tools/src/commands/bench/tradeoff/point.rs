@@ -21,6 +21,8 @@ pub struct Point {
     pub asked_ratio: String,
     /// `all` where every token is kept.
     pub select: String,
+    /// Side of the groups of patches that attention across photos sees as one.
+    pub pool: usize,
     /// Gaussians of each token that are kept.
     pub keep: usize,
     /// Steps of refinement as the command line has them, `0` where there is none.
@@ -79,12 +81,13 @@ impl Point {
             "all" => "every token".into(),
             select => format!("{:.0} % of the tokens by {select}", 100.0 * self.ratio),
         };
+        let pooled = if self.pool > 1 { format!(", keys of {0} x {0} patches", self.pool) } else { String::new() };
         let refined = match self.refine.split_once(':') {
             _ if !self.is_refined() => String::new(),
             Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
             None => format!(", {} steps of refinement", self.refine),
         };
-        format!("{photos}, {}, {chosen}, {} of a token's Gaussians{refined}", self.arithmetic(), self.keep)
+        format!("{photos}, {}, {chosen}{pooled}, {} of a token's Gaussians{refined}", self.arithmetic(), self.keep)
     }
 }
 
@@ -155,6 +158,7 @@ pub(super) mod tests {
             ratio: 0.5,
             asked_ratio: "0.5".into(),
             select: "kmeans:5".into(),
+            pool: 1,
             keep: 8,
             refine: "0".into(),
             tokens: 10,

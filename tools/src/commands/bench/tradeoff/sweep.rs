@@ -2,8 +2,9 @@
 
 use super::{
     Tradeoff,
+    case::{self, Case},
     drawn::{compare, psnr_to_f64},
-    point::{Point, arithmetic, name},
+    point::Point,
     refined::refine,
     rounded::{OWN, Rounded},
     truth::{Compared, Errors, MOST_FLOPS, Truth},
@@ -21,7 +22,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Progress, StageTimes},
     ops::{Arithmetic, Precision},
-    reconstruct::{Kept, Model, Ratio, Reconstruction, Request, Selection, Shape},
+    reconstruct::{Kept, Model, Reconstruction, Selection, Shape},
     stages::{
         cluster::{even_indices, random_indices},
         render::Renderer,
@@ -40,24 +41,6 @@ pub struct Sweep {
     pub pictures: Vec<Image>,
     /// Pictures of `exact`, which those of others are compared with, by number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
-}
-
-/// A reconstruction that is to be measured.
-struct Case<'a> {
-    capture: &'a Capture,
-    shape: Shape,
-    request: Request,
-    precision: &'a str,
-    /// The type that the weights are rounded to, or [`OWN`].
-    weights: &'a str,
-    select: String,
-    /// The share of tokens as the command line takes it, and all settings.
-    ratio: String,
-    settings: String,
-    /// Numbers of Gaussians of a token.
-    keep: &'a [usize],
-    /// Steps of the refinements that follow.
-    refine: Vec<Steps>,
 }
 
 /// The means of a sweep, and its results so far.
@@ -94,7 +77,8 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     }
     for views in &args.views {
         for (ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (*ratio, s))) {
-            Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
+            let shape = Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
+            args.pool.iter().try_for_each(|pool| shape.pooled(*pool).map(drop))?;
         }
     }
     Ok(())
@@ -138,7 +122,7 @@ pub fn run(
                 Ok(()) => ControlFlow::Continue(()),
                 Err(_) => ControlFlow::Break(()),
             })?;
-            let mut cases = cases(args, &model, (precision.name(), weights), &keep, captures)?;
+            let mut cases = case::all(args, &model, (precision.name(), weights), &keep, captures)?;
             if i == 0 {
                 let with_first = cases.iter().filter(|case| case.is_first(args)).count();
                 let refinements: usize = cases.iter().map(|case| case.refine.len()).sum();
@@ -162,59 +146,6 @@ pub fn run(
         Ok(_) => Ok((bench.sweep, None)),
         Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, Some(bench.points))),
         Err(error) => Err(error),
-    }
-}
-
-/// The combinations, without those that differ only in what does not matter.
-fn cases<'a>(
-    args: &Tradeoff,
-    model: &Model,
-    (precision, weights): (&'a str, &'a str),
-    keep: &'a [usize],
-    captures: &'a [Capture],
-) -> Result<Vec<Case<'a>>> {
-    let mut cases: Vec<Case<'a>> = Vec::new();
-    for capture in captures {
-        for &ratio in &args.ratio {
-            for selection in &args.select {
-                let request =
-                    Request { ratio, selection: selection.clone(), cameras: Some(capture.cameras()), unit: 1.0 };
-                let shape = model.shape(&capture.images(), &request)?;
-                let whole = shape.kept == Kept::All;
-                let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
-                if cases.iter().any(same) {
-                    continue;
-                }
-                let select = if whole { "all".into() } else { name(selection) };
-                let ratio = match ratio {
-                    Ratio::Auto => "auto".into(),
-                    Ratio::Fixed(ratio) => ratio.to_string(),
-                };
-                let settings =
-                    if whole { format!("--ratio {ratio}") } else { format!("--ratio {ratio} --select {select}") };
-                let mut refine = args.refine.clone();
-                refine.retain(|steps| steps.count > 0 && (whole || *selection == args.select[0]));
-                let case = Case { capture, shape, request, precision, weights, select, ratio, settings, keep, refine };
-                cases.push(case);
-            }
-        }
-    }
-    Ok(cases)
-}
-
-impl Case<'_> {
-    /// True where all tokens are taken, or the first way to choose chooses.
-    fn is_first(&self, args: &Tradeoff) -> bool {
-        self.shape.kept == Kept::All || self.request.selection == args.select[0]
-    }
-
-    /// True of what others are compared with.
-    fn is_exact(&self) -> bool {
-        self.precision == Precision::Exact.name() && self.weights == OWN
-    }
-
-    fn arithmetic(&self) -> String {
-        arithmetic(self.precision, self.weights)
     }
 }
 
@@ -252,7 +183,7 @@ impl Bench<'_> {
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
-        if shape.kept == Kept::All && case.is_exact() {
+        if shape.kept == Kept::All && shape.pool == self.args.pool[0] && case.is_exact() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
@@ -288,7 +219,7 @@ impl Bench<'_> {
             keep,
             psnr_to_exact,
             psnr_to_f64,
-            command: command(self.args, case, &format!("--keep {keep}")),
+            command: case.command(self.args, &format!("--keep {keep}")),
             ..drawn.point(self.settings(model, case, forward), &scene)?
         };
         Ok((point, drawn.picture(capture)?))
@@ -313,7 +244,7 @@ impl Bench<'_> {
             refine_ms,
             total_ms: forward.ms + refine_ms,
             peak_bytes: refined.peak_bytes.max(forward.made.peak_bytes),
-            command: command(self.args, case, &format!("--refine {steps} --start scene")),
+            command: case.command(self.args, &format!("--refine {steps} --start scene")),
             ..drawn.point(self.settings(model, case, forward), &refined.scene)?
         };
         Ok((point, drawn.picture(case.capture)?))
@@ -331,6 +262,7 @@ impl Bench<'_> {
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             asked_ratio: case.ratio.clone(),
             select: case.select.clone(),
+            pool: shape.pool,
             keep: model.architecture().gaussians_per_token,
             refine: "0".into(),
             tokens: shape.tokens,
@@ -384,27 +316,4 @@ fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32
     let pairs = seen.len();
     seen.dedup_by_key(|(cluster, _)| *cluster);
     Ok((observed("nearest")?, pairs as f64 / seen.len().max(1) as f64))
-}
-
-/// The command that shows a case with `more` options.
-fn command(args: &Tradeoff, case: &Case<'_>, more: &str) -> String {
-    let folder = args.folder.to_string_lossy();
-    let mut options = format!("--views {} {}", case.capture.inputs.len(), case.settings);
-    options += &format!(" {more} --precision {} --targets {}", case.precision, args.targets);
-    if let Some(size) = args.size {
-        options += &format!(" --size {size}");
-    }
-    if let Some(unit) = args.unit {
-        options += &format!(" --unit {unit}");
-    }
-    let join = |words: Vec<&str>| shlex::try_join(words).expect("no argument of a command holds a NUL");
-    let eval = |weights: Vec<&str>| {
-        join(["zipsplat", "eval", &folder].into_iter().chain(options.split(' ')).chain(weights).collect())
-    };
-    if case.weights == OWN {
-        return eval(args.weights.as_arguments());
-    }
-    let (from, to) = (args.weights.as_input(), format!("{}.safetensors", case.weights));
-    let convert = ["zipsplat", "convert"].into_iter().chain(from).chain([&*to, "--dtype", case.weights]);
-    format!("{} && {}", join(convert.collect()), eval(vec!["--weights", &to]))
 }

@@ -47,8 +47,8 @@ pub struct Truth<'a> {
     checkpoint: &'a Checkpoint,
     /// Read when it is needed: a large network is never small enough.
     reference: Option<Reference>,
-    /// By number of views.
-    tokens: HashMap<usize, Tokens>,
+    /// By number of views and pooling.
+    tokens: HashMap<[usize; 2], Tokens>,
     /// By number of views and settings.
     known: HashMap<(usize, String), Known>,
 }
@@ -84,9 +84,9 @@ impl<'a> Truth<'a> {
             Some(known) => known,
             unknown => unknown.insert(reference(self.checkpoint)?),
         };
-        let tokens = self.tokens.entry(images.len()).or_insert_with(|| {
+        let tokens = self.tokens.entry([images.len(), request.pool]).or_insert_with(|| {
             let priors = request.cameras.as_deref().map(|cameras| cameras.iter().map(prior).collect::<Vec<_>>());
-            forward::tokens(reference, &channel_major(&images), priors.as_deref())
+            forward::tokens(reference, &channel_major(&images), priors.as_deref(), request.pool)
         });
         let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
             let taps = forward::gaussians(reference, tokens, &chosen);
