@@ -90,6 +90,10 @@ fn numbers() {
     for ratio in ["0", "1.5", "nan", "inf", "-0.5"] {
         refused(&folder, &format!("reconstruct @/photos --ratio={ratio} {MICRO}"), 3, &["ratio", "(0, 1]"]);
     }
+    for line in ["reconstruct @/photos -o @/out.ply", "eval @/absent -o @/out", "bench tradeoff @/absent -o @/report"] {
+        let line = format!("{line} --weights @/micro.safetensors --size 28x28 --views 2 --pool 5");
+        refused(&folder, &line, 3, &["pool: found 5", "1 to 4"]);
+    }
     for size in ["30x28", "28x0", "4294967282x14"] {
         let line = format!("reconstruct @/photos --weights @/micro.safetensors --size {size} -o @/out.ply");
         refused(&folder, &line, 3, &["size of the views"]);

@@ -250,6 +250,24 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     assert!(!folder.path("r").exists());
 }
 
+/// Pooled keys are compared with pooled ones in f64, and the command says how they are pooled.
+#[test]
+fn pooled_keys_are_points_of_their_own() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 6 --size 42x42 -o @/place").success();
+    let line = "bench tradeoff @/place --weights @/micro.safetensors --size 42x42 --views 3 --ratio 1 --pool 1,2 --keep 4 \
+                --refine 0 --precision exact --warmup 0 --repeats 1 --targets 1 --unit 1.5 -o @/report --json";
+    let points = folder.run(line).json();
+    let points: Vec<_> = points.as_array().expect("a list").iter().filter(|point| point["weights"] == "own").collect();
+    assert_eq!(points.iter().map(|point| point["pool"].as_u64()).collect::<Vec<_>>(), [Some(1), Some(2)]);
+    assert!(points.iter().all(|point| point["error_fuse"].as_f64().is_some_and(|error| error < 1e-5)), "{points:?}");
+    assert_ne!(points[0]["psnr"], points[1]["psnr"]);
+    let commands = points.iter().map(|point| point["command"].as_str().expect("a command").contains("--pool 2"));
+    assert_eq!(commands.collect::<Vec<_>>(), [false, true]);
+    let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
+    assert!(html.contains("Patches that attention sees as one"));
+}
+
 #[test]
 fn cameras_are_found_again_and_how_well_is_told() {
     let rows = Folder::new().run("bench align --seeds 1 --views 6 --size 64x64 --degrees 2 --json").json();

@@ -34,7 +34,7 @@ fn the_ratio_and_selection_decide_the_number() {
     let folder = Folder::new();
     for (options, tokens) in [
         ("--ratio 0.5", 6),
-        ("--ratio auto", 6),
+        ("--ratio auto --pool 2", 6),
         ("--ratio 0.3 --select stride", 3),
         ("--ratio 0.3 --select random:7", 3),
         ("--ratio 1 --precision exact", 12),

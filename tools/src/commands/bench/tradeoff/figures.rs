@@ -97,7 +97,7 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
         ("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, |p| (p.gaussians as f64, p.psnr))),
     ];
     if sweep.points.iter().any(|p| p.pool != held) {
-        let pooled = those(&all, |p| !p.is_refined() && p.keep == keep && p.precision == first && kmeans(p));
+        let pooled = those(&all, |p| !p.is_refined() && p.keep == keep && p.arithmetic() == first && kmeans(p));
         let pooled = those(&pooled, |p| Some(&p.asked_ratio) == sweep.points.first().map(|p| &p.asked_ratio));
         figures.push(("Patches that attention sees as one", by(&pooled, TIME, PSNR, POOL, |p| (p.forward_ms, p.psnr))));
     }
