@@ -14,7 +14,8 @@ def zipsplat(*words):
     """The result of a command, as JSON. RuntimeError has the last line that it says where it fails."""
     run = subprocess.run([*COMMAND, *map(str, words), "--json"], capture_output=True, text=True, check=False)
     if run.returncode:
-        raise RuntimeError(run.stderr.strip().splitlines()[-1])
+        line = run.stderr.strip().splitlines()[-1]
+        raise RuntimeError(json.loads(line)["error"] if line.startswith("{") else line)
     return json.loads(run.stdout)
 
 
