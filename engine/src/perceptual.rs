@@ -3,7 +3,7 @@
 use crate::{
     Error, Result,
     gpu::{Device, Limits, Recorder, Resident, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout, Precision},
+    ops::{Arithmetic, ParameterLayout},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
     tune::{Chosen, cache_folder},
     weights::Tensors,
@@ -45,7 +45,7 @@ impl LpipsWeights {
 
     /// As [`Perceptual::open`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
-        let arithmetic = Chosen::of(device, Some(Precision::Exact))?.arithmetic;
+        let arithmetic = Chosen::exact(device);
         let layout = |gradients: bool| Self::layout(device.limits(), arithmetic, network, gradients);
         let name = format!("LPIPS ({})", network.name());
         let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;

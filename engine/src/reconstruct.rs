@@ -15,7 +15,7 @@ use crate::{
     Error, Result,
     cameras::FoundCamera,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
-    ops::{Arithmetic, Parameters, Precision},
+    ops::{Arithmetic, Parameters},
     stages::render::{DeviceScene, SceneMemory},
     tune::Chosen,
     types::{Camera, Image, LeftOut, Scene},
@@ -95,7 +95,7 @@ impl Model {
         checkpoint: &Checkpoint,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        Self::load_with(device, checkpoint, Chosen::of(device, Some(Precision::Exact))?.arithmetic, progress)
+        Self::load_with(device, checkpoint, Chosen::exact(device), progress)
     }
 
     /// As [`Model::load`], for an arithmetic that the device has.

@@ -46,7 +46,7 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     rows.map(|row| row.flops as f64).sum()
 }
 
-/// Of 18 x 18 patches and a camera token 9 x 9 keys and one are left in global blocks, in fusion 81 of 324; nothing else is less.
+/// Pooling leaves, of 18 x 18 patches and a camera token, 9 x 9 keys and one in global blocks, in fusion 81 of 324; nothing else is less.
 #[test]
 fn pooled_keys_take_as_much_less() {
     let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));

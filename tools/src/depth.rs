@@ -157,7 +157,7 @@ impl Question<'_> {
     /// are then in their unit.
     ///
     /// # Errors
-    /// Those of photos that cannot be read, and of [`DepthModel::depths`]; [`Error::Argument`] where no photo's rays have a camera.
+    /// Errors of photos that cannot be read, and of [`DepthModel::depths`]; [`Error::Argument`] where no photo's rays have a camera.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<Seen> {
         let (shown, reading) = session.stage("load photos", |stage| Shown::read(self.side, photos, known, stage))?;
         let device = session.device()?;
@@ -185,7 +185,7 @@ impl Shown {
     /// Reads photos as a network sees them whose longer side is `side`, and their cameras, where they have frames.
     ///
     /// # Errors
-    /// Those of photos that cannot be read, or are not those of their cameras.
+    /// Errors of photos that cannot be read, or are not those of their cameras.
     pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;

@@ -211,10 +211,10 @@ pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
         let expected = format!("those of Depth Anything 3: {}, or a file", names.collect::<Vec<_>>().join(", "));
         return Err(Error::argument("weights", format!("{text}, of ZipSplat"), expected));
     }
-    match (find(text)?, whole) {
-        (Some(path), true) => DepthCheckpoint::open_whole(path),
-        (Some(path), false) => DepthCheckpoint::open(path, false),
-        (None, true) => DepthCheckpoint::parse_whole(text),
-        (None, false) => DepthCheckpoint::parse(text, false),
-    }
+    let cached = find(text)?;
+    let open = |gaussians| match &cached {
+        Some(path) => DepthCheckpoint::open(path, gaussians),
+        None => DepthCheckpoint::parse(text, gaussians),
+    };
+    if whole { DepthCheckpoint::whole(open) } else { open(false) }
 }

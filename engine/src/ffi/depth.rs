@@ -156,7 +156,7 @@ pub unsafe extern "C" fn zs_depth_model_open(
             ));
         }
         let chosen = Chosen::of(&context.device, zs_precision::wanted(options.precision)?)?;
-        let checkpoint = DepthCheckpoint::parse_whole(path)?;
+        let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(path, gaussians))?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         Ok(zs_depth_model { model: DepthModel::load(&context.device, &checkpoint, chosen.arithmetic, progress)? })
     };

@@ -41,7 +41,7 @@ pub struct Part {
     pub keys: bool,
     /// Factor, or 0 for none.
     pub scale: f32,
-    /// Where pooled keys leave the logarithm of how many patches each is the mean of.
+    /// The place for the logarithm of how many patches each pooled key is the mean of.
     pub log_counts: Option<Tensor>,
 }
 

@@ -53,7 +53,7 @@ impl Pool {
         pool.map_or(tokens, |pool| tokens / pool.tokens() * pool.keys())
     }
 
-    /// As [`row_chunks`], but whole views where their keys are pooled.
+    /// The parts of [`row_chunks`], of whole views where their keys are pooled.
     pub(super) fn chunks(
         pool: Option<Self>,
         rec: &Recorder,

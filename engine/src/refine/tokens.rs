@@ -10,7 +10,7 @@ use super::{
 use crate::{
     Error, Result,
     gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
-    ops::{ParameterLayout, Precision},
+    ops::ParameterLayout,
     reconstruct::SceneTokens,
     stages::gaussians::Head,
     tune::Chosen,
@@ -33,7 +33,7 @@ impl FrozenHead {
     /// [`Error::Memory`] where the device has too little, or where the checkpoint cannot be read.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();
-        let arithmetic = Chosen::of(device, Some(Precision::Exact))?.arithmetic;
+        let arithmetic = Chosen::exact(device);
         let mut parameters = ParameterLayout::new(device.limits(), arithmetic);
         let head = Head::new(&mut parameters, &architecture);
         let memory = parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?.resident;

@@ -1,9 +1,6 @@
 //! Where what was found of a device is kept in the user's cache: another driver, or other kernels, and it is found anew.
 
-use crate::{
-    gpu::{Device, Module, Needs},
-    kernels::MODULES,
-};
+use crate::{gpu::Device, kernels::MODULES};
 use std::{
     hash::{DefaultHasher, Hash, Hasher},
     path::PathBuf,
@@ -24,11 +21,7 @@ pub fn cache_folder() -> Option<PathBuf> {
 pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
     let cache = cache_folder()?;
     let mut kernels = DefaultHasher::new();
-    let has_choice = |module: &Module| {
-        let Needs { half_storage, matrices } = module.needs;
-        half_storage || matrices.is_some() || module.name.starts_with("ops/linear")
-    };
-    MODULES.iter().filter(|module| has_choice(module)).for_each(|module| module.hash(&mut kernels));
+    MODULES.hash(&mut kernels);
     let subgroup = device.limits().subgroup_size;
     Some(cache.join(format!("{kind}/{}-{subgroup}-{:016x}.json", device.limits().identity, kernels.finish())))
 }

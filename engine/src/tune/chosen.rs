@@ -39,8 +39,7 @@ impl Chosen {
         progress: impl FnMut(&str, f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let limits = device.limits();
-        let tuned = |arithmetic| Tuning::known(device).unwrap_or_default().applied(arithmetic, limits);
-        let exact = |notes| Self { precision: Precision::Exact, arithmetic: tuned(Arithmetic::EXACT), notes };
+        let exact = |notes| Self { precision: Precision::Exact, arithmetic: Self::exact(device), notes };
         let wanted = precision.unwrap_or(Precision::best(limits));
         if wanted == Precision::Exact {
             return Ok(exact(Vec::new()));
@@ -52,8 +51,18 @@ impl Chosen {
             let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));
             return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
         };
-        Ok(Self { precision: wanted, arithmetic: tuned(arithmetic), notes })
+        Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), notes })
     }
+
+    /// The arithmetic of f32 throughout, which every device has and which needs no test.
+    pub fn exact(device: &Device) -> Arithmetic {
+        tuned(device, Arithmetic::EXACT)
+    }
+}
+
+/// An arithmetic with the tiles that were fastest on the device.
+fn tuned(device: &Device, arithmetic: Arithmetic) -> Arithmetic {
+    Tuning::known(device).unwrap_or_default().applied(arithmetic, device.limits())
 }
 
 fn lacking(precision: Precision, limits: &Limits) -> Error {

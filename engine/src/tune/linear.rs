@@ -48,7 +48,7 @@ impl Operation for LinearLayers {
         outputs.map(|output| (format!("{name}_{}", output.name()), output)).collect()
     }
 
-    /// In f32 none but none at all: all tiles give the same bits.
+    /// In f32 a candidate passes with the bits of its twin alone: all tiles add up in one order.
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
         // More than one workgroup each way, the last of them not whole.
         let [rows, columns] = match candidate {

@@ -174,7 +174,7 @@ impl Timed {
         let mut times = Vec::new();
         for values in (0..Tiles::CLASSES).map(Tiles::values) {
             let run = operation.timed(device, candidate, values / COLUMNS);
-            let ms = match run.and_then(|run| median(device, run)) {
+            let ms = match run.and_then(|run| median(device, operation, run)) {
                 Err(Error::Memory { .. }) if !times.is_empty() => break,
                 ms => ms?,
             };
@@ -189,11 +189,10 @@ impl Timed {
 
 /// Median milliseconds of the operation's kernels on the device, once it is warm: a GPU whose clock fell while the host prepared the next
 /// tile would be measured at a fifth of its speed.
-fn median(device: &Device, mut run: Run) -> Result<f64> {
+fn median(device: &Device, operation: &dyn Operation, mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;
-        let is_timed = |kernel: &str| kernel.contains("_matrix") || kernel.starts_with("ops/linear");
-        let kernels = profile.rows.iter().filter(|row| is_timed(&row.kernel));
+        let kernels = profile.rows.iter().filter(|row| row.kernel.contains(operation.name()));
         Ok(kernels.map(|row| 1e3 * row.time.as_secs_f64()).sum())
     };
     let started = Instant::now();

@@ -36,13 +36,13 @@ impl DepthCheckpoint {
         }
     }
 
-    /// As [`DepthCheckpoint::parse`], with the head for Gaussians where there is one.
+    /// The network with its head for Gaussians, where it has one; `open` opens it with and without.
     ///
     /// # Errors
-    /// As [`DepthCheckpoint::open`].
-    pub fn parse_whole(text: &str) -> Result<Self> {
-        let found = Self::parse(text, false)?;
-        if found.of_gaussians { Self::parse(text, true) } else { Ok(found) }
+    /// Those of `open`.
+    pub fn whole(open: impl Fn(bool) -> Result<Self>) -> Result<Self> {
+        let found = open(false)?;
+        if found.of_gaussians { open(true) } else { Ok(found) }
     }
 
     /// `seeded:NAME`, of one of [`DEPTH_MODELS`], or the path of a file, as [`DepthCheckpoint::open`].
@@ -58,15 +58,6 @@ impl DepthCheckpoint {
             }
             None => Self::open(text, gaussians),
         }
-    }
-
-    /// As [`DepthCheckpoint::open`], with the head for Gaussians where there is one.
-    ///
-    /// # Errors
-    /// As [`DepthCheckpoint::open`].
-    pub fn open_whole(path: impl AsRef<Path>) -> Result<Self> {
-        let found = Self::open(&path, false)?;
-        if found.of_gaussians { Self::open(path, true) } else { Ok(found) }
     }
 
     /// Opens a released file, `model.safetensors`, of F32, F16, BF16, or F64 that is rounded to F32, or one of

@@ -36,7 +36,7 @@ impl Problem {
         }
     }
 
-    /// As many views of pooled patches.
+    /// An attention of few queries to the pooled patches of so many views.
     fn pooled(views: usize, pool: Pool, count: usize, dim: usize) -> Problem {
         let problem = Problem::random(1, 9, views * pool.tokens(), count, dim);
         let shape = Attention { keys: views * pool.keys(), pool: Some(pool), ..problem.shape };

@@ -39,7 +39,7 @@ pub struct Scened {
     pub scene: Scene,
     /// The photo whose camera is the scene's world, where the network has found it.
     pub first: Option<String>,
-    /// What the network says of it.
+    /// The network's part of the scene's record.
     pub record: Value,
 }
 
@@ -78,7 +78,7 @@ impl<'a> Maker<'a> {
     /// Reads a capture's photos as the network sees them; those with frames have known cameras.
     ///
     /// # Errors
-    /// Those of photos that cannot be read, or are not those of their cameras.
+    /// Errors of photos that cannot be read, or are not those of their cameras.
     pub fn prepare(
         &self,
         batch: &Batch,

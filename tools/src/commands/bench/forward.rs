@@ -83,14 +83,16 @@ impl Forward {
         let checkpoint = self.weights.open()?;
         let size = Size::or_best(self.size, &checkpoint);
         let Size(width, height) = size;
-        let of_views = |views| {
-            let pooled = |ratio| self.pool.iter().map(move |&pool| Request { ratio, pool, ..Request::default() });
-            self.ratio.iter().flat_map(move |&ratio| pooled(ratio)).map(move |request| (views, request))
-        };
-        let requests: Vec<(usize, Request)> = self.views.iter().flat_map(|&views| of_views(views)).collect();
-        for (views, Request { ratio, selection, pool, .. }) in &requests {
-            let chosen = (*ratio, selection);
-            Shape::new(checkpoint.architecture(), *views, [width, height], chosen, false)?.pooled(*pool)?;
+        let mut requests = Vec::new();
+        for &views in &self.views {
+            for &ratio in &self.ratio {
+                for &pool in &self.pool {
+                    let request = Request { ratio, pool, ..Request::default() };
+                    let chosen = (ratio, &request.selection);
+                    Shape::new(checkpoint.architecture(), views, [width, height], chosen, false)?.pooled(pool)?;
+                    requests.push((views, request));
+                }
+            }
         }
         self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
         let device = timed_device(session)?;
@@ -124,7 +126,9 @@ impl Forward {
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
-            let totals: Vec<Row> = rows.iter().filter(|row| row.part.stage.is_empty()).cloned().collect();
+            // PyTorch pools nothing.
+            let is_like = |row: &&Row| row.part.stage.is_empty() && row.pool == 1;
+            let totals: Vec<Row> = rows.iter().filter(is_like).cloned().collect();
             let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
             text += &compared.text;
             rows.extend(compared.rows);

@@ -143,13 +143,10 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
     let mut on_lanes = |name: String, tiled: Lanes, weights: Weights| {
         kernels.push((name, LinearKernel::Panels(tiled, weights), lanes.clone()));
     };
-    on_lanes("exact".into(), Lanes::of(Element::F32), Weights::Factors);
     on_lanes("exact q8".into(), Lanes::of(Element::F32), Weights::Q8);
     for element in [Element::F32].into_iter().chain(Element::HALVES.into_iter().filter(|_| limits.half_storage)) {
         let name = if element == Element::F32 { "exact" } else { element.name() };
-        if element != Element::F32 {
-            on_lanes(name.into(), Lanes::of(element), Weights::Factors);
-        }
+        on_lanes(name.into(), Lanes::of(element), Weights::Factors);
         for (index, tile) in LaneTile::candidates(limits, element).iter().enumerate().skip(1) {
             on_lanes(format!("{name}, {tile}"), Lanes { element, tiles: Tiles::always(index) }, Weights::Factors);
         }

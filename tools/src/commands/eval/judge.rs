@@ -92,31 +92,13 @@ impl<'a> Judge<'a> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
-        let given = eval.theirs.make(session, name, choice, &capture)?;
-        let (given, checkpoint) = match (given, self.weights) {
+        let made = match (eval.theirs.make(session, name, choice, &capture)?, self.weights) {
+            (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, (choice, &capture), checkpoint)?,
             (None, Weighed::Pixels(checkpoint)) => {
-                (Some(self.of_pixels(session, (choice, &capture), checkpoint)?), None)
+                let made = self.of_pixels(session, (choice, &capture), checkpoint)?;
+                self.refined(session, (choice, &capture), made)?
             }
-            (given, Weighed::Pixels(_)) => (given, None),
-            (given, Weighed::Tokens(checkpoint)) => (given, Some(checkpoint)),
-        };
-        let made = match (given, checkpoint) {
-            (Some(mut made), _) => {
-                if let Some(Steps { count, tokens }) = eval.refine {
-                    refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
-                    let cloud = choice.points(&capture.unit)?;
-                    let start = eval.start.unwrap_or(Start::Scene);
-                    made.started = start.name();
-                    let scene = start.scene(Some(made.scene), cloud.as_ref(), &capture.learnt().1)?;
-                    let arena = Arena::new(&self.device);
-                    let refined = refine(eval, session, &arena, Refinable::Scene(&scene), &capture, count)?;
-                    (made.scene, made.refined) = (refined.scene.clone(), Some(refined));
-                }
-                self.renderer.load(&made.scene)?;
-                made
-            }
-            (None, Some(checkpoint)) => self.reconstruct(session, (choice, &capture), checkpoint)?,
-            (None, None) => unreachable!("a network of pixels has made a scene"),
+            (Some(made), _) => self.refined(session, (choice, &capture), made)?,
         };
         let (drawn, mut alignment) = self.draw(session, &capture)?;
         let mut scores = capture.scores(&drawn);
@@ -126,6 +108,28 @@ impl<'a> Judge<'a> {
             rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
         }
         Ok(Judged { capture, made, drawn, scores, alignment })
+    }
+
+    /// Refines a scene that is there, where that is asked for; the renderer then holds it.
+    fn refined(
+        &mut self,
+        session: &mut Session<'_>,
+        (choice, capture): (&Choice, &Capture),
+        mut made: Made,
+    ) -> Result<Made> {
+        let eval = self.eval;
+        if let Some(Steps { count, tokens }) = eval.refine {
+            refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
+            let cloud = choice.points(&capture.unit)?;
+            let start = eval.start.unwrap_or(Start::Scene);
+            made.started = start.name();
+            let scene = start.scene(Some(made.scene), cloud.as_ref(), &capture.learnt().1)?;
+            let arena = Arena::new(&self.device);
+            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
+            (made.scene, made.refined) = (refined.scene.clone(), Some(refined));
+        }
+        self.renderer.load(&made.scene)?;
+        Ok(made)
     }
 
     /// Makes the scene of a capture, which the renderer then holds.
