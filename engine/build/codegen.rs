@@ -2,7 +2,7 @@
 
 use crate::{
     elements::Element,
-    reflect::{COOPERATIVE_MATRIX, Interface, Member, STORAGE_BUFFER_16_BIT, Scalar},
+    reflect::{COOPERATIVE_MATRIX, DOT_PRODUCT_PACKED, Interface, Member, STORAGE_BUFFER_16_BIT, Scalar},
     sources::Source,
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
@@ -150,7 +150,7 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     };
     let spirv = root.join(format!("spirv/{name}.spv"));
     let spirv = spirv.display();
-    let half = interface.has(STORAGE_BUFFER_16_BIT);
+    let (half, dots) = (interface.has(STORAGE_BUFFER_16_BIT), interface.has(DOT_PRODUCT_PACKED));
     let factor = source.factor().filter(|_| interface.has(COOPERATIVE_MATRIX));
     let matrices = factor.map_or("None".into(), |factor| format!("Some(Element::{factor:?})"));
     format!(
@@ -162,7 +162,7 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
             addresses: &{addresses:?},
             constant_ids: &{ids:?},
             local_size: {local_size},
-            needs: Needs {{ half_storage: {half}, matrices: {matrices} }},
+            needs: Needs {{ half_storage: {half}, matrices: {matrices}, dot_products: {dots} }},
         }}, "
     )
 }

@@ -3,7 +3,7 @@
 //! A line `#pragma element T` makes the type `T` of some buffers' values f32, f16 or bf16. It stands for the macros `T` and
 //! `T4` (four of them), `from_T(x)` and `from_T4(x)`, which give f32, and `to_T(x)` and `to_T4(x)`, which round and saturate.
 //!
-//! A line `#pragma factor f16 bf16 i8` makes `FACTOR` the type of matrix units' factors, one of those listed: the same macros
+//! A line `#pragma factor f16 bf16 i8` makes `FACTOR` the type of factors, one of those listed: the same macros
 //! where it is no integer, and for `shared/matrices.glsl` `FACTOR_COMPONENT` and `FACTOR_SUM`, the types of matrices'
 //! components, `pack_FACTOR4(x)`, four 16-bit factors in two words, and `FACTOR_IS_I8`, 0 or 1.
 //!

@@ -49,6 +49,7 @@ enum Type {
 
 /// Capabilities of kernels that not every device can run.
 pub const STORAGE_BUFFER_16_BIT: u32 = 4433;
+pub const DOT_PRODUCT_PACKED: u32 = 6018;
 pub const COOPERATIVE_MATRIX: u32 = 6022;
 
 impl Interface {

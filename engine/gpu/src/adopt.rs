@@ -3,7 +3,7 @@
 use super::{
     Device,
     device::{Shared, SharedParts},
-    features::{BYTES, Feature, HALVES, MATRICES, REQUIRED},
+    features::{BYTES, DOT_PRODUCTS, Feature, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::Matrices,
     probe::{missing_features, probe},
@@ -39,10 +39,11 @@ pub fn requirements() -> Vec<Requirement> {
     [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED.map(feature)).collect()
 }
 
-/// The features that matrix units and 16-bit floats need, for precisions other than exact. Nothing else is used.
+/// The features that matrix units, dot products of integers and 16-bit floats need, for precisions other than exact. Nothing else is used.
 pub fn fast_requirements() -> Vec<Requirement> {
     let extension = Requirement::DeviceExtension(ash::khr::cooperative_matrix::NAME);
-    [extension].into_iter().chain(HALVES.into_iter().chain(MATRICES).chain(BYTES).map(feature)).collect()
+    let features = HALVES.into_iter().chain(MATRICES).chain(BYTES).chain(DOT_PRODUCTS);
+    [extension].into_iter().chain(features.map(feature)).collect()
 }
 
 fn feature(feature: Feature) -> Requirement {
@@ -91,7 +92,7 @@ impl Device {
         limits.matrices.bf16 = None;
         limits.addresses = false;
         if !adopted.fast {
-            (limits.half_storage, limits.matrices) = (false, Matrices::default());
+            (limits.half_storage, limits.matrices, limits.dot_products) = (false, Matrices::default(), false);
         }
         let missing = missing_features(&limits, &found);
         if !missing.is_empty() {

@@ -2,7 +2,7 @@
 
 use super::{
     bfloat16,
-    features::{ADDRESSES, BYTES, Features, HALVES, MATRICES, REQUIRED},
+    features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::{Limits, Matrices},
     lock::lock,
@@ -177,6 +177,9 @@ impl Shared {
         enabled.enable(&REQUIRED);
         if limits.half_storage {
             enabled.enable(&HALVES);
+        }
+        if limits.dot_products {
+            enabled.enable(&DOT_PRODUCTS);
         }
         if limits.addresses {
             enabled.enable(&ADDRESSES);

@@ -58,6 +58,10 @@ pub(super) const ADDRESSES: [Feature; 2] = [
 pub(super) const BYTES: [Feature; 1] =
     [Feature { name: c"shaderInt8", structure: V12, field: |f| &mut f.v12.shader_int8 }];
 
+/// The feature that dot products of 8-bit numbers on lanes need.
+pub(super) const DOT_PRODUCTS: [Feature; 1] =
+    [Feature { name: c"shaderIntegerDotProduct", structure: V13, field: |f| &mut f.v13.shader_integer_dot_product }];
+
 const V10: &CStr = c"VkPhysicalDeviceFeatures";
 const V11: &CStr = c"VkPhysicalDeviceVulkan11Features";
 const V12: &CStr = c"VkPhysicalDeviceVulkan12Features";

@@ -39,6 +39,8 @@ pub struct Needs {
     pub half_storage: bool,
     /// Matrices that a subgroup multiplies (VK_KHR_cooperative_matrix), with factors of this type.
     pub matrices: Option<Element>,
+    /// Dot products of four signed 8-bit integers.
+    pub dot_products: bool,
 }
 
 /// One storage buffer of a kernel.

@@ -38,6 +38,10 @@ pub struct Limits {
     pub half_storage: bool,
     /// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,
+    /// Lanes multiply four signed 8-bit integers by four and add up the products, where there are 16-bit floats, too.
+    pub dot_products: bool,
+    /// The device says that it has instructions for that.
+    pub dot_products_accelerated: bool,
     /// Kernels may read buffers by their address, and the driver makes a vector's loads of loads that are the same for all lanes.
     pub addresses: bool,
     /// Device, driver and whether validation is on, exactly: what was measured on one is not true of another, and a message
@@ -123,6 +127,8 @@ impl Default for Limits {
                 bf16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
                 i8: Some(MatrixShape { m: 16, n: 16, k: 32 }),
             },
+            dot_products: true,
+            dot_products_accelerated: true,
             addresses: false,
             identity: "none".into(),
         }

@@ -2,7 +2,7 @@
 
 use super::{
     bfloat16,
-    features::{ADDRESSES, BYTES, Features, HALVES, MATRICES, REQUIRED},
+    features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::{Limits, Matrices, MatrixShape},
 };
@@ -152,6 +152,8 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         timestamp_bits: queue_family.map_or(0, |f| families[f as usize].timestamp_valid_bits),
         max_invocations: base.limits.max_compute_work_group_invocations.min(base.limits.max_compute_work_group_size[0]),
         half_storage,
+        dot_products: half_storage && offered.have(&DOT_PRODUCTS),
+        dot_products_accelerated: v13.integer_dot_product4x8_bit_packed_signed_accelerated == vk::TRUE,
         // Older ones have not been measured.
         addresses: llvmpipe_major >= Some(26) && offered.have(&ADDRESSES),
         matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },

@@ -57,6 +57,8 @@ pub struct Arithmetic {
     pub attention: Option<Units>,
     /// Matrix units for 8-bit integers that linear layers of blocks run on, where they do.
     pub quantised: Option<Units>,
+    /// How work is cut for linear layers of blocks with 8-bit integers on lanes, where they are to run there.
+    pub dots: Option<Tiles>,
     /// Matrix units for f16 that k-means finds nearest rows on, where it does: exactly enough in every precision.
     pub nearest: Option<Units>,
 }
@@ -88,12 +90,23 @@ impl Arithmetic {
         linear: None,
         attention: None,
         quantised: None,
+        dots: None,
         nearest: None,
     };
 
     /// f32 throughout, with work cut in the same way.
     pub(super) fn exact(&self) -> Self {
         Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
+    }
+
+    /// Whether linear layers of blocks have 8-bit integers: on matrix units, or without them on lanes.
+    pub fn has_integers(&self) -> bool {
+        self.quantised.is_some() || self.dots.is_some()
+    }
+
+    /// The same without 8-bit integers.
+    pub fn without_integers(&self) -> Self {
+        Self { quantised: None, dots: None, ..*self }
     }
 
     /// The arithmetic of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
@@ -104,9 +117,11 @@ impl Arithmetic {
             Precision::FastBf16 => Element::Bf16,
         };
         let matrices = Units::of(element, limits);
-        let quantised = Units::of(Element::I8, limits).filter(|_| precision == Precision::Turbo);
-        let can = limits.half_storage && (precision != Precision::Turbo || quantised.is_some());
+        let turbo = precision == Precision::Turbo;
+        let quantised = Units::of(Element::I8, limits).filter(|_| turbo);
+        let dots = (turbo && limits.dot_products).then_some(Tiles::BY_RULE);
         let nearest = Units::of(Element::F16, limits);
-        can.then_some(Self { element, linear: matrices, attention: matrices, quantised, nearest, ..Self::EXACT })
+        let all = Self { element, linear: matrices, attention: matrices, quantised, dots, nearest, ..Self::EXACT };
+        (limits.half_storage && all.has_integers() == turbo).then_some(all)
     }
 }

@@ -1,5 +1,6 @@
 //! Linear layers with fused epilogues.
 
+mod dots;
 mod lanes;
 
 pub use lanes::{LaneTile, Lanes};
@@ -7,7 +8,7 @@ pub use lanes::{LaneTile, Lanes};
 use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
-    tile::{Tile, share},
+    tile::{Tile, Tiles, share},
     uniform::UNIFORM_TILE,
 };
 use crate::{
@@ -48,6 +49,8 @@ pub enum LinearKernel {
     /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
     /// behind them, `[columns]` f32 from where a slice may start; inputs are f16 and become such integers row by row.
     Matrix(Units, Weights),
+    /// ops/linear_dot: 8-bit integers on lanes, with the weight and the inputs of such integers on matrix units.
+    Dots(Tiles),
 }
 
 /// How a weight lies on the device.
@@ -98,6 +101,7 @@ impl LinearKernel {
             LinearKernel::Panels(Lanes { element, .. }, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => {
                 element
             }
+            LinearKernel::Dots(_) => Element::I8,
         }
     }
 
@@ -105,13 +109,14 @@ impl LinearKernel {
     pub fn weights(self) -> Weights {
         match self {
             LinearKernel::Panels(_, weights) | LinearKernel::Matrix(_, weights) => weights,
+            LinearKernel::Dots(_) => Weights::Factors,
         }
     }
 
     /// The same for weights of 8 bits, where there is one.
     pub fn with_q8(self) -> Option<Self> {
         match self {
-            LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => None,
+            LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => None,
             LinearKernel::Matrix(units, _) => Some(LinearKernel::Matrix(units, Weights::Q8)),
             LinearKernel::Panels(lanes, _) => Some(LinearKernel::Panels(lanes, Weights::Q8)),
         }
@@ -121,7 +126,7 @@ impl LinearKernel {
     pub(super) fn padded_columns(self, columns: usize) -> usize {
         match self {
             LinearKernel::Panels(..) => columns.next_multiple_of(PANEL_COLUMNS as usize),
-            LinearKernel::Matrix(..) => columns,
+            LinearKernel::Matrix(..) | LinearKernel::Dots(_) => columns,
         }
     }
 
@@ -180,6 +185,7 @@ impl Linear {
         match self.kernel {
             LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, share),
             LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue, share),
+            LinearKernel::Dots(tiles) => self.dots(rec, tiles, input, out, epilogue),
         }
     }
 
@@ -218,6 +224,12 @@ impl Linear {
         }
     }
 
+    /// Inputs as 8-bit integers, what 1 stands for in their rows, and what it does in the weight's columns.
+    fn quantised(&self, rec: &mut Recorder, input: Rows) -> (Rows, Tensor, Tensor) {
+        let (a, scales) = quantise_rows(rec, input);
+        (a, scales, self.weight.slice::<f32>(scales_at(self.columns, self.inner) / 4, self.columns))
+    }
+
     fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         let Units { factor, shape, .. } = units;
         let (columns, inner, rows) = (self.columns, self.inner, input.count);
@@ -228,10 +240,7 @@ impl Linear {
             tile.k
         );
         let (a, row_scales, column_scales) = match factor {
-            Element::I8 => {
-                let (a, scales) = quantise_rows(rec, input);
-                (a, scales, self.weight.slice::<f32>(scales_at(columns, inner) / 4, columns))
-            }
+            Element::I8 => self.quantised(rec, input),
             _ => (input, self.bias, self.bias),
         };
         let [weight, integers, scales] = self.weights();

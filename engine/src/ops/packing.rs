@@ -70,7 +70,9 @@ pub(super) fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -
         LinearKernel::Panels(_, Weights::Q8) | LinearKernel::Matrix(_, Weights::Q8) => {
             scales_at(padded, inner) + size_of::<f16>() * padded * inner / GROUP
         }
-        LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => scales_at(columns, inner) + 4 * columns,
+        LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => {
+            scales_at(columns, inner) + 4 * columns
+        }
         LinearKernel::Panels(..) | LinearKernel::Matrix(..) => kernel.factor().bytes() * inner * padded,
     }
 }
@@ -113,7 +115,7 @@ impl Packing {
                     LinearKernel::Panels(Lanes { element: half, .. }, _) => {
                         panels::<2>(row, columns, padded, half, packed);
                     }
-                    LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => {
+                    LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => {
                         quantised(row, columns, padded, packed);
                     }
                     LinearKernel::Matrix(Units { factor, .. }, _) => {
@@ -154,7 +156,7 @@ impl Packing {
                     }
                 });
             }
-            LinearKernel::Matrix(..) => {
+            LinearKernel::Matrix(..) | LinearKernel::Dots(_) => {
                 let columns = integers.par_chunks_mut(inner).zip(scales.par_chunks_mut(2 * groups)).take(columns);
                 columns.enumerate().for_each(|(column, (integers, scales))| {
                     integers.copy_from_slice(bytemuck::cast_slice(integers_of(column)));

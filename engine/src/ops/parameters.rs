@@ -91,7 +91,7 @@ impl ParameterLayout {
     /// Where the arithmetic rounds weights to 8 bits itself.
     pub fn with_q8(self, names: impl IntoIterator<Item = String>) -> Self {
         let q8: HashSet<String> = names.into_iter().collect();
-        assert!(q8.is_empty() || self.arithmetic.quantised.is_none(), "weights of 8 bits are rounded once");
+        assert!(q8.is_empty() || !self.arithmetic.has_integers(), "weights of 8 bits are rounded once");
         Self { q8, ..self }
     }
 
@@ -131,7 +131,7 @@ impl ParameterLayout {
 
     /// As [`ParameterLayout::linear`], for a convolution whose kernel is a row of the weight.
     pub fn convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
-        self.matrix(name, kernel, columns, false, Arithmetic { quantised: None, ..self.arithmetic })
+        self.matrix(name, kernel, columns, false, self.arithmetic.without_integers())
     }
 
     /// As [`ParameterLayout::linear`], within a block, whose errors the residual stream outweighs: 8-bit integers where the
@@ -264,14 +264,16 @@ impl ParameterLayout {
     }
 
     fn matrix(&mut self, name: &str, row: &[usize], columns: usize, gated: bool, arithmetic: Arithmetic) -> Linear {
-        // The matrix kernel writes whole vectors.
-        let Arithmetic { element, tiles, linear, quantised, .. } = arithmetic;
         let inner = row.iter().product::<usize>();
         let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
-        let kernel = match quantised.or(linear) {
-            Some(units) if columns.is_multiple_of(if gated { 8 } else { 4 }) => LinearKernel::Matrix(units, weights),
-            _ => LinearKernel::Panels(Lanes { element, tiles }, weights),
+        // These kernels write whole vectors.
+        let vectors = columns.is_multiple_of(if gated { 8 } else { 4 });
+        let kernel = match arithmetic {
+            Arithmetic { quantised: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),
+            Arithmetic { dots: Some(tiles), .. } if vectors => LinearKernel::Dots(tiles),
+            Arithmetic { linear: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),
+            Arithmetic { element, tiles, .. } => LinearKernel::Panels(Lanes { element, tiles }, weights),
         };
         let (packing, shape) = (Packing::Matrix { inner, columns, gated, kernel }, [&[columns], row].concat());
         let bias = if gated { Packing::GatedVector } else { Packing::Vector };

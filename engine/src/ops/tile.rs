@@ -68,7 +68,7 @@ pub struct Tile {
 type Layout = ([u32; 2], [u32; 2]);
 
 /// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
-const BUSY: usize = 256;
+pub(super) const BUSY: usize = 256;
 
 impl Tile {
     /// Channels of the heads that attention's tiles are measured with: those of every DA3 network.

@@ -67,7 +67,7 @@ fn tuned(device: &Device, arithmetic: Arithmetic) -> Arithmetic {
 
 fn lacking(precision: Precision, limits: &Limits) -> Error {
     let what = match precision {
-        Precision::Turbo if limits.half_storage => "matrix units for 8-bit integers",
+        Precision::Turbo if limits.half_storage => "matrix units or dot products for 8-bit integers",
         _ => "16-bit floats in buffers",
     };
     refused(format!("{}, without {what}", precision.name()), limits)

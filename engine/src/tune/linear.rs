@@ -25,7 +25,7 @@ impl Operation for LinearLayers {
     }
 
     fn lanes(&self) -> &'static [Element] {
-        &Element::HALVES
+        &[Element::F16, Element::Bf16, Element::I8]
     }
 
     fn factors(&self) -> &'static [Element] {
@@ -42,7 +42,8 @@ impl Operation for LinearLayers {
 
     /// Results go on in f32, or only feed other products.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
-        let name = kernel_name("ops/linear", on_units, factor);
+        let base = if factor == Element::I8 && !on_units { "ops/linear_dot" } else { "ops/linear" };
+        let name = kernel_name(base, on_units, factor);
         let own = if factor == Element::I8 { Element::F16 } else { factor };
         let outputs = [Element::F32].into_iter().chain((own != Element::F32).then_some(own));
         outputs.map(|output| (format!("{name}_{}", output.name()), output)).collect()
@@ -93,12 +94,15 @@ impl Operation for LinearLayers {
     }
 
     fn chosen_on_lanes<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
-        vec![(arithmetic.element, &mut arithmetic.tiles), (Element::F32, &mut arithmetic.exact_tiles)]
+        let Arithmetic { element, tiles, exact_tiles, dots, .. } = arithmetic;
+        let floats = [(*element, tiles), (Element::F32, exact_tiles)];
+        floats.into_iter().chain(dots.as_mut().map(|tiles| (Element::I8, tiles))).collect()
     }
 }
 
 fn kernel(candidate: Candidate) -> LinearKernel {
     match candidate {
+        Candidate::Lanes(Lanes { element: Element::I8, tiles }, _) => LinearKernel::Dots(tiles),
         Candidate::Lanes(lanes, _) => LinearKernel::Panels(lanes, Weights::Factors),
         Candidate::Units(units, _) => LinearKernel::Matrix(units, Weights::Factors),
     }

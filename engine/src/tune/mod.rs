@@ -96,15 +96,18 @@ impl Candidate {
 impl dyn Operation {
     /// The candidates on lanes: with factors of f32, and of types that the device keeps and has no matrix units for.
     fn on_lanes(&self, limits: &Limits) -> Vec<Candidate> {
-        let halves =
-            self.lanes().iter().copied().filter(|half| limits.half_storage && limits.matrices.of(*half).is_none());
+        let narrow = self
+            .lanes()
+            .iter()
+            .copied()
+            .filter(|factor| on_lanes(limits, *factor) && limits.matrices.of(*factor).is_none());
         let of = |factor| {
             let always = move |(index, tile)| {
                 Candidate::Lanes(Lanes { tiles: Tiles::always(index), ..Lanes::of(factor) }, Some(tile))
             };
             self.lane_tiles(limits, factor).into_iter().enumerate().map(always)
         };
-        [Element::F32].into_iter().chain(halves).flat_map(of).collect()
+        [Element::F32].into_iter().chain(narrow).flat_map(of).collect()
     }
 
     /// Every type of factors that the device has matrix units for, with the candidates for it.
@@ -114,6 +117,11 @@ impl dyn Operation {
         let candidates = |units| self.tiles(limits, units).into_iter().enumerate().map(move |tile| always(units, tile));
         units.map(|units| (units, candidates(units).collect())).collect()
     }
+}
+
+/// Whether lanes of a device take fast factors of a type.
+fn on_lanes(limits: &Limits, factor: Element) -> bool {
+    if factor == Element::I8 { limits.dot_products } else { limits.half_storage }
 }
 
 /// Name of the kernel `base` with factors of a type.

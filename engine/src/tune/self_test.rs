@@ -1,6 +1,6 @@
 //! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
 
-use super::{Candidate, OPERATIONS, Operation, cache::cache_file};
+use super::{Candidate, OPERATIONS, Operation, cache::cache_file, on_lanes};
 use crate::{
     Error, Result,
     gpu::{Device, Element, Limits},
@@ -97,8 +97,11 @@ impl SelfTest {
             for units in operation.chosen(&mut allowed) {
                 *units = units.filter(|units| passed(true, units.factor));
             }
+            if operation.lanes().contains(&Element::I8) {
+                allowed.dots = allowed.dots.filter(|_| passed(false, Element::I8));
+            }
         }
-        (allowed.quantised.is_some() == wanted.quantised.is_some()).then_some(allowed)
+        (allowed.has_integers() == wanted.has_integers()).then_some(allowed)
     }
 
     /// Tests kernels. `kept` gets what is known before each of them.
@@ -155,17 +158,20 @@ impl Group {
         let chosen = |operation: &dyn Operation, factor| {
             operation.chosen(&mut { wanted }).iter().any(|units| units.is_some_and(|units| units.factor == factor))
         };
-        Self::those(limits, |element| element == wanted.element, chosen)
+        let lanes = |element| element == wanted.element || (element == Element::I8 && wanted.dots.is_some());
+        Self::those(limits, lanes, chosen)
     }
 
     fn those(
         limits: &Limits,
-        on_lanes: impl Fn(Element) -> bool,
+        wanted: impl Fn(Element) -> bool,
         on_units: impl Fn(&dyn Operation, Element) -> bool,
     ) -> Vec<Self> {
         let mut groups = Vec::new();
         for operation in OPERATIONS.into_iter().filter(|_| limits.half_storage) {
-            for element in operation.lanes().iter().copied().filter(|element| on_lanes(*element)) {
+            let lanes =
+                operation.lanes().iter().copied().filter(|element| on_lanes(limits, *element) && wanted(*element));
+            for element in lanes {
                 let (kernels, candidates) =
                     (operation.kernels(false, element), vec![Candidate::Lanes(Lanes::of(element), None)]);
                 groups.push(Self { operation, kernels, candidates });

@@ -222,7 +222,7 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Argument`] for `turbo`, which rounds weights to 8 bits itself, and weights that are [`Q8`].
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
-        if arithmetic.quantised.is_none() || self.q8_names().next().is_none() {
+        if !arithmetic.has_integers() || self.q8_names().next().is_none() {
             return Ok(());
         }
         let found = format!("turbo for {}, whose weights are q8", self.provenance);

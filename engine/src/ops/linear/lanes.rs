@@ -42,8 +42,11 @@ impl Lanes {
 }
 
 impl LaneTile {
-    /// Candidates, that of the rule first.
+    /// Candidates, that of the rule first; of 8-bit integers those of ops/linear_dot, the first two by rule, the larger first.
     pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
+        if element == Element::I8 {
+            return Self::of_dots(limits);
+        }
         const GPU: &[LaneTile] = &[
             LaneTile { sides: [128, 128], lane: [8, 8], k: 8 },
             LaneTile { sides: [128, 64], lane: [8, 8], k: 8 },
@@ -61,20 +64,38 @@ impl LaneTile {
             }
             false => Self { sides: [LINEAR_ROWS, 4 * limits.subgroup_size], lane: [LINEAR_ROWS, 4], k: 0 },
         };
-        let staged = if limits.cpu { CPU } else { GPU }.iter().copied().filter(|tile| tile.fits(limits));
-        [ruled].into_iter().chain(staged).collect()
+        let staged = if limits.cpu { CPU } else { GPU }.iter().copied();
+        [ruled].into_iter().chain(staged.filter(|tile| tile.fits(limits, tile.shared_bytes()))).collect()
+    }
+
+    fn of_dots(limits: &Limits) -> Vec<Self> {
+        const GPU: &[LaneTile] = &[
+            LaneTile { sides: [64, 64], lane: [8, 4], k: 32 },
+            LaneTile { sides: [32, 32], lane: [4, 4], k: 64 },
+            LaneTile { sides: [128, 128], lane: [8, 8], k: 32 },
+            LaneTile { sides: [128, 64], lane: [8, 8], k: 32 },
+            LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
+        ];
+        let cpu = [LaneTile { sides: [8, 4 * limits.subgroup_size], lane: [8, 4], k: 32 }];
+        // As kernels/ops/linear_dot.comp lays shared memory out.
+        let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
+        let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();
+        tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
     /// Lanes of the workgroup.
-    fn lanes(&self) -> u32 {
+    pub(super) fn lanes(&self) -> u32 {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
 
-    /// True where a workgroup of whole subgroups and its shared memory, as kernels/ops/linear_tiled.comp lays it out, are within the
-    /// device's limits.
-    fn fits(&self, limits: &Limits) -> bool {
+    /// Bytes of shared memory, as kernels/ops/linear_tiled.comp lays it out.
+    fn shared_bytes(&self) -> u32 {
         let [rows, columns] = self.sides;
-        let shared_bytes = 16 * (rows * (self.k / 4 + 1) + self.k * columns / 4);
+        16 * (rows * (self.k / 4 + 1) + self.k * columns / 4)
+    }
+
+    /// True where a workgroup of whole subgroups with so much shared memory is within the device's limits.
+    fn fits(&self, limits: &Limits, shared_bytes: u32) -> bool {
         let lanes = self.lanes();
         lanes.is_multiple_of(limits.subgroup_size)
             && lanes <= limits.max_invocations

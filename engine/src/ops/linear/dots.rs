@@ -1,0 +1,62 @@
+//! Linear layers of 8-bit integers on lanes, by dot products.
+
+use super::{
+    super::{
+        rows::Rows,
+        tile::{BUSY, Tiles},
+    },
+    Epilogue, LaneTile, Linear,
+};
+use crate::{
+    gpu::{Element, Limits, Recorder},
+    kernels::ops,
+};
+
+/// Candidates that are taken by rule, where nothing was measured.
+const BY_RULE: usize = 2;
+
+impl Linear {
+    pub(super) fn dots(&self, rec: &mut Recorder, tiles: Tiles, input: Rows, out: Rows, epilogue: Epilogue) {
+        let tile = self.dot_tile(rec.limits(), tiles, input.count);
+        let (a, row_scales, column_scales) = self.quantised(rec, input);
+        let rows = input.count;
+        let kernel = ops::LinearDot {
+            a: a.tensor,
+            weight: self.weight.slice::<i8>(0, self.columns * self.inner),
+            bias: self.bias,
+            gamma: epilogue.gamma.unwrap_or(self.bias),
+            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
+            out: out.tensor,
+            row_scales,
+            column_scales,
+            rows: rows as u32,
+            inner: self.inner as u32,
+            columns: self.columns as u32,
+            activation: epilogue.activation as u32,
+            scale: epilogue.gamma.is_some(),
+            add: epilogue.residual.is_some(),
+            subgroups: tile.lanes() / rec.limits().subgroup_size,
+            tile_columns: tile.sides[1],
+            lane_rows: tile.lane[0],
+            lane_columns: tile.lane[1],
+            tile_k: tile.k,
+            factor: Element::I8,
+            output: out.element,
+        };
+        // Columns run fastest, as in ops/linear_matrix.
+        let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
+        let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
+        rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
+    }
+
+    /// The tile that was measured to be fastest; else the first by rule that keeps the device busy, or the last.
+    fn dot_tile(&self, limits: &Limits, tiles: Tiles, rows: usize) -> LaneTile {
+        let candidates = LaneTile::candidates(limits, Element::I8);
+        let workgroups =
+            |tile: &&LaneTile| rows.div_ceil(tile.sides[0] as usize) * self.columns.div_ceil(tile.sides[1] as usize);
+        let ruled = &candidates[..BY_RULE.min(candidates.len())];
+        let busy = ruled.iter().find(|tile| workgroups(tile) >= BUSY);
+        let measured = tiles.of(rows * self.columns).and_then(|index| candidates.get(index));
+        *measured.or(busy).or(ruled.last()).expect("dot products are used where a tile fits")
+    }
+}
