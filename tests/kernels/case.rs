@@ -86,12 +86,13 @@ pub fn elements() -> Vec<Element> {
 }
 
 /// Kernels of linear layers that the device has, for weights in the type of the factors: on lanes by rule and with the first tile
-/// in shared memory.
+/// in shared memory, and by dot products.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let lanes = |element| [Lanes::of(element), Lanes { element, tiles: Tiles::always(1) }];
     let panels = elements().into_iter().flat_map(lanes).map(|lanes| LinearKernel::Panels(lanes, Weights::Factors));
     let units = Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, device().limits()));
-    panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).collect()
+    let dots = device().limits().dot_products.then_some(LinearKernel::Dots(Tiles::BY_RULE));
+    panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).chain(dots).collect()
 }
 
 /// The limits, and for a kernel with a twin that reads by address, where the device can, those of a device that cannot.

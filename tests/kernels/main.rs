@@ -50,6 +50,7 @@ mod ops {
     mod im2col;
     mod layer_norm;
     mod linear;
+    mod linear_dot;
     mod place_columns;
     mod quantise_rows;
     mod scan;

@@ -48,16 +48,15 @@ impl Layer {
         let bias: Vec<f32> = (0..self.columns).map(|c| self.bias[row_from_column(c)]).collect();
         let rows = || (0..inner * self.columns).map(|i| value(i / inner, i % inner)).collect::<Vec<f32>>();
         let weight = match kernel {
-            _ if kernel.weights() == Weights::Q8 => case.input(&pack_matrix(kernel, &rows(), inner, self.columns)),
+            _ if kernel.weights() == Weights::Q8 || kernel.factor() == Element::I8 => {
+                case.input(&pack_matrix(kernel, &rows(), inner, self.columns))
+            }
             LinearKernel::Panels(Lanes { element, .. }, _) => {
                 let at = |i| value(i / panel / inner * panel + i % panel, i / panel % inner);
                 let weight: Vec<f32> = (0..inner * self.columns.next_multiple_of(panel)).map(at).collect();
                 case.input_of(element, &weight)
             }
-            LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) => {
-                case.input(&pack_matrix(kernel, &rows(), inner, self.columns))
-            }
-            LinearKernel::Matrix(Units { factor, .. }, _) => case.input_of(factor, &rows()),
+            LinearKernel::Matrix(..) | LinearKernel::Dots(_) => case.input_of(kernel.factor(), &rows()),
         };
         Linear { weight, bias: case.input(&bias), inner, columns: self.columns, kernel }
     }
