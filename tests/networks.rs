@@ -10,14 +10,15 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Arithmetics that the device has beside f32: on matrix units and, where it can do without, on lanes.
+/// Arithmetics that the device has beside f32: on matrix units, where it has them, and on lanes.
 pub fn fast_arithmetics() -> Vec<Arithmetic> {
     let fast = [Precision::Fast, Precision::FastBf16, Precision::Turbo];
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
-    let on_lanes = |a: &Arithmetic| a.quantised.is_none() && (a.linear.is_some() || a.attention.is_some());
     let twice = |a: Arithmetic| {
-        let lanes = on_lanes(&a).then_some(Arithmetic { linear: None, attention: None, nearest: None, ..a });
-        [Some(a), lanes].into_iter().flatten()
+        let lanes = Arithmetic { linear: None, attention: None, nearest: None, quantised: None, ..a };
+        let on_units = [a.linear, a.attention, a.quantised].iter().any(Option::is_some);
+        let can_do_without = on_units && lanes.has_integers() == a.has_integers();
+        [Some(a), can_do_without.then_some(lanes)].into_iter().flatten()
     };
     found.flat_map(twice).collect()
 }

@@ -146,9 +146,9 @@ impl Tolerance {
 /// the unit roundoff, at random, so both by no more. The 8-bit integers of a row are spread evenly over its range, of which
 /// its rms is about a quarter: half of 1/127 is then 4 times as much of it, at random 1/sqrt(3) of that, for both sqrt(2).
 pub(super) fn factor_rounding(arithmetic: Arithmetic) -> f64 {
-    match arithmetic.quantised {
-        Some(_) => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),
-        None => arithmetic.element.roundoff(),
+    match arithmetic.has_integers() {
+        true => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),
+        false => arithmetic.element.roundoff(),
     }
 }
 

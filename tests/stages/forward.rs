@@ -170,8 +170,7 @@ fn every_arithmetic_chooses_about_the_same_tokens() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
         let images = images(&Golden::committed(file));
         let [_, truth] = clusters(config, Arithmetic::EXACT, &images);
-        for arithmetic in fast_arithmetics().into_iter().filter(|a| a.element == Element::F16 && a.quantised.is_none())
-        {
+        for arithmetic in fast_arithmetics().into_iter().filter(|a| a.element == Element::F16 && !a.has_integers()) {
             let [_, found] = clusters(config, arithmetic, &images);
             let apart = found.iter().zip(&truth).filter(|(a, b)| a != b).count();
             assert!(20 * apart <= truth.len(), "{file}: {apart} of {} differ, {arithmetic:?}", truth.len());
@@ -185,7 +184,7 @@ fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     let files = golden::list(&format!("{config}."));
     let files = files.iter().filter(|f| f.ends_with(".safetensors") && !f.contains(".weights."));
     for (i, file) in files.enumerate() {
-        let coarse = |a: &Arithmetic| a.element == Element::Bf16 || a.quantised.is_some();
+        let coarse = |a: &Arithmetic| a.element == Element::Bf16 || a.has_integers();
         let again = |a: &Arithmetic| a.element == Element::F32 || a.linear.is_some() && !coarse(a);
         let wanted = arithmetics.iter().filter(|arithmetic| i == 0 || again(arithmetic));
         wanted.for_each(|arithmetic| check(file, *arithmetic));

@@ -153,7 +153,7 @@ fn a_network_computes_with_what_the_integers_stand_for() {
         assert_same("means", &bits(&got), &bits(&truth));
         assert_same("colours", got.sh_coeffs.as_flattened(), truth.sh_coeffs.as_flattened());
         assert!(scene(&of, Arithmetic::EXACT).means != got.means, "and not with the weights before");
-        for arithmetic in fast_arithmetics().into_iter().filter(|arithmetic| arithmetic.quantised.is_none()) {
+        for arithmetic in fast_arithmetics().into_iter().filter(|arithmetic| !arithmetic.has_integers()) {
             let fast = scene(&q8, arithmetic);
             let square = |x: f32| f64::from(x).powi(2);
             let apart = truth.means.as_flattened().iter().zip(fast.means.as_flattened());

@@ -35,7 +35,7 @@ use serde::Serialize;
 use zipsplat::{
     Error, Result,
     gpu::{Device, Element, Limits},
-    ops::{LaneTile, Lanes, Tiles, Units, Weights},
+    ops::{LaneTile, Lanes, LinearKernel, Tiles, Units, Weights},
 };
 
 /// Arithmetic of matrix products: the only thing that precision modes differ in.
@@ -78,11 +78,20 @@ impl Mode {
     const BF16: Mode = Mode { factor: Element::Bf16, ..Mode::EXACT };
     const F16_MATRIX: Mode = Mode { matrix: true, ..Mode::F16 };
     const BF16_MATRIX: Mode = Mode { matrix: true, ..Mode::BF16 };
+    const I8: Mode = Mode { factor: Element::I8, ..Mode::EXACT };
     const I8_MATRIX: Mode = Mode { factor: Element::I8, ..Mode::F16_MATRIX };
 
     /// Every mode: those of linear layers.
-    pub const ALL: &[Mode] =
-        &[Mode::EXACT, Mode::TILED, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX, Mode::I8_MATRIX];
+    pub const ALL: &[Mode] = &[
+        Mode::EXACT,
+        Mode::TILED,
+        Mode::F16,
+        Mode::BF16,
+        Mode::I8,
+        Mode::F16_MATRIX,
+        Mode::BF16_MATRIX,
+        Mode::I8_MATRIX,
+    ];
     /// The modes of linear layers whose weights have 8 bits.
     const Q8: &[Mode] = &[
         Mode { weights: Weights::Q8, ..Mode::EXACT },
@@ -108,7 +117,8 @@ impl Mode {
             (Element::Bf16, false) => "bf16",
             (Element::F16, true) => "f16 matrix",
             (Element::Bf16, true) => "bf16 matrix",
-            (Element::I8, _) => "i8 matrix",
+            (Element::I8, false) => "i8",
+            (Element::I8, true) => "i8 matrix",
         }
     }
 
@@ -116,12 +126,17 @@ impl Mode {
     pub fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
         let tiled = !self.tiled || LaneTile::candidates(limits, self.factor).len() > 1;
-        stored && tiled && (!self.matrix || limits.matrices.of(self.factor).is_some())
+        let multiplied = self.matrix || self.factor != Element::I8 || limits.dot_products;
+        stored && tiled && multiplied && (!self.matrix || limits.matrices.of(self.factor).is_some())
     }
 
-    /// The lanes that it takes, with factors of a type.
-    fn lanes(self, factor: Element) -> Lanes {
-        Lanes { tiles: if self.tiled { Tiles::always(1) } else { Tiles::BY_RULE }, ..Lanes::of(factor) }
+    /// The kernel of a linear layer on lanes, with factors of a type.
+    fn on_lanes(self, factor: Element) -> LinearKernel {
+        let tiles = if self.tiled { Tiles::always(1) } else { Tiles::BY_RULE };
+        match factor {
+            Element::I8 => LinearKernel::Dots(tiles),
+            _ => LinearKernel::Panels(Lanes { tiles, ..Lanes::of(factor) }, self.weights),
+        }
     }
 
     /// The matrix units that it takes.

@@ -151,6 +151,10 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
             on_lanes(format!("{name}, {tile}"), Lanes { element, tiles: Tiles::always(index) }, Weights::Factors);
         }
     }
+    let tiles = if limits.dot_products { LaneTile::candidates(limits, Element::I8) } else { Vec::new() };
+    for (index, tile) in tiles.iter().enumerate() {
+        kernels.push((format!("i8, {tile}"), LinearKernel::Dots(Tiles::always(index)), lanes.clone()));
+    }
     for units in Element::FACTORS.into_iter().filter_map(|factor| Units::of(factor, limits)) {
         let peak = peak::matrices(device, units, peak::BRIEFLY, stage)?;
         kernels.push((

@@ -17,6 +17,7 @@ use std::{fmt::Write, path::Path};
 use zipsplat::{
     Error, Result,
     gpu::{Limits, Matrices, MatrixShape, list_devices},
+    ops::{Arithmetic, Precision},
     types::{SceneFormat, World, read_world},
     weights::{Checkpoint, DepthCheckpoint},
 };
@@ -131,6 +132,7 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
             ("subgroup", format!("{} invocations", limits.subgroup_size)),
             ("16 bits", if limits.half_storage { "floats in buffers" } else { "none" }.to_owned()),
             ("matrices", matrices(limits)),
+            ("turbo", turbo(limits).to_owned()),
             ("workgroups", format!("{x} x {y} x {z}")),
             (
                 "timestamps",
@@ -155,6 +157,16 @@ fn matrices(limits: &Limits) -> String {
         .filter_map(|(factor, shape)| Some(format!("{factor} {}", sides(shape?))));
     let all: Vec<_> = of_subgroups.collect();
     if all.is_empty() { "none".into() } else { all.join(", ") }
+}
+
+/// What multiplies the 8-bit integers of `turbo`.
+fn turbo(limits: &Limits) -> &'static str {
+    match Arithmetic::of(Precision::Turbo, limits) {
+        Some(Arithmetic { quantised: Some(_), .. }) => "8-bit integers on matrix units",
+        Some(_) if limits.dot_products_accelerated => "8-bit integers by dot products, which the device accelerates",
+        Some(_) => "8-bit integers by dot products, which the device does not accelerate: less memory, not less time",
+        None => "not on this device",
+    }
 }
 
 fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<()> {

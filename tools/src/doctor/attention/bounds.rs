@@ -5,7 +5,7 @@ use super::{
         Mode,
         bound::{DIVISION, TINY, U, ULP, by_lanes, gamma},
     },
-    HEADS, Problem, Row,
+    HEADS, Keys, Problem, Row,
 };
 use zipsplat::gpu::Element;
 
@@ -59,13 +59,15 @@ struct Channel {
     beside: f64,
     /// The part that is lost where subnormal values are flushed.
     lost: f64,
+    /// The weighted errors of the values themselves.
+    shifted: f64,
     /// Values that are not 0.
     terms: usize,
 }
 
 impl Problem {
     /// The scores of one query, and how far off they may be.
-    pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), k: &[f64]) -> Row {
+    pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), keys: &Keys) -> Row {
         let factors = mode.factors();
         let scale = 1.0 / (self.dim as f64).sqrt();
         // Queries are rounded again when they have been scaled, unless by a power of two.
@@ -74,27 +76,31 @@ impl Problem {
         let relative = factors.sum(self.dim + 2) * (1.0 + rounded) + rounded;
         let least = factors.tiny.max(TINY);
         let score = |key: usize| {
-            let row = &k[key * self.width() + head * self.dim..][..self.dim];
-            let (mut sum, mut size, mut lost) = (0.0, 0.0, 0.0);
-            for (q, k) in query.iter().zip(row) {
+            let at = key * self.width() + head * self.dim;
+            let (mut sum, mut size, mut lost, mut moved) = (0.0, 0.0, 0.0, 0.0);
+            for (i, (q, k)) in query.iter().zip(&keys.k[at..][..self.dim]).enumerate() {
                 let (q, k) = (scale * q, *k);
                 sum += q * k;
+                moved += q.abs() * keys.key_off(at + i);
                 size += (q * k).abs();
                 if q.abs() < least || k.abs() < least {
                     lost += (q * k).abs();
                 }
             }
-            (sum, relative * size + lost + self.dim as f64 * TINY)
+            let (more, off) = keys.more(key, sum);
+            let error = moved + relative * (size + moved) + lost + self.dim as f64 * TINY;
+            (sum + more, off + (1.0 + U) * error)
         };
         let (scores, errors) = (0..self.keys()).map(score).unzip();
         Row { scores, errors }
     }
 
     /// Bounds of the errors of one query's output `out [dim]`.
-    pub fn bounds(&self, mode: Mode, row: &Row, head: usize, v: &[f64], out: &[f64]) -> Vec<f64> {
+    pub fn bounds(&self, mode: Mode, row: &Row, head: usize, keys: &Keys, out: &[f64]) -> Vec<f64> {
         let factors = mode.factors();
         let weights = Weights::new(mode, &row.scores);
-        let of_head = |key: usize| &v[key * self.width() + head * self.dim..][..self.dim];
+        let place = |key: usize| key * self.width() + head * self.dim;
+        let of_head = |key: usize| &keys.v[place(key)..][..self.dim];
         let least = factors.tiny.max(TINY);
         let mut channels = vec![Channel::default(); self.dim];
         // Shares of the weights that are surely kept, that they may grow to, and that may be flushed.
@@ -122,6 +128,7 @@ impl Problem {
             for (c, ((channel, &v), out)) in channels.iter_mut().zip(of_head(key)).zip(out).enumerate() {
                 let distance = (v - out).abs();
                 channel.moved += apart * distance;
+                channel.shifted += most * keys.value_off(place(key) + c);
                 channel.range = channel.range.max(distance);
                 channel.beside += beside * (v - first_value[c]).abs();
                 if v != 0.0 {
@@ -137,17 +144,18 @@ impl Problem {
         let total = gamma(by_lanes(self.keys()) + weights.rises + 6);
         let output = if mode.factor == Element::F32 { 0.0 } else { factors.unit };
         let bound = |(channel, out): (&Channel, &f64)| {
-            let Channel { moved, range, size, beside, lost: flushed, terms } = *channel;
-            let carried = (moved / kept).min(range).min(beside);
+            let Channel { moved, range, size, beside, lost: flushed, shifted, terms } = *channel;
+            let shifted = shifted / kept;
+            let carried = (moved / kept).min(range).min(beside) + shifted;
             // The weights, too, are those that were computed.
-            let size = (size * grown / kept).min(out.abs() + range);
+            let size = (size * grown / kept).min(out.abs() + range) + shifted;
             let summed = factors.sum(terms + weights.rises + 1) * size;
             let near = out.abs() + carried + summed;
             let left = carried + summed + (total + DIVISION + U + output) * near + (2.0 * lost * range).min(range);
             let subnormal = if output > 0.0 { (near + left).min(factors.tiny) } else { 0.0 };
             left + flushed + subnormal + (terms + 1) as f64 * TINY * (1.0 + range + out.abs())
         };
-        debug_assert!(v.len() == self.keys() * HEADS * self.dim);
+        debug_assert!(keys.v.len() == self.keys() * HEADS * self.dim);
         channels.iter().zip(out).map(bound).collect()
     }
 }

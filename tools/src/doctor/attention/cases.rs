@@ -5,12 +5,15 @@ use super::{
     Fault::{self, *},
     Problem,
 };
+use zipsplat::ops::Pool;
 
 const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight by a factor e^d times exp's allowance, 3 + 2|x| \
     units for |x| below the row's maximum and 3 more each time that the maximum rises; an output by the weights' sum \
     p_j |e^d_j - 1| |v_j - out|, never leaving the range of the values, or, where one key outweighs the others, by what \
     these may weigh beside it; plus gamma_n for the sum over the n values that are not 0, and for the sum of weights over \
-    the additions of a lane, of which there are 4 at least. exp(0) is taken to be 1";
+    the additions of a lane, of which there are 4 at least. exp(0) is taken to be 1. \
+    Pooled keys and values are off by gamma_n mean|x| and a division, and as 16 bits by their rounding; the logarithm of their count by \
+    what Vulkan allows it";
 
 /// Keys beside which 65,536 and 131,072 are edges.
 const MANY: usize = 200_000;
@@ -74,6 +77,9 @@ pub fn area() -> Area {
         problem.k.iter_mut().for_each(|k| *k -= 40.0);
         problem
     });
+    let counts = || Catches::from([Zero, NoCounts, NeighbourCount, NeighbourHead, NeighbourValue, LastKey, NoTotal]);
+    add("means of 2 x 2 patches", 3 * (1 + 3 * 4), counts(), |_| pooled(Pool { side: 2, grid: [5, 7], leading: 1 }));
+    add("means of 4 x 4 patches", 3 * (2 + 2 * 3), counts(), |_| pooled(Pool { side: 4, grid: [7, 9], leading: 2 }));
     let values = || Catches::from([Zero, NoTotal, HalfOfKeys, NeighbourValue]);
     add("values near the largest f16", 325, values(), |keys| values_of(keys, 65_000.0));
     add("values of 1e30", 325, values(), |keys| values_of(keys, 1e30));
@@ -96,6 +102,11 @@ fn sliced(queries: usize, keys: usize) -> Problem {
         *v = if key * 64 / keys == channel { size } else { 0.0 };
     }
     problem
+}
+
+/// The tokens of three views, the last groups of which are of fewer patches.
+fn pooled(pool: Pool) -> Problem {
+    Problem { pool: Some(pool), ..Problem::random(17, 3 * pool.tokens(), 64, 1.0) }
 }
 
 fn identical(keys: usize) -> Problem {

@@ -1,6 +1,6 @@
 //! The results of faulty attention.
 
-use super::{super::bound::half, HEADS, Problem};
+use super::{super::bound::half, HEADS, Keys, Problem};
 
 /// Ways in which attention may be wrong.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +34,10 @@ pub enum Fault {
     HalfWeights,
     /// Scores have 11 bits.
     HalfScores,
+    /// The mean of many patches weighs as much as one patch.
+    NoCounts,
+    /// Each key has its neighbour's count of patches.
+    NeighbourCount,
     /// Padding of a last vector of keys counts.
     Padding,
 }
@@ -47,8 +51,14 @@ impl Fault {
 
 impl Problem {
     /// The result of one query, `[dim]`, from its scores.
-    pub fn wrong(&self, scores: &[f64], head: usize, v: &[f64], fault: Fault) -> Vec<f64> {
+    pub fn wrong(&self, scores: &[f64], head: usize, keys: &Keys, fault: Fault) -> Vec<f64> {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
+        let counted = |(key, score): (usize, &f64)| match fault {
+            Fault::NoCounts => score - keys.count(key).ln(),
+            Fault::NeighbourCount => score + (keys.count((key + 1) % self.keys()) / keys.count(key)).ln(),
+            _ => *score,
+        };
+        let scores: Vec<f64> = scores.iter().enumerate().map(counted).collect();
         let highest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut so_far = f64::NEG_INFINITY;
         let (mut total, mut sums) = (0.0, vec![0.0; self.dim]);
@@ -69,7 +79,7 @@ impl Problem {
                 continue;
             }
             total = round(total + counted);
-            for (sum, v) in sums.iter_mut().zip(self.value(key, head, v, fault)) {
+            for (sum, v) in sums.iter_mut().zip(self.value(key, head, &keys.v, fault)) {
                 *sum = round(*sum + weight * v);
             }
         }

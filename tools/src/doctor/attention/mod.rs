@@ -3,25 +3,29 @@
 mod bounds;
 mod cases;
 mod faults;
+mod keys;
 
 pub use cases::area;
 
 use super::{Mode, Worst, case, trial::Trial};
 use crate::noise::Noise;
 use faults::Fault;
+use keys::Keys;
 use rayon::prelude::*;
 use zipsplat::{
     Result,
     gpu::Device,
-    ops::{Attention, AttentionKernel, Heads, Part, Rows},
+    ops::{Attention, AttentionKernel, Heads, Part, Pool, Rows},
 };
-use zipsplat_reference::ops::attention::attention;
+use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
 
 const HEADS: usize = 2;
 
-/// One sequence: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`.
+/// One sequence: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`, or of all tokens where they are pooled.
 struct Problem {
     dim: usize,
+    /// Groups of patches whose means the keys and values are.
+    pool: Option<Pool>,
     q: Vec<f32>,
     k: Vec<f32>,
     v: Vec<f32>,
@@ -33,7 +37,7 @@ struct Truth {
     bounds: Vec<f64>,
     /// `[queries * HEADS]`
     rows: Vec<Row>,
-    v: Vec<f64>,
+    keys: Keys,
 }
 
 /// The scores of one head of one query, in the order of the keys.
@@ -50,15 +54,24 @@ impl Problem {
         let width = HEADS * dim;
         let [mut q, mut k] = [queries, keys].map(|tokens| noise.values(tokens * width));
         q.iter_mut().chain(&mut k).for_each(|x| *x *= size);
-        Self { dim, q, k, v: noise.values(keys * width) }
+        Self { dim, pool: None, q, k, v: noise.values(keys * width) }
     }
 
     fn width(&self) -> usize {
         HEADS * self.dim
     }
 
-    fn keys(&self) -> usize {
+    /// Keys before any are pooled.
+    fn tokens(&self) -> usize {
         self.k.len() / self.width()
+    }
+
+    fn keys(&self) -> usize {
+        self.pool.map_or(self.tokens(), |pool| self.tokens() / pool.tokens() * pool.keys())
+    }
+
+    fn pool(&self) -> Option<split_heads::Pool> {
+        self.pool.map(|Pool { side, grid, leading }| split_heads::Pool { side, grid, leading })
     }
 
     fn queries(&self) -> usize {
@@ -85,14 +98,16 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
         let (kernel, width) = (Self::kernel(mode, device), self.width());
-        let (queries, keys) = (self.queries(), self.keys());
+        let (queries, keys, pool) = (self.queries(), self.keys(), self.pool);
         let shape =
-            Attention { heads: Heads { count: HEADS, dim: self.dim }, sequences: 1, queries, keys, pool: None, kernel };
+            Attention { heads: Heads { count: HEADS, dim: self.dim }, sequences: 1, queries, keys, pool, kernel };
         let mut trial = Trial::new(device);
         let tensors = shape.tensors(&mut trial.rec);
         let queries_part = Part { scale: shape.scale(), ..Part::default() };
-        let keys_part = Part { keys: true, ..Part::default() };
-        let parts = [(&self.q, queries, queries_part), (&self.k, keys, keys_part), (&self.v, keys, Part::default())];
+        let keys_part = Part { keys: true, log_counts: Some(tensors[3]), ..Part::default() };
+        let tokens = self.tokens();
+        let parts =
+            [(&self.q, queries, queries_part), (&self.k, tokens, keys_part), (&self.v, tokens, Part::default())];
         for ((values, count, part), tensor) in parts.into_iter().zip(tensors) {
             // Padding holds NaN, which must reach nothing.
             trial.blank(tensor);
@@ -106,14 +121,15 @@ impl case::Problem for Problem {
     }
 
     fn truth(&self, mode: Mode) -> Truth {
-        let [q, k, v] = [&self.q, &self.k, &self.v].map(|values| Self::held(values, mode));
-        let values = attention(&q, &k, &v, HEADS, self.dim);
+        let (q, keys) = (Self::held(&self.q, mode), Keys::new(self, mode));
+        let counts: Vec<f64> = (0..self.keys()).map(|key| keys.count(key)).collect();
+        let values = attention_to_means(&q, [&keys.k, &keys.v], &counts, HEADS, self.dim);
         let at = |i: usize| (&q[i * self.dim..][..self.dim], i % HEADS);
         let rows: Vec<Row> =
-            (0..self.queries() * HEADS).into_par_iter().map(|i| self.scores(mode, at(i), &k)).collect();
+            (0..self.queries() * HEADS).into_par_iter().map(|i| self.scores(mode, at(i), &keys)).collect();
         let bounds = rows.par_iter().zip(values.par_chunks(self.dim)).enumerate();
-        let bounds = bounds.flat_map_iter(|(i, (row, out))| self.bounds(mode, row, i % HEADS, &v, out)).collect();
-        Truth { values, bounds, rows, v }
+        let bounds = bounds.flat_map_iter(|(i, (row, out))| self.bounds(mode, row, i % HEADS, &keys, out)).collect();
+        Truth { values, bounds, rows, keys }
     }
 
     fn judge(&self, truth: &Truth, output: &Vec<f32>, _: Mode) -> Worst {
@@ -125,7 +141,7 @@ impl case::Problem for Problem {
             return Vec::new();
         }
         let rows = truth.rows.par_iter().enumerate();
-        let wrong = rows.flat_map_iter(|(i, row)| self.wrong(&row.scores, i % HEADS, &truth.v, fault));
+        let wrong = rows.flat_map_iter(|(i, row)| self.wrong(&row.scores, i % HEADS, &truth.keys, fault));
         vec![wrong.map(|x| x as f32).collect()]
     }
 }

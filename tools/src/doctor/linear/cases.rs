@@ -21,10 +21,10 @@ pub fn area() -> Area {
     let mut add = |name: &str, catches: Catches<Fault>, make: fn() -> Problem, size: usize| {
         cases.push(Case::new(name, size, catches, make));
     };
-    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers]), || random(4), 4);
-    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers]), || random(68), 68);
-    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers]), || random(384), 384);
-    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers]), || random(588), 588);
+    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers, Unsigned]), || random(4), 4);
+    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers, Unsigned]), || random(68), 68);
+    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(384), 384);
+    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
     // Where so many terms may round, whole numbers show what sums of 11 bits do.
     add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);

@@ -17,6 +17,8 @@ pub enum Fault {
     HalfFactors,
     /// 8-bit integers are cut off, not rounded.
     CutIntegers,
+    /// Negative 8-bit integers of weights count as without a sign, 256 more.
+    Unsigned,
     /// The last term of each sum is missing.
     LastTerm,
     /// Terms from here on are missing.
@@ -74,7 +76,15 @@ impl Problem {
                 let held = Held::new(self, mode, f64::trunc);
                 vec![self.finish(&self.sums(&held, |x| x, |_| true))]
             }
-            Fault::HalfFactors | Fault::CutIntegers => Vec::new(),
+            Fault::Unsigned if self.factor(mode) == Element::I8 => {
+                let mut held = Held::new(self, mode, f64::round_ties_even);
+                for row in held.weight.chunks_mut(self.inner) {
+                    let scale = row.iter().fold(0.0, |most: f64, w| most.max(w.abs())) / 127.0;
+                    row.iter_mut().filter(|w| **w < 0.0).for_each(|w| *w += 256.0 * scale);
+                }
+                vec![self.finish(&self.sums(&held, |x| x, |_| true))]
+            }
+            Fault::HalfFactors | Fault::CutIntegers | Fault::Unsigned => Vec::new(),
             Fault::LastTerm => vec![self.finish(&self.sums(&truth.held, |x| x, |k| k + 1 < self.inner))],
             Fault::TermsFrom(end) => vec![self.finish(&self.sums(&truth.held, |x| x, |k| k < end))],
             Fault::AnyTerm => (0..self.inner).map(|k| self.finish(&self.without(truth, k))).collect(),

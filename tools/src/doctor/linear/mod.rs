@@ -73,7 +73,7 @@ impl Problem {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// The type that the factors are multiplied as: matrix units write whole vectors.
+    /// The type that the factors are multiplied as: matrix units and dot products write whole vectors.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
             Element::I8 if !self.columns.is_multiple_of(8) => Element::F16,
@@ -85,7 +85,7 @@ impl Problem {
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
         match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
             Some(units) => LinearKernel::Matrix(units, mode.weights),
-            None => LinearKernel::Panels(mode.lanes(self.factor(mode)), mode.weights),
+            None => mode.on_lanes(self.factor(mode)),
         }
     }
 
