@@ -111,7 +111,6 @@ fn gives_the_bits_of_matrix_units() {
 
 #[test]
 fn every_tile_gives_the_same_bits() {
-    // On a CPU it takes one tile alone, which compiles faster.
     for limits in [false, true].map(|cpu| Limits { cpu, ..device().limits().clone() }) {
         let tiles = if has_dot_products() { LaneTile::candidates(&limits, Element::I8) } else { Vec::new() };
         for shape in [[270, 72, 264], [5, 8, 8]] {
