@@ -3,7 +3,7 @@
 # registers, shared memory and occupancy of each kernel, the worst of its variants. A kernel that is refused, or whose
 # registers spill to memory, is a failure.
 # usage: tools/test-radv.sh [FAMILY...]      such as navi31 (matrix units), navi21, vega10: the default is these
-set -euo pipefail
+set -eEuo pipefail
 export ZIPSPLAT_DRIVER=lavapipe25
 # shellcheck source-path=SCRIPTDIR
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
@@ -37,12 +37,12 @@ for RADV_FORCE_FAMILY in "$@"; do
   said=$work/$RADV_FORCE_FAMILY.log
   forward() { zipsplat bench forward --quiet --weights seeded:vits --views 2 --ratio 0.5 --precision "$1"; }
   {
-    # What nothing has computed is wrong, say doctor and the self-test. For what comes then, the latter has passed.
+    # What nothing has computed is wrong, say doctor and the self-tests of every precision. For what comes then, the latter have passed.
     zipsplat doctor --quiet || [[ $? == 5 ]]
-    forward fast || [[ $? == 3 ]]
+    for precision in fast fast-bf16 turbo; do forward $precision || [[ $? == 3 ]]; done
     sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json
     zipsplat tune --quiet || [[ $? == 4 ]]
-    for precision in exact fast fast-bf16; do forward $precision; done
+    for precision in exact fast fast-bf16 turbo; do forward $precision; done
     zipsplat bench render --quiet --gaussians 1000 --size 64x64 --sh 0,1,2,3 --effects
   } > "$said" 2>&1
   printf '\n%s\n%-36s %8s %9s %7s %6s %9s\n' "$RADV_FORCE_FAMILY" kernel variants registers spilled shared subgroups
