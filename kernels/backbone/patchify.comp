@@ -3,7 +3,7 @@
 // Images   [views, 3, height, width] f32, RGB in 0..1
 // Out      [views * patches, stride] OUTPUT: 3 * patch * patch values, channel-major as the convolution's weight, then zeros
 //
-// One invocation an element.
+// One workgroup owns a row, so that what depends on the patch is the same for all of it; a lane's divisors are constants.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
@@ -11,31 +11,33 @@
 
 layout(local_size_x = 64) in;
 
+layout(constant_id = 1) const uint PATCH = 14; // pixels along a side
+
 layout(set = 0, binding = 0) readonly buffer Images { float images[]; };
 layout(set = 0, binding = 1) writeonly buffer Out { OUTPUT result[]; };
 
 layout(push_constant) uniform Push {
-    uint views;
+    uint rows;
     uint height;
     uint width;
-    uint patch_size;
     uint stride;
 };
 
 void main() {
-    uint i = global_index();
-    uint area = patch_size * patch_size;
-    uint columns = width / patch_size;
-    uint patches = columns * (height / patch_size);
-    if (i >= views * patches * stride) return;
-    uint element = i % stride;
-    uint p = i / stride;
-    if (element >= 3 * area) {
-        result[i] = to_OUTPUT(0.0);
-        return;
+    const uint area = PATCH * PATCH;
+    uint row = group_index();
+    if (row >= rows) return;
+    uint columns = width / PATCH;
+    uint patches = columns * (height / PATCH);
+    uint corner = (row % patches / columns * width + row % columns) * PATCH;
+    uint view = row / patches * 3 * height * width;
+    for (uint element = gl_LocalInvocationIndex; element < stride; element += gl_WorkGroupSize.x) {
+        float value = 0.0;
+        if (element < 3 * area) {
+            uint pixel = element % area;
+            uint at = element / area * height * width + pixel / PATCH * width + pixel % PATCH;
+            value = images[view + corner + at];
+        }
+        result[row * stride + element] = to_OUTPUT(value);
     }
-    uint channel = element / area;
-    uint y = (p % patches) / columns * patch_size + (element % area) / patch_size;
-    uint x = (p % columns) * patch_size + element % patch_size;
-    result[i] = to_OUTPUT(images[((p / patches * 3 + channel) * height + y) * width + x]);
 }

@@ -12,5 +12,5 @@ pub(crate) fn divides_panels(limits: &Limits) -> bool {
 
 /// Terms of one pass of a loop over a width, whole vectors of 4: the more, the fewer times sums are masked.
 pub(crate) fn terms_of(width: usize) -> u32 {
-    [16, 12, 8].into_iter().find(|terms| width.is_multiple_of(*terms)).unwrap_or(4) as u32
+    [32, 16, 12, 8].into_iter().find(|terms| width.is_multiple_of(*terms)).unwrap_or(4) as u32
 }

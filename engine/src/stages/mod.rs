@@ -214,14 +214,14 @@ fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Li
         let kernel = Patchify {
             images: images.slice::<f32>(part.start * view, part.len() * view),
             out: rows.tensor,
-            views: part.len() as u32,
+            rows: rows.count as u32,
             height: (grid.rows * grid.patch) as u32,
             width: (grid.columns * grid.patch) as u32,
-            patch_size: grid.patch as u32,
             stride: rows.width as u32,
+            patch: grid.patch as u32,
             output: rows.element,
         };
-        rec.dispatch(kernel, rows.values());
+        rec.dispatch_groups(kernel, rows.count);
         linear.record(rec, rows, out.part(part.start * patches..part.end * patches), Epilogue::default());
     }
     out

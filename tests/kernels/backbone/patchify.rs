@@ -25,14 +25,14 @@ fn equals_the_reference() {
             let kernel = Patchify {
                 images: case.input(&values),
                 out,
-                views: views as u32,
+                rows: (len / stride) as u32,
                 height: height as u32,
                 width: width as u32,
-                patch_size: patch as u32,
                 stride: stride as u32,
+                patch: patch as u32,
                 output,
             };
-            case.rec.dispatch(kernel, len);
+            case.rec.dispatch_groups(kernel, len / stride);
             let name = format!("{views} views of {rows} x {columns} patches of {patch}, {output:?} + {padding}");
             let padded: Vec<f64> = truth.chunks(row).flat_map(|patch| [patch, &vec![0.0; padding]].concat()).collect();
             assert_same(&name, &case.result_of(output, out), &stored(output, rounded(&padded)));
