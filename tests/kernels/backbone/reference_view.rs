@@ -40,8 +40,9 @@ fn equals_the_reference() {
         let (found, chosen) = choose(&tokens, width);
         let distance: Vec<f64> = truth.iter().map(|view| view[3]).collect();
         let name = format!("{views} views of {width}");
-        // Ranges of the measures are a hundredth of themselves and less.
-        assert_close(&name, &columns(&found, 4, 3, 4), &distance, Tolerance { max: 3e-4, rms: 1e-4 });
+        // Ranges of the measures are a hundredth of themselves and less, so that the order of sums, which a subgroup's size decides,
+        // shows: 4e-4 at most with subgroups of 4, 8 and 16. A tie is 1e-3.
+        assert_close(&name, &columns(&found, 4, 3, 4), &distance, Tolerance { max: 6e-4, rms: 3e-4 });
         let least = (0..views).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).unwrap();
         assert_eq!(chosen as usize, least, "{name}: {distance:?}");
     }
