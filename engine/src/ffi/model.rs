@@ -95,7 +95,7 @@ pub enum zs_precision {
     ZS_PRECISION_FAST = 2,
     /// bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
     ZS_PRECISION_FAST_BF16 = 3,
-    /// As ZS_PRECISION_FAST, with 8-bit factors in the linear layers of blocks.
+    /// 8-bit factors in the linear layers of blocks, all else as ZS_PRECISION_FAST.
     ZS_PRECISION_TURBO = 4,
 }
 

@@ -99,7 +99,7 @@ impl Arithmetic {
         Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
     }
 
-    /// Whether linear layers of blocks have 8-bit integers: on matrix units, or without them on lanes.
+    /// True where linear layers of blocks have 8-bit integers, on matrix units or without them on lanes.
     pub fn has_integers(&self) -> bool {
         self.quantised.is_some() || self.dots.is_some()
     }

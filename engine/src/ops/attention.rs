@@ -2,6 +2,7 @@
 
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
+    tile::choose,
     uniform::{UNIFORM_TILE, terms_of},
 };
 use crate::{
@@ -289,7 +290,7 @@ impl Attention {
         let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
         let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));
         let by_rule = candidates.iter().take_while(|tile| tile.repeats == candidates[0].repeats).count();
-        Tile::choose(&candidates, measured, by_rule, |tile| self.queries.div_ceil(tile.sides(units)[0]) * heads)
+        choose(&candidates, measured, by_rule, |tile| self.queries.div_ceil(tile.sides(units)[0]) * heads)
     }
 
     /// Workgroups of `rows` queries.

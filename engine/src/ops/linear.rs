@@ -8,7 +8,7 @@ pub use lanes::{LaneTile, Lanes};
 use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
-    tile::{Tile, Tiles, share},
+    tile::{Tile, Tiles, choose, share},
     uniform::UNIFORM_TILE,
 };
 use crate::{
@@ -287,7 +287,7 @@ impl Linear {
             let [tile_rows, tile_columns] = tile.sides(units);
             rows.div_ceil(tile_rows) * self.columns.div_ceil(tile_columns)
         };
-        Tile::choose(&candidates, units.tiles.of(rows * self.columns), if limits.cpu { 1 } else { 2 }, workgroups)
+        choose(&candidates, units.tiles.of(rows * self.columns), if limits.cpu { 1 } else { 2 }, workgroups)
     }
 
     fn flops(&self, rows: usize) -> u64 {

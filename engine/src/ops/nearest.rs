@@ -2,6 +2,7 @@
 
 use super::{
     Rows, Tile, Units,
+    tile::choose,
     uniform::{UNIFORM_TILE, divides_panels, terms_of},
 };
 use crate::{
@@ -174,7 +175,7 @@ impl Nearest {
             points.count.div_ceil(tile_points) * targets.count.div_ceil(tile_targets).min(SHARES)
         };
         let measured = units.tiles.of(points.count * targets.count);
-        let tile = Tile::choose(&candidates, measured, candidates.len(), workgroups);
+        let tile = choose(&candidates, measured, candidates.len(), workgroups);
         let [tile_points, tile_targets] = tile.sides(units);
         let share = targets.count.div_ceil(SHARES).next_multiple_of(tile_targets);
         let shares = targets.count.div_ceil(share);

@@ -68,7 +68,24 @@ pub struct Tile {
 type Layout = ([u32; 2], [u32; 2]);
 
 /// Fewer tiles than this leave some of a large GPU's cores (132 on an H200, 144 on the largest others) without work.
-pub(super) const BUSY: usize = 256;
+const BUSY: usize = 256;
+
+/// The candidate that was measured to be fastest; else of those `by_rule`, which come first, the first that leaves enough
+/// workgroups to keep the device busy, else the last.
+///
+/// # Panics
+/// A list without a candidate: kernels with tiles are used where one fits.
+pub(super) fn choose<T: Copy>(
+    candidates: &[T],
+    measured: Option<usize>,
+    by_rule: usize,
+    workgroups: impl Fn(&T) -> usize,
+) -> T {
+    let ruled = &candidates[..by_rule.min(candidates.len())];
+    let busy = ruled.iter().find(|tile| workgroups(tile) >= BUSY);
+    let measured = measured.and_then(|index| candidates.get(index));
+    *measured.or(busy).or(ruled.last()).expect("kernels with tiles are used where one fits")
+}
 
 impl Tile {
     /// Channels of the heads that attention's tiles are measured with: those of every DA3 network.
@@ -145,23 +162,6 @@ impl Tile {
 
     fn of((subgroups, [rows, columns]): Layout, units: Units, k: u32) -> Self {
         Self { subgroups, repeats: [rows.div_ceil(units.shape.m), columns.div_ceil(units.shape.n)], k }
-    }
-
-    /// The candidate that was measured to be fastest; else of those `by_rule`, which come first, the first that leaves enough
-    /// workgroups to keep the device busy, else the last.
-    ///
-    /// # Panics
-    /// A list without a candidate: matrix units are used where one fits.
-    pub(super) fn choose(
-        candidates: &[Self],
-        measured: Option<usize>,
-        by_rule: usize,
-        workgroups: impl Fn(&Self) -> usize,
-    ) -> Self {
-        let ruled = &candidates[..by_rule.min(candidates.len())];
-        let busy = ruled.iter().find(|tile| workgroups(tile) >= BUSY);
-        let measured = measured.and_then(|index| candidates.get(index));
-        *measured.or(busy).or(ruled.last()).expect("matrix units are used where a tile fits")
     }
 
     /// Rows and columns of a workgroup.

@@ -10,7 +10,8 @@ pub(crate) fn divides_panels(limits: &Limits) -> bool {
     limits.addresses && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
 }
 
-/// Terms of one pass of a loop over a width, whole vectors of 4: the more, the fewer times sums are masked.
+/// Terms of one pass of a loop over a width, whole vectors of 4: the more, the fewer times sums are masked,
+/// and the longer the driver compiles.
 pub(crate) fn terms_of(width: usize) -> u32 {
     [32, 16, 12, 8].into_iter().find(|terms| width.is_multiple_of(*terms)).unwrap_or(4) as u32
 }

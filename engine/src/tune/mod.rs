@@ -119,7 +119,7 @@ impl dyn Operation {
     }
 }
 
-/// Whether lanes of a device take fast factors of a type.
+/// True where lanes of the device take factors of a type, other than f32.
 fn on_lanes(limits: &Limits, factor: Element) -> bool {
     if factor == Element::I8 { limits.dot_products } else { limits.half_storage }
 }

@@ -39,7 +39,7 @@ impl DepthCheckpoint {
     /// The network with its head for Gaussians, where it has one; `open` opens it with and without.
     ///
     /// # Errors
-    /// Those of `open`.
+    /// All that `open` gives.
     pub fn whole(open: impl Fn(bool) -> Result<Self>) -> Result<Self> {
         let found = open(false)?;
         if found.of_gaussians { open(true) } else { Ok(found) }

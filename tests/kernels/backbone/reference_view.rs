@@ -41,8 +41,8 @@ fn equals_the_reference() {
         let distance: Vec<f64> = truth.iter().map(|view| view[3]).collect();
         let name = format!("{views} views of {width}");
         // Ranges of the measures are a hundredth of themselves and less, so that the order of sums, which a subgroup's size decides,
-        // shows: 4e-4 at most with subgroups of 4, 8 and 16. A tie is 1e-3.
-        assert_close(&name, &columns(&found, 4, 3, 4), &distance, Tolerance { max: 6e-4, rms: 3e-4 });
+        // shows. Within half a tie no view that is clearly better is passed over.
+        assert_close(&name, &columns(&found, 4, 3, 4), &distance, Tolerance { max: 5e-4, rms: 2.5e-4 });
         let least = (0..views).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).unwrap();
         assert_eq!(chosen as usize, least, "{name}: {distance:?}");
     }

@@ -37,7 +37,7 @@ impl Layer {
         Rows { tensor, count: self.rows, width: self.inner, element: Element::F16 }
     }
 
-    /// What a kernel gives; GELU comes with a residual and a scale.
+    /// The results of a kernel; GELU comes with a residual and a scale.
     fn results(&self, limits: &Limits, kernel: LinearKernel, activation: Activation, output: Element) -> Vec<f32> {
         let mut case = Case::within(limits);
         let input = self.input(&mut case);

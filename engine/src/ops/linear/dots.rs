@@ -3,7 +3,7 @@
 use super::{
     super::{
         rows::Rows,
-        tile::{BUSY, Tiles},
+        tile::{Tiles, choose},
     },
     Epilogue, LaneTile, Linear,
 };
@@ -49,14 +49,9 @@ impl Linear {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    /// The tile that was measured to be fastest; else the first by rule that keeps the device busy, or the last.
     fn dot_tile(&self, limits: &Limits, tiles: Tiles, rows: usize) -> LaneTile {
-        let candidates = LaneTile::candidates(limits, Element::I8);
         let workgroups =
-            |tile: &&LaneTile| rows.div_ceil(tile.sides[0] as usize) * self.columns.div_ceil(tile.sides[1] as usize);
-        let ruled = &candidates[..BY_RULE.min(candidates.len())];
-        let busy = ruled.iter().find(|tile| workgroups(tile) >= BUSY);
-        let measured = tiles.of(rows * self.columns).and_then(|index| candidates.get(index));
-        *measured.or(busy).or(ruled.last()).expect("dot products are used where a tile fits")
+            |tile: &LaneTile| rows.div_ceil(tile.sides[0] as usize) * self.columns.div_ceil(tile.sides[1] as usize);
+        choose(&LaneTile::candidates(limits, Element::I8), tiles.of(rows * self.columns), BY_RULE, workgroups)
     }
 }

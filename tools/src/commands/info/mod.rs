@@ -159,7 +159,7 @@ fn matrices(limits: &Limits) -> String {
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
-/// What multiplies the 8-bit integers of `turbo`.
+/// The arithmetic that multiplies the 8-bit integers of `turbo`.
 fn turbo(limits: &Limits) -> &'static str {
     match Arithmetic::of(Precision::Turbo, limits) {
         Some(Arithmetic { quantised: Some(_), .. }) => "8-bit integers on matrix units",

@@ -17,7 +17,7 @@ pub struct Keys {
     pub pooled: Option<Pooled>,
 }
 
-/// What there is beside means.
+/// The counts and errors of means.
 pub struct Pooled {
     /// Patches that each is the mean of.
     pub counts: Vec<f64>,
@@ -43,7 +43,7 @@ impl Keys {
         self.pooled.as_ref().map_or(1.0, |pooled| pooled.counts[key])
     }
 
-    /// What is added to the score of a key, and how far off the sum may be beside it.
+    /// The logarithm that is added to the score of a key, and how far off the sum may be beside it.
     pub fn more(&self, key: usize, score: f64) -> (f64, f64) {
         let count = self.count(key);
         let more = count.ln();
