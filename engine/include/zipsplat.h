@@ -803,9 +803,9 @@ typedef struct zs_refine_info {
     uint32_t steps;
     // The step after which the scene was kept; 0 where none made it better.
     uint32_t best_step;
-    // Mean loss of the photos of the first step; NaN where there was none.
+    // Mean loss of the photos of the first step, at the size of that step; NaN where there was none.
     double first_loss;
-    // Mean loss of the photos of the last step; NaN where there was none.
+    // Mean loss of the photos of the last step, at the size of that step; NaN where there was none.
     double last_loss;
     // PSNR in dB of the held-out photos before the first step; NaN where none are held out.
     double psnr_before;
@@ -813,6 +813,10 @@ typedef struct zs_refine_info {
     double psnr;
     // Seconds that it took.
     double seconds;
+    // PSNR in dB of the training photos at full size before the first step: the mean of at most 16, evenly spread.
+    double training_psnr_before;
+    // PSNR in dB of the same photos with the scene that was kept.
+    double training_psnr;
 } zs_refine_info;
 
 // Fills `options` with the defaults. `size` is sizeof(zs_refine_options).

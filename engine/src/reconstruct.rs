@@ -18,7 +18,7 @@ use crate::{
     ops::{Arithmetic, Parameters},
     stages::render::{DeviceScene, SceneMemory},
     tune::Chosen,
-    types::{Camera, Image, LeftOut, Scene},
+    types::{Camera, Image, LeftOut, Scene, near},
     weights::{Architecture, Checkpoint},
 };
 use network::{Choice, Inputs};
@@ -178,7 +178,7 @@ impl Model {
         run.replace_resident(scenes[free].resident().clone());
         self.write_inputs(run, tensors, shape, images, request)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scenes[free].scene(tensors.scene().sh_degree);
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(request.unit));
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(run, tensors.choice, shape, request)?,

@@ -5,6 +5,7 @@
 // Out, for each pair of a Gaussian and a camera [N, C]: xy_opacities [3], place in pixels (the centre, or the ridge's x, see
 // shared/splat, and the centre's y) and opacity; conics [3], see below;
 // colours [3]; depths (bits of camera z); tile_sets [3]; indices of the pairs.
+// Gaussians nearer than `near`, in world units, are not drawn.
 // One invocation owns one pair.
 //
 // A conic (A, k, P) is the inverse covariance [[A, -Ak], [-Ak, Ak^2 + P]] completed to squares:
@@ -39,9 +40,8 @@ layout(scalar, set = 0, binding = 8) writeonly buffer Colors { vec3 colors[]; };
 layout(set = 0, binding = 9) writeonly buffer Depths { uint depths[]; };
 layout(scalar, set = 0, binding = 10) writeonly buffer TileSets { uvec3 tile_sets[]; };
 layout(set = 0, binding = 11) writeonly buffer Indices { uint indices[]; };
-layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_count; uint width; uint height; };
+layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_count; uint width; uint height; float near; };
 
-const float NEAR = 0.01;
 const float FAR = 1e10;
 const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 falls below ALPHA_MIN
 
@@ -103,7 +103,7 @@ TileSet project(uint n, uint camera, uint pair) {
     vec3 offset = from_centre(means[n], view[3], rest);
     vec3 p = mat3(view) * offset;
     depths[pair] = CULLED_DEPTH;
-    if (!(p.z >= NEAR && p.z <= FAR)) return none;
+    if (!(p.z >= near && p.z <= FAR)) return none;
 
     // Rows of J W R S, J taken where the view frustum is left by at most 30 % of half its width.
     vec2 margin = MARGIN * vec2(width, height) / focal;

@@ -48,7 +48,8 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, steps, views_per_step, hold_out, width, height, seed, progress, user_data, what, reserved
         }
         zs_refine_info {
-            struct_size, ended, steps, best_step, first_loss, last_loss, psnr_before, psnr, seconds
+            struct_size, ended, steps, best_step, first_loss, last_loss, psnr_before, psnr, seconds, training_psnr_before,
+            training_psnr
         }
         zs_render_options { struct_size, format, depth, antialiased, background, reserved }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }

@@ -26,6 +26,7 @@ pub const ALL: RenderRequest = RenderRequest {
     token_group: NonZeroU32::new(7),
     background: [0.0; 3],
     antialiased: false,
+    near: None,
     layout: None,
 };
 

@@ -135,6 +135,7 @@ const ALL: RenderRequest = RenderRequest {
     antialiased: false,
     normals: false,
     token_group: None,
+    near: None,
     layout: None,
 };
 

@@ -17,6 +17,7 @@ const ALPHA: RenderRequest = RenderRequest {
     antialiased: false,
     normals: false,
     token_group: None,
+    near: None,
     layout: None,
 };
 

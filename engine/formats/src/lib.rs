@@ -35,7 +35,7 @@ pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
-pub use scene::Scene;
+pub use scene::{NEAR, Scene, near};
 pub use scene_file::{
     SceneFormat, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked, read_world,
     write_scene, write_scene_in,

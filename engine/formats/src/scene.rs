@@ -8,6 +8,26 @@ use rayon::prelude::*;
 use super::{Pose, sh_rotation::sh_rotation};
 use crate::{Error, Result};
 
+/// Distance from a camera below which nothing is drawn in scenes of ordinary scale, in world units: gsplat's.
+pub const NEAR: f32 = 0.01;
+/// Scale below which scenes have a nearer plane.
+const SMALL: f64 = 0.1;
+/// Limit of Gaussians that a scene's scale is measured by.
+const SAMPLE: usize = 4096;
+
+/// The distance of [`Scene::near`] for a scene of a scale.
+pub fn near(scale: f64) -> f32 {
+    // f32 holds it for the smallest scales, too; a scene without a scale has the default.
+    if scale < SMALL && scale > 0.0 { NEAR * scale.log2().floor().max(-100.0).exp2() as f32 } else { NEAR }
+}
+
+/// The middle of some values, 0 of none.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
 /// N 3D Gaussians. A reconstruction's are in the frame of the first view's camera (OpenCV axes) until [`Scene::place`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
@@ -42,6 +62,22 @@ impl Scene {
     /// `K`: coefficients a Gaussian and colour channel.
     pub fn sh_coeffs_per_gaussian(&self) -> usize {
         coeffs(self.sh_degree)
+    }
+
+    /// Median distance of the Gaussians from their median center, or the median of their sizes where all lie at one place.
+    pub fn extent(&self) -> f64 {
+        let step = self.len().div_ceil(SAMPLE).max(1);
+        let means: Vec<DVec3> = self.means.iter().step_by(step).map(|mean| DVec3::from(mean.map(f64::from))).collect();
+        let center = DVec3::from_array([0, 1, 2].map(|axis| median(means.iter().map(|mean| mean[axis]))));
+        let distance = median(means.iter().map(|mean| mean.distance(center)));
+        let size = |scales: &[f32; 3]| f64::from(scales.iter().fold(0.0f32, |most, scale| most.max(*scale)));
+        if distance > 0.0 { distance } else { median(self.scales.iter().step_by(step).map(size)) }
+    }
+
+    /// Distance from a camera below which nothing is drawn: [`NEAR`], and of scenes below 0.1 units that share of their
+    /// extent, rounded to a power of two so that a scene under optimization keeps it.
+    pub fn near(&self) -> f32 {
+        near(self.extent())
     }
 
     /// Adds the Gaussians of another scene of the same degree of harmonics behind these.

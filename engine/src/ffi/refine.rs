@@ -114,9 +114,9 @@ pub struct zs_refine_info {
     pub steps: u32,
     /// The step after which the scene was kept; 0 where none made it better.
     pub best_step: u32,
-    /// Mean loss of the photos of the first step; NaN where there was none.
+    /// Mean loss of the photos of the first step, at the size of that step; NaN where there was none.
     pub first_loss: f64,
-    /// Mean loss of the photos of the last step; NaN where there was none.
+    /// Mean loss of the photos of the last step, at the size of that step; NaN where there was none.
     pub last_loss: f64,
     /// PSNR in dB of the held-out photos before the first step; NaN where none are held out.
     pub psnr_before: f64,
@@ -124,6 +124,10 @@ pub struct zs_refine_info {
     pub psnr: f64,
     /// Seconds that it took.
     pub seconds: f64,
+    /// PSNR in dB of the training photos at full size before the first step: the mean of at most 16, evenly spread.
+    pub training_psnr_before: f64,
+    /// PSNR in dB of the same photos with the scene that was kept.
+    pub training_psnr: f64,
 }
 
 // SAFETY: repr(C), six values of four bytes, a u64, pointers and two values of four bytes: no padding.
@@ -148,7 +152,7 @@ unsafe impl Versioned for zs_refine_options {
     }
 }
 
-// SAFETY: repr(C), four values of four bytes and five f64: no padding.
+// SAFETY: repr(C), four values of four bytes and seven f64: no padding.
 unsafe impl Versioned for zs_refine_info {
     const NAME: &str = "zs_refine_info";
     const FIRST_SIZE: usize = 56;
@@ -163,6 +167,8 @@ unsafe impl Versioned for zs_refine_info {
             psnr_before: f64::NAN,
             psnr: f64::NAN,
             seconds: 0.0,
+            training_psnr_before: f64::NAN,
+            training_psnr: f64::NAN,
         }
     }
 }
@@ -318,6 +324,8 @@ impl zs_refine_info {
             psnr_before,
             psnr,
             seconds: refined.took.as_secs_f64(),
+            training_psnr_before: refined.training_psnr[1],
+            training_psnr: refined.training_psnr[0],
             ..Versioned::defaults()
         }
     }

@@ -9,7 +9,7 @@ use crate::{
         ViewGrid,
         render::{SceneMemory, SceneTensors},
     },
-    types::Image,
+    types::{Image, near},
 };
 use std::{ops::ControlFlow, sync::Arc};
 
@@ -120,7 +120,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &request)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scene.scene(degree);
+        let gaussians = scene.scene(degree, near(request.unit));
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(&run, choice, shape, &request)?,

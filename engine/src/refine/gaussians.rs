@@ -5,6 +5,7 @@
 
 use super::{
     Adam, Look, Rates, Refine, Space,
+    growth::padded,
     planned::{Found, Planned, intersection_bytes, record_photos},
     record_adam,
     views::View,
@@ -14,7 +15,7 @@ use crate::{
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     perceptual::{LpipsWeights, Perceptual},
     stages::render::{FrameShape, Gradients, RenderOutputs, SceneGradients, SceneTensors, first_capacity},
-    types::{Scene, unit_quaternion},
+    types::{NEAR, Scene, unit_quaternion},
 };
 use std::sync::Arc;
 
@@ -48,6 +49,8 @@ pub(super) struct Gaussians {
     /// The values that are moved, where they are the Gaussians themselves.
     fields: Vec<Field>,
     scene: SceneTensors,
+    /// Distance from cameras below which nothing is drawn.
+    near: f32,
     gradients: Gradients,
     request: Refine,
     clear: Run,
@@ -118,6 +121,7 @@ impl Gaussians {
             memories,
             fields: Vec::new(),
             scene,
+            near: NEAR,
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             request: request.clone(),
             clear,
@@ -174,15 +178,21 @@ impl Gaussians {
         Ok(Some(found))
     }
 
-    /// The scene as a photo's camera sees it, `[height][width][rgb]`.
+    /// Sets the distance from cameras below which nothing is drawn, before anything is.
+    pub fn set_near(&mut self, near: f32) {
+        self.near = near;
+    }
+
+    /// The scene as a photo's camera sees it, `[height][width][rgb]`, and the number of its intersections with tiles.
     ///
     /// # Errors
     /// As [`Gaussians::step`].
-    pub fn draw(&mut self, view: &View) -> Result<Vec<f32>> {
+    pub fn draw(&mut self, view: &View) -> Result<(Vec<f32>, usize)> {
         loop {
             if let Some(index) = self.run(&[view], false)? {
                 let planned = &self.plans[index];
-                return planned.run.read(planned.recorded.outputs.frames);
+                let status: Vec<u32> = planned.run.read(planned.recorded.outputs.status)?;
+                return Ok((planned.run.read(planned.recorded.outputs.frames)?, status[0] as usize));
             }
         }
     }
@@ -231,7 +241,7 @@ impl Gaussians {
         let mut rec = Recorder::new(self.limits());
         let look = self.look.as_ref().map(|weights| &weights.lpips);
         let learnt = learns.then_some((&self.request, &self.gradients, look));
-        let recorded = record_photos(&mut rec, &self.scene, shape, capacity, learnt);
+        let recorded = record_photos(&mut rec, &self.scene, shape, (capacity, self.near), learnt);
         let weights = self.look.iter().map(|weights| weights.resident.clone());
         let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
         Ok(Planned { shape, capacity, run, recorded })
@@ -243,6 +253,15 @@ impl Gaussians {
     /// A transfer that fails.
     pub fn scene(&self) -> Result<Scene> {
         self.scene.read(&self.memories[0])
+    }
+
+    /// Replaces the Gaussians with those of a scene of at most as many.
+    ///
+    /// # Errors
+    /// A transfer that fails.
+    pub fn show(&self, scene: &Scene) -> Result<()> {
+        let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = self.scene;
+        write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))
     }
 
     /// Lets the host change the Gaussians. Those whose numbers `change` returns begin with moments of zero.

@@ -20,7 +20,7 @@ use crate::{
         lpips::Lpips,
         render::{FrameShape, Gradients, SceneTensors, first_capacity},
     },
-    types::Image,
+    types::{Image, NEAR},
 };
 
 /// The values that a refinement moves.
@@ -137,16 +137,15 @@ fn record_steps(
         let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
-        record_photos(&mut rec, scene, shape, room(limits, each, cameras, true), Some((request, gradients, lpips)));
+        let capacity = room(limits, each, cameras, true);
+        record_photos(&mut rec, scene, shape, (capacity, NEAR), Some((request, gradients, lpips)));
         plans.push(rec.finish()?);
     }
-    if request.hold_out.unwrap_or(0) > 0 {
-        let [width, height] = photo_size(1);
-        let mut rec = Recorder::new(limits);
-        let shape = FrameShape { cameras: 1, width, height };
-        record_photos(&mut rec, scene, shape, room(limits, each, 1, false), None);
-        plans.push(rec.finish()?);
-    }
+    let [width, height] = photo_size(1);
+    let mut rec = Recorder::new(limits);
+    let shape = FrameShape { cameras: 1, width, height };
+    record_photos(&mut rec, scene, shape, (room(limits, each, 1, false), NEAR), None);
+    plans.push(rec.finish()?);
     Ok(())
 }
 

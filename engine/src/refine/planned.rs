@@ -58,12 +58,12 @@ pub(super) fn record_photos(
     rec: &mut Recorder,
     scene: &SceneTensors,
     shape: FrameShape,
-    capacity: usize,
+    (capacity, near): (usize, f32),
     learnt: Option<(&Refine, &Gradients, Option<&Lpips>)>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let drawing = RenderRequest::default();
+    let drawing = RenderRequest { near: Some(near), ..RenderRequest::default() };
     let Some((request, gradients, lpips)) = learnt else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
     };

@@ -10,7 +10,7 @@ use super::{
     views::{Order, View, size, split},
 };
 use crate::{
-    Result,
+    Error, Result,
     gpu::Profile,
     types::{Camera, Image, Scene},
 };
@@ -19,6 +19,8 @@ use std::{ops::ControlFlow, time::Instant};
 
 /// How often the held-out photos are looked at, or the loss where there are none.
 const LOOKS: usize = 20;
+/// Limit of training photos that are measured before and after.
+const MEASURED: usize = 16;
 /// How many times its least value the mean loss of all photos may be before the refinement ends.
 const GROWN: f32 = 2.0;
 
@@ -38,6 +40,8 @@ pub(super) struct Refinement<'a> {
     shrink: u32,
     tested: Vec<View>,
     held: Vec<usize>,
+    /// The scene before the first step.
+    given: Kept,
     sizes: Vec<(usize, [u32; 2])>,
     losses: Vec<f32>,
     held_out: Vec<(usize, f64)>,
@@ -54,6 +58,7 @@ pub(super) struct Refinement<'a> {
 }
 
 /// The Gaussians after a step.
+#[derive(Clone)]
 struct Kept {
     step: usize,
     scene: Scene,
@@ -67,7 +72,7 @@ impl<'a> Refinement<'a> {
     /// # Errors
     /// Where a camera is not its photo's.
     pub fn new(
-        gaussians: Gaussians,
+        mut gaussians: Gaussians,
         (scene, unit): (Scene, f64),
         photos: &'a [Image],
         cameras: &[Camera],
@@ -80,7 +85,8 @@ impl<'a> Refinement<'a> {
         let moving = if request.cameras { &learnt[1..] } else { &[] };
         let rates = [f64::from(request.rates.turns), unit * f64::from(request.rates.shifts)];
         let growth = request.grow.map(|most| Growth::new(scene.len(), most, request.steps, request.seed));
-        let kept = Kept { step: 0, scene, cameras: cameras.to_vec() };
+        gaussians.set_near(scene.near());
+        let given = Kept { step: 0, scene, cameras: cameras.to_vec() };
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
@@ -94,6 +100,8 @@ impl<'a> Refinement<'a> {
             shrink: 0,
             tested,
             held,
+            kept: given.clone(),
+            given,
             sizes: Vec::new(),
             losses: Vec::new(),
             held_out: Vec::new(),
@@ -101,7 +109,6 @@ impl<'a> Refinement<'a> {
             began: 0,
             least: f32::INFINITY,
             latest: 0.0,
-            kept,
             next: None,
         })
     }
@@ -115,13 +122,35 @@ impl<'a> Refinement<'a> {
         progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<Refined> {
+        let before = self.training_psnr(&self.given.cameras.clone())?;
         let stopped = self.run(progress, begin)?;
         let profile = self.request.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
+        self.gaussians.show(&self.kept.scene)?;
+        let mut after = self.training_psnr(&self.kept.cameras.clone())?;
+        // Held-out photos choose the best step, and LPIPS is worth some PSNR. Else the scene that was given is a candidate, too.
+        let worse = after.is_nan() || after < before;
+        if self.held.is_empty() && self.request.look.is_none() && worse {
+            (self.kept, after) = (self.given, before);
+        }
         let Self { losses, kept, held_out, held, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras } = kept;
+        let training_psnr = [after, before];
         let took = begin.elapsed();
-        Ok(Refined { scene, cameras, losses, best_step, held_out, held, sizes, took, peak_bytes, stopped, profile })
+        Ok(Refined {
+            scene,
+            cameras,
+            losses,
+            best_step,
+            held_out,
+            training_psnr,
+            held,
+            sizes,
+            took,
+            peak_bytes,
+            stopped,
+            profile,
+        })
     }
 
     fn run(
@@ -168,6 +197,31 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
+    /// Mean PSNR of the training photos at full size through these cameras, at most [`MEASURED`] of them.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if no photo's camera sees a Gaussian.
+    fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
+        let step = self.learnt.len().div_ceil(MEASURED);
+        let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.learnt.len()).partition(|i| i % step == 0);
+        let mut look = |i: usize| {
+            let photo = self.learnt[i];
+            let view = View::new(photo, &self.photos[photo], &cameras[photo], self.request.size, 1)?;
+            let (drawn, intersections) = self.gaussians.draw(&view)?;
+            Ok((psnr(&drawn, &view), intersections > 0))
+        };
+        let found = measured.iter().map(|i| look(*i)).collect::<Result<Vec<(f64, bool)>>>()?;
+        let mut seen = found.iter().any(|(_, seen)| *seen);
+        for i in others {
+            seen = seen || look(i)?.1;
+        }
+        if !seen {
+            let expected = "cameras in the scene's world that have some of it in front of them";
+            return Err(Error::argument("scene to refine", "no Gaussian that any photo's camera sees", expected));
+        }
+        Ok(found.iter().map(|(psnr, _)| psnr).sum::<f64>() / found.len() as f64)
+    }
+
     /// Moves the cameras of a step's photos against their gradients.
     fn move_cameras(&mut self, step: usize, found: &[Found]) {
         let along = step as f64 / self.request.steps as f64;
@@ -205,7 +259,7 @@ impl<'a> Refinement<'a> {
         if !self.tested.is_empty() {
             let mut sum = 0.0;
             for view in &self.tested {
-                sum += psnr(&self.gaussians.draw(view)?, view) / self.tested.len() as f64;
+                sum += psnr(&self.gaussians.draw(view)?.0, view) / self.tested.len() as f64;
             }
             let best = self.held_out.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
             self.held_out.push((step, sum));

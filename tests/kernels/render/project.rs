@@ -4,7 +4,7 @@ use zipsplat::{
     gpu::{Recorder, Run},
     kernels::render::Project,
     stages::render::{CameraRows, camera_rows},
-    types::{Camera, Scene},
+    types::{Camera, NEAR, Scene},
 };
 use zipsplat_tests::{
     compare::{Tolerance, assert_close, assert_same, columns},
@@ -43,6 +43,7 @@ fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
         camera_count: cameras.len() as u32,
         width: cameras[0].intrinsics.width,
         height: cameras[0].intrinsics.height,
+        near: NEAR,
         color: true,
         sh_degree: scene.sh_degree,
         antialiased,

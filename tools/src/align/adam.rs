@@ -127,6 +127,7 @@ const SEEN: RenderRequest = RenderRequest {
     token_group: None,
     background: [0.0; 3],
     antialiased: false,
+    near: None,
     layout: None,
 };
 

@@ -213,6 +213,7 @@ impl Render {
             token_group: self.group,
             background: self.background,
             antialiased: self.antialiased,
+            near: None,
             layout: None,
         }
     }

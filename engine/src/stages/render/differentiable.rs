@@ -107,10 +107,11 @@ impl Differentiator {
         }
         let _claim = self.arena.claim().expect("nobody else knows it");
         self.load(scene)?;
+        let request = request.with_near(scene.near());
         let mut found = HostGradients::default();
         for (camera, weights) in cameras.iter().zip(weights) {
-            let values = interleaved(camera, weights, request)?;
-            found.cameras.extend(self.add(camera, request, &values, wanted)?);
+            let values = interleaved(camera, weights, &request)?;
+            found.cameras.extend(self.add(camera, &request, &values, wanted)?);
         }
         if let (true, Some(memory)) = (wanted.scene, &self.memory) {
             found.scene = memory.gradients.read(&memory.resident)?;

@@ -1,7 +1,7 @@
 //! The requests and results of a caller.
 
 use super::PixelLayout;
-use crate::types::{LeftOut, Scene};
+use crate::types::{LeftOut, NEAR, Scene};
 use std::num::NonZeroU32;
 
 /// A request: what to draw and how. Nothing else is computed or stored.
@@ -22,6 +22,8 @@ pub struct RenderRequest {
     /// Whether Gaussians thinner than a pixel are made fainter by as much as the blur widens them (Mip-Splatting, Yu et
     /// al. 2024).
     pub antialiased: bool,
+    /// Distance from the camera below which nothing is drawn, above 0. `None`: that of the scene, [`Scene::near`].
+    pub near: Option<f32>,
     /// Pixels of this layout stay on the device, made of colour and alpha, and nothing is read: for
     /// [`super::Renderer::render_to`].
     pub layout: Option<PixelLayout>,
@@ -38,6 +40,7 @@ impl Default for RenderRequest {
             token_group: None,
             background: [0.0; 3],
             antialiased: false,
+            near: None,
             layout: None,
         }
     }
@@ -49,6 +52,16 @@ impl RenderRequest {
         let triples = [self.rgb, self.normals, self.token_group.is_some()];
         let singles = [self.alpha, self.depth.is_some()];
         3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
+    }
+
+    /// The distance below which nothing is drawn, once it is known.
+    pub(super) fn near_plane(&self) -> f32 {
+        self.near.unwrap_or(NEAR)
+    }
+
+    /// The request with the near plane of a scene, unless it has one.
+    pub(super) fn with_near(self, near: f32) -> Self {
+        Self { near: self.near.or(Some(near)), ..self }
     }
 
     /// Effects that pictures of a scene do without; `stored_degree` of its spherical harmonics are in the scene,

@@ -86,6 +86,7 @@ pub(super) fn record(
             camera_count: shape.cameras as u32,
             width: shape.width,
             height: shape.height,
+            near: request.near_plane(),
             color: request.rgb,
             sh_degree: scene.sh_degree,
             antialiased: request.antialiased,

@@ -184,6 +184,7 @@ impl Renderer {
             alpha: true,
             background: request.background,
             antialiased: request.antialiased,
+            near: request.near,
             layout: Some(layout),
             ..RenderRequest::default()
         };
@@ -280,7 +281,7 @@ impl Renderer {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let key = Key { shape, request: *request, turn };
+        let key = Key { shape, request: request.with_near(scene.near()), turn };
         let known = self.plans.iter().position(|planned| planned.key == key);
         let planned = match known {
             Some(index) => self.plans.remove(index),

@@ -32,6 +32,8 @@ struct Gaussians {
     arena: Option<Arena>,
     /// The degree of the scene that they were made of, whose bands above [`SceneTensors::sh_degree`] are all zero.
     stored_degree: u32,
+    /// Distance below which it is not drawn.
+    near: f32,
 }
 
 impl std::fmt::Debug for DeviceScene {
@@ -74,14 +76,14 @@ impl SceneMemory {
         &self.memory
     }
 
-    /// The scene that was written here.
+    /// The scene that was written here, its near plane [`Scene::near`].
     ///
     /// # Panics
     /// Where somebody has the scene that was here before.
-    pub fn scene(&mut self, stored_degree: u32) -> DeviceScene {
+    pub fn scene(&mut self, stored_degree: u32, near: f32) -> DeviceScene {
         assert!(self.is_free(), "a scene in use was overwritten");
         let (memory, arena) = (self.memory.clone(), self.arena.clone());
-        let gaussians = Arc::new(Gaussians { memory, tensors: self.tensors, arena, stored_degree });
+        let gaussians = Arc::new(Gaussians { memory, tensors: self.tensors, arena, stored_degree, near });
         self.user = Arc::downgrade(&gaussians);
         DeviceScene(gaussians)
     }
@@ -103,7 +105,7 @@ impl SceneMemory {
             let coeffs = scene.sh_coeffs.chunks_exact(scene.sh_coeffs_per_gaussian()).flat_map(|all| &all[..used]);
             memory.write(tensors.sh_coeffs, &coeffs.copied().collect::<Vec<_>>())?;
         }
-        Ok(self.scene(scene.sh_degree))
+        Ok(self.scene(scene.sh_degree, scene.near()))
     }
 
     /// The tensors that lie here.
@@ -154,6 +156,11 @@ impl DeviceScene {
     /// The arena that they were made in.
     pub(super) fn arena(&self) -> Option<&Arena> {
         self.0.arena.as_ref()
+    }
+
+    /// The distance from a camera below which it is not drawn.
+    pub(super) fn near(&self) -> f32 {
+        self.0.near
     }
 
     /// The degree of the spherical harmonics that the scene was stored with.
