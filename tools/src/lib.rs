@@ -74,7 +74,7 @@ struct Cli {
 /// argument that cannot be used, 4 no device, a lost one or too little memory, 5 a device that computes wrongly, 130
 /// cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
-    let args: Vec<OsString> = args.into_iter().collect();
+    let args = refinement::join_steps(args);
     let Cli { global, command } = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {

@@ -8,12 +8,13 @@ use crate::{
     cameras::path_from,
     options::Size,
     session::Session,
-    table::{Table, bytes, counted, time},
+    table::{Table, bytes, counted, significant, time},
 };
 use clap::{ArgGroup, Args, ValueEnum};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::{
+    ffi::OsString,
     fmt::{self, Display, Formatter},
     ops::ControlFlow,
     path::{Path, PathBuf},
@@ -92,6 +93,23 @@ impl Start {
 /// The start of a refinement of tokens, in words.
 pub const TOKENS: &str = "the network's tokens";
 
+/// Steps of `--refine` without a value.
+pub const DEFAULT_STEPS: &str = "100";
+
+/// Joins `--refine` with the number of steps behind it, so that `--refine`, `--refine=N` and `--refine N` work for every command.
+pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut joined: Vec<OsString> = Vec::new();
+    for word in args {
+        let steps = word.to_str().filter(|text| text.parse::<Steps>().is_ok());
+        let literal = joined.iter().any(|word| word == "--");
+        match (joined.last_mut(), steps) {
+            (Some(option), Some(steps)) if option == "--refine" && !literal => option.push(format!("={steps}")),
+            _ => joined.push(word),
+        }
+    }
+    joined
+}
+
 /// Most pixels of a photo along x and y, where nobody says.
 pub const MOST_PIXELS: &str = "1600x1600";
 
@@ -156,8 +174,9 @@ pub struct RefineOptions {
     /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
     /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
     /// the step that predicts it best. Ctrl-C in between writes the best so far
-    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true)]
-    refine: Option<Option<Steps>>,
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
+        default_missing_value = DEFAULT_STEPS)]
+    refine: Option<Steps>,
     /// Start of --refine; points are those that structure from motion left beside the cameras [default: with the
     /// model that is built in points, where there are enough, else the scene]
     #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
@@ -173,9 +192,9 @@ pub struct RefineOptions {
 }
 
 impl RefineOptions {
-    /// The steps of --refine; on its own it takes the default's.
+    /// The steps of --refine.
     pub fn steps(&self) -> Option<Steps> {
-        self.refine.map(Option::unwrap_or_default)
+        self.refine
     }
 
     /// Refuses what tokens cannot start from.
@@ -279,17 +298,14 @@ fn told(at: &Refining<'_>) -> String {
 
 /// The outcome of a refinement of photos with these cameras, in words.
 pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
-    let (steps, step) = (refined.losses.len(), refined.best_step);
-    let loss = match refined.losses[..] {
-        [first, .., last] => format!("; loss {first:.4} to {last:.4}"),
-        _ => String::new(),
-    };
-    let psnr = refined.psnr().map(|[after, before]| format!("; held-out photos {before:.2} to {after:.2} dB"));
+    let (steps, step, [after, before]) = (refined.losses.len(), refined.best_step, refined.training_psnr);
+    let training = counted(given.len() - refined.held.len(), "training photo");
+    let psnr = refined.psnr().map(|[after, before]| format!("; held-out {before:.2} to {after:.2} dB"));
     let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
-        format!("; cameras turned by {degrees:.2} degrees and moved by {distance:.4} (medians)")
+        format!("; cameras turned by {degrees:.2} degrees and moved by {} (medians)", significant(distance))
     });
     format!(
-        "refined from {start} in {}: kept is step {step} of {steps}{loss}{}{}",
+        "refined from {start} in {}: kept is step {step} of {steps}; {training} {before:.2} to {after:.2} dB{}{}",
         time(refined.took),
         psnr.unwrap_or_default(),
         cameras.unwrap_or_default()
@@ -301,6 +317,8 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     let cameras = camera_movement(given, refined);
     json!({
         "start": start, "cameras": cameras.map(|[degrees, distance]| json!({ "degrees": degrees, "distance": distance })),
+        "training_psnr": { "before": refined.training_psnr[1], "after": refined.training_psnr[0] },
+        "held_out_psnr": refined.psnr().map(|[after, before]| json!({ "before": before, "after": after })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
         "held_out": refined.held_out, "held_out_photos": refined.held, "sizes": refined.sizes, "ended": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
@@ -358,9 +376,18 @@ fn ended(refined: &Refined) -> String {
     }
 }
 
-/// The warning where it ended early.
+/// Photos below which a refinement that holds none out fits little else.
+const FEW: usize = 6;
+
+/// The warning about a refinement that ended early or had few photos.
 pub fn doubt(refined: &Refined) -> Option<String> {
+    let training = refined.cameras.len() - refined.held.len();
     match &refined.stopped {
+        None if refined.held.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
+            "only {} to refine against, and none held out: other views may look worse than before; more photos help, and \
+             --hold-out 1 measures it",
+            counted(training, "photo")
+        )),
         Some(Stopped::Diverged(why)) => {
             Some(format!("the refinement ended early: {why}; kept is what was after step {}", refined.best_step))
         }

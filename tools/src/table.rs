@@ -42,6 +42,12 @@ impl fmt::Display for Table {
     }
 }
 
+/// A length with four significant digits.
+pub fn significant(value: f64) -> String {
+    let digits = if value.abs() > 0.0 { (3.0 - value.abs().log10().floor()).max(0.0) } else { 4.0 };
+    if digits > 8.0 { format!("{value:.3e}") } else { format!("{value:.*}", digits as usize) }
+}
+
 /// `1 view`, `2 views`.
 pub fn counted(count: usize, what: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };

@@ -212,7 +212,7 @@ impl Found {
         let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
         if self.mappings > 1 {
-            text += &format!("; COLMAP joined few of them, so it tried {} times, and this is the most", self.mappings);
+            text += &format!("; the best of {} attempts of COLMAP", self.mappings);
         }
         if !self.lost.is_empty() {
             text += &format!("; without a camera: {}", names(&self.lost));

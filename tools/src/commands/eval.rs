@@ -19,7 +19,7 @@ use crate::{
     perceptual::LpipsOption,
     photos,
     protocol::Filter,
-    refinement::{Moved, Start, Steps},
+    refinement::{DEFAULT_STEPS, Moved, Start, Steps},
     session::Session,
     views::{Fit, FitOption, Seeing},
 };
@@ -111,7 +111,8 @@ pub struct Eval {
     filter: Option<Filter>,
     /// Refine the scene against the input photos as they are compared, in so many steps; :tokens moves the network's tokens, from
     /// which its head makes Gaussians, and not the Gaussians themselves
-    #[arg(long, value_name = "STEPS[:tokens|gaussians]", conflicts_with = "pose_free")]
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", num_args = 0..=1, require_equals = true,
+        default_missing_value = DEFAULT_STEPS, conflicts_with = "pose_free")]
     refine: Option<Steps>,
     /// Start of the refinement [default: with the model that is built in points, where the capture has enough,
     /// else the scene]. Points of a capture may come from the held-out photos, too

@@ -250,7 +250,11 @@ impl Reconstruct {
         let of = match (&refined, &forward) {
             (Some(made), _) => {
                 let steps = counted(made.refined.best_step, "step");
-                format!(" from {}, refined for {steps} against {}", made.started, counted(photos.len(), "photo"))
+                format!(
+                    " from {}, refined for {steps} against {}",
+                    made.started,
+                    counted(photos.len() - made.refined.held.len(), "photo")
+                )
             }
             (None, Some(forward)) => forward.views_told.clone(),
             (None, None) => String::new(),

@@ -12,7 +12,6 @@ use crate::{
     session::Session,
     table::Table,
 };
-use std::path::Path;
 use zipsplat::{
     Error, Result,
     types::{Image, World, WriteOptions, contact_sheet},
@@ -66,8 +65,11 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     let refined = made.refined.as_ref();
     let network = made.network.as_ref();
     let how = match (network, eval.theirs.given()) {
+        // The network did not make these Gaussians.
+        _ if made.started == refinement::Start::Points.name() => "of the capture's points".to_owned(),
         (Some(network), _) => format!("of {} tokens in {:.2} s", network.tokens, network.took.as_secs_f64()),
-        (None, file) => format!("of {}", file.unwrap_or(Path::new("")).display()),
+        (None, Some(file)) => format!("of {}", file.display()),
+        (None, None) => "of the capture's points".to_owned(),
     };
     let text = format!(
         "{table}{} of {} from {} of its photos, {} Gaussians {how}; {}",
