@@ -20,7 +20,6 @@ mod validate;
 use std::{env, fs, path::PathBuf};
 
 fn main() {
-    name_shared_library();
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
     // Not kernels/reference, but for its list of areas, which grows with every new one.
@@ -41,22 +40,4 @@ fn main() {
         .collect();
     let limits = fs::read_to_string(root.join("shared/limits.glsl")).expect("kernels/shared/limits.glsl");
     fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &limits)).expect("OUT_DIR is writable");
-}
-
-/// The shared library is known by its ABI version, so that programs never meet one of another.
-fn name_shared_library() {
-    let source = "src/ffi/version.rs";
-    println!("cargo:rerun-if-changed={source}");
-    let text = fs::read_to_string(source).expect("the version of the ABI");
-    let version = text.split("pub const ZS_ABI_VERSION: u32 = ").nth(1).and_then(|rest| rest.split(';').next());
-    let version = version.expect("src/ffi/version.rs states ZS_ABI_VERSION");
-    match env::var("CARGO_CFG_TARGET_OS").as_deref() {
-        Ok("linux" | "android" | "freebsd") => {
-            println!("cargo:rustc-cdylib-link-arg=-Wl,-soname,libzipsplat.so.{version}");
-        }
-        Ok("macos" | "ios") => {
-            println!("cargo:rustc-cdylib-link-arg=-Wl,-install_name,@rpath/libzipsplat.{version}.dylib");
-        }
-        _ => {}
-    }
 }

@@ -23,12 +23,11 @@
 //!
 //! The crates below: [`types`] (`zipsplat-formats`, no GPU in it) and [`gpu`] (`zipsplat-gpu`, which names Vulkan and knows no
 //! kernel). Modules use only what stands before them: `ops` <- `tune` <- `stages` <- `weights` <- `perceptual` <- `cameras` <-
-//! `reconstruct` <- `depth` <- `refine` <- `ffi`. `ops` records dispatches; `tune` finds which of its kernels a device can trust and which are fastest, and hands that to
+//! `reconstruct` <- `depth` <- `refine`. `ops` records dispatches; `tune` finds which of its kernels a device can trust and which are fastest, and hands that to
 //! `stages` as an [`ops::Arithmetic`]; `stages` declare their parameters, which `weights` reads from files.
 
 pub mod cameras;
 pub mod depth;
-pub mod ffi;
 pub mod ops;
 pub mod perceptual;
 mod random;

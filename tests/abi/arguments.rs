@@ -7,10 +7,8 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
     thread::{self, ThreadId},
 };
-use zipsplat::{
-    ffi::{zs_status::*, *},
-    reconstruct::MAX_VIEWS,
-};
+use zipsplat::reconstruct::MAX_VIEWS;
+use zipsplat_c::{zs_status::*, *};
 
 #[test]
 fn null_is_refused_everywhere() {

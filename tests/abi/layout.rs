@@ -5,7 +5,7 @@ use crate::{
     installation::{Linking, installation, runner, success},
 };
 use std::{fmt::Write, mem::offset_of};
-use zipsplat::ffi::*;
+use zipsplat_c::*;
 
 /// `sizeof` and `offsetof` of every field, as C spells them.
 macro_rules! layout {
@@ -124,7 +124,7 @@ fn is_what_c_sees() {
 /// Every field and every number of the header is in the lists above.
 #[test]
 fn nothing_was_left_out() {
-    let header = std::fs::read_to_string(root().join("engine/include/zipsplat.h")).expect("the header");
+    let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
     let code: Vec<&str> = header.lines().map(str::trim).filter(|line| !line.starts_with("//")).collect();
     let structures = structures();
     let fields = structures.iter().filter(|(name, _)| name.starts_with("offsetof")).count();

@@ -49,7 +49,7 @@ if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/ru
   export VK_DRIVER_FILES=$lavapipe/share/vulkan/icd.d/lvp_icd.json VK_LAYER_PATH=$lavapipe/share/vulkan/explicit_layer.d
   export VK_LOADER_LAYERS_DISABLE='~implicit~'
 fi
-export ZIPSPLAT_HEADER=$root/engine/include/zipsplat.h ZIPSPLAT_PHOTOS=$root/tests/data/bananas
+export ZIPSPLAT_HEADER=$root/engine/bindings/c/include/zipsplat.h ZIPSPLAT_PHOTOS=$root/tests/data/bananas
 export ZIPSPLAT_GOLDENS=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
 export ZIPSPLAT_COMMAND=${ZIPSPLAT_COMMAND:-$root/tools/zipsplat} ZIPSPLAT_CHECKOUT=$root
 cd "$here"

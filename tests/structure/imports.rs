@@ -5,7 +5,7 @@ use crate::source::{Source, files, paths, tokens};
 
 /// The engine's layers, each of which uses only those before it; the first three are crates. `error` stands for `Error` and
 /// `Result`.
-const LAYERS: [&str; 14] = [
+const LAYERS: [&str; 13] = [
     "error",
     "gpu",
     "types",
@@ -19,14 +19,13 @@ const LAYERS: [&str; 14] = [
     "reconstruct",
     "depth",
     "refine",
-    "ffi",
 ];
 
 /// Layers that dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 
 /// Folders whose matter is unsafe code; the last calls the C ABI.
-const UNSAFE_FOLDERS: [&str; 3] = ["engine/gpu/src/", "engine/src/ffi/", "tests/abi/"];
+const UNSAFE_FOLDERS: [&str; 3] = ["engine/gpu/src/", "engine/bindings/c/src/", "tests/abi/"];
 
 /// Other files with unsafe code, and why.
 const UNSAFE: [(&str, &str); 2] = [

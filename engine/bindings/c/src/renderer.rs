@@ -7,13 +7,13 @@ use super::{
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
-use crate::{
-    stages::render::{Depth, Differentiator, Frame, MAX_SIDE, RenderRequest, Renderer},
-    types::Camera,
-};
 use std::{
     ffi::c_void,
     sync::{Mutex, MutexGuard},
+};
+use zipsplat::{
+    stages::render::{Depth, Differentiator, Frame, MAX_SIDE, RenderRequest, Renderer},
+    types::Camera,
 };
 
 /// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:

@@ -6,8 +6,8 @@ use super::{
     },
     status::{Failure, guard, zs_status},
 };
-use crate::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 use std::ffi::c_char;
+use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 
 /// A Vulkan device at work: everything that runs on it is created from a context. Any number of threads may use a context at
 /// the same time. Models and renderers keep what they need of it: it may be destroyed before them.
