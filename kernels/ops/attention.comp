@@ -69,7 +69,6 @@ void score(uint q_at[ROWS], uint k_at, uint key_quads, out vec4 scores[ROWS]) {
     }
 }
 
-// Adds the log counts of 4 keys.
 void weigh(uint sequence, uint first_key, inout vec4 scores[ROWS]) {
     vec4 more;
     [[unroll]] for (uint i = 0; i < 4; i++) more[i] = log_counts[sequence * keys + min(first_key + i, keys - 1)];

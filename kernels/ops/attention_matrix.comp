@@ -26,7 +26,7 @@ layout(constant_id = 8) const bool POOLED = false;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
 const uint ROWS = REPEAT_M * MATRIX_M;
-const uint STEPS = CHANNELS / MATRIX_K; // matrices along the queries' channels
+const uint STEPS = CHANNELS / MATRIX_K;  // matrices along the queries' channels
 const uint BLOCKS = CHANNELS / MATRIX_N; // matrices along the sums' channels
 // Shared memory in 16-byte vectors, one of padding per row against bank conflicts.
 const uint PIECES = CHANNELS / 8;
@@ -84,7 +84,6 @@ void stage() {
     }
 }
 
-// Multiplies each row of the sums by its factor.
 void scale_sums(uint scores) {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         Sums factor;

@@ -53,7 +53,6 @@ float sum[TILE_ROWS][VECTORS];
 // Scores of the panel's keys, then their weights.
 float weight[TILE_ROWS][KEY_VECTORS];
 
-// Scores the panel of keys at `k_at`.
 void score(uint64_t k_at) {
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) weight[r][n] = 0.0;
@@ -75,7 +74,6 @@ void score(uint64_t k_at) {
     } while (c < DIM);
 }
 
-// Adds the log counts of `count` keys from `first` on.
 void weigh(uint first, uint count) {
     [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
         float more = log_counts[first + min(n * gl_WorkGroupSize.x + lane, count - 1)];
@@ -103,7 +101,6 @@ void softmax(uint count) {
     }
 }
 
-// Adds `count` weighted values at `v_at`.
 void gather(uint64_t v_at, uint count) {
     [[unroll]] for (uint first = 0; first < VECTORS; first += TOGETHER) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {

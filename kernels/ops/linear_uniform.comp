@@ -50,7 +50,6 @@ float q8_at(uint64_t at, uint j, uint v, float scale) {
     return float(int(word << (24 - 8 * (lane % 4))) >> 24) * scale;
 }
 
-// Scale of the lane's column v.
 float scale_at(uint64_t at, uint v) {
     vec2 two = unpackHalf2x16(shared_word_at(at, v * gl_WorkGroupSize.x / 2, 2, 1));
     return lane % 2 == 0 ? two.x : two.y;

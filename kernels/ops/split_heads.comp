@@ -35,19 +35,19 @@ layout(set = 0, binding = 4) writeonly buffer Out { ELEMENT result[]; };
 layout(set = 0, binding = 5) writeonly buffer LogCounts { float log_counts[]; };
 
 layout(push_constant) uniform Push {
-    uint rows; // of Out, this dispatch
+    uint rows;      // of Out that this dispatch writes
     uint heads;
     uint dim;
     uint out_dim;
     uint stride;
     uint column;
-    uint first_row; // of Out
+    uint first_row; // of Out, of this dispatch
     uint out_rows;
-    uint sequence; // rows
-    uint panel; // rows, if TRANSPOSE
-    uint tokens; // rows of a view
-    uint turned; // leading rows of a view that rotate
-    uint columns; // patches across a view, if POOL > 1
+    uint sequence;  // rows
+    uint panel;     // rows, if TRANSPOSE
+    uint tokens;    // rows of a view
+    uint turned;    // leading rows of a view that rotate
+    uint columns;   // patches across a view, if POOL > 1
     uint leading;   // rows of a view before its patches
     float scale;
     float eps;

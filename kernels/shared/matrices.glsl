@@ -1,6 +1,6 @@
-// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix), after `#pragma factor`. Their sides are the device's.
+// Cooperative matrices in the device's sizes, after `#pragma factor`.
 //
-// They pass through shared memory in pieces of 8 factors. Sums are f32, or of whole numbers 32-bit integers.
+// Shared memory holds vectors (pieces) of 8 factors. Sums are f32, or i32 of i8 factors.
 #pragma use_vulkan_memory_model
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_cooperative_matrix : require
@@ -23,5 +23,5 @@ const int COLUMN_MAJOR = gl_CooperativeMatrixLayoutColumnMajor;
 #else
 #define Piece uvec4
 #endif
-// Pieces that four sums take.
+// Pieces per four sums.
 const uint QUAD = 1 + FACTOR_IS_I8;
