@@ -29,7 +29,7 @@ struct Falloff {
     vec3 corner;
     vec3 conic; // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2)
     float opacity;
-    float faint; // exponent at which alpha is ALPHA_MIN
+    float faint; // exponent where alpha is ALPHA_MIN
 };
 
 Falloff falloff(vec3 xy_opacity, vec3 conic) {
