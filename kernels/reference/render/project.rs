@@ -103,7 +103,7 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
     if opacity < MIN_ALPHA {
         return None;
     }
-    // Standard deviations at which opacity exp(-d^2 / 2) falls to MIN_ALPHA.
+    // Standard deviations where opacity exp(-d^2 / 2) falls to MIN_ALPHA.
     let reach = (2.0 * (opacity / MIN_ALPHA).ln()).sqrt().min(3.33);
     let radii = [xx, yy].map(|variance| (reach * variance.sqrt()).ceil());
     let outside =
