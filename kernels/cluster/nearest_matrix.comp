@@ -34,8 +34,7 @@ const uint TILE_M = SUBGROUPS / SUBGROUPS_N * REPEAT_M * MATRIX_M;
 const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
-// Shared memory in vectors of 8 halves, high then low, one of padding per row against bank
-// conflicts.
+// Vectors of 8 halves, high then low, one of padding per row against bank conflicts.
 const uint PIECES = TILE_K / 8;
 const uint HALVES = 2 * PIECES;
 const uint STRIDE = HALVES + 1;
@@ -77,7 +76,7 @@ vec4 scores_of(vec4 values, uint own, uint column) {
     return target_norms[column / 4] - scaled;
 }
 
-// Surplus rows repeat the last; their results are dropped. Channels past the last are 0.
+// Surplus rows repeat the last; channels past the last are 0.
 void load(uint first_point, uint first_target, uint tile) {
     [[unroll]] for (uint i = 0; i < POINT_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
@@ -93,7 +92,7 @@ void load(uint first_point, uint first_target, uint tile) {
     }
 }
 
-// Shared-memory place of a vector; in memory, high and low ones alternate.
+// High and low vectors alternate in global memory.
 uint staged_at(uint at) { return at / HALVES * STRIDE + at % 2 * PIECES + at % HALVES / 2; }
 
 void stage(uint base) {
@@ -107,8 +106,7 @@ void stage(uint base) {
     }
 }
 
-// Adds products of TILE_K channels of the rows staged at `left` and `right`. Products of one sum
-// are apart, to hide latency.
+// Adds products of TILE_K channels of the rows at `left` and `right`, interleaved to hide latency.
 void multiply(uint left, uint right) {
     [[unroll]] for (uint k = 0; k < PIECES; k += MATRIX_K / 8) {
         Left high[REPEAT_M];

@@ -57,7 +57,6 @@ float score_limit(float least, float norm) {
     return least + sides * sides / 32768.0;
 }
 
-// First candidate that ties with the nearest.
 uint among(uint point, float limit) {
     float least = uintBitsToFloat(INFINITY_BITS);
     for (uint i = 0; i < 2 * shares; i++) {

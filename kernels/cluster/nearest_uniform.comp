@@ -52,7 +52,6 @@ void take(uint v, uint target, float distance) {
 
 void main() {
     find_lanes();
-    // Surplus workgroups repeat the last.
     const uint tile = VECTORS * gl_WorkGroupSize.x;
     uint first_point = min(group_index(), (point_count - 1) / tile) * tile;
     uint64_t points_at = packUint2x32(points_address)

@@ -1,12 +1,8 @@
 // Backward pass of gaussians/activate.
 //
-// Raw, Unit   as in gaussians/activate
-// DMeans      [gaussians, 3] f32
-// DScales     [gaussians, 3] f32
-// DQuats      [gaussians, 4] f32
-// DOpacities  [gaussians] f32
-// DShCoeffs   [gaussians, bases, 3] f32
-// DRaw        [gaussians / group, stride] f32, `group` Gaussians per row; padding is untouched
+// Raw, Unit as in gaussians/activate
+// DMeans, DScales, DQuats, DOpacities, DShCoeffs as the outputs of gaussians/activate
+// DRaw [gaussians / group, stride] f32, `group` Gaussians per row; padding is untouched
 //
 // One invocation owns one Gaussian. Clamped values have no gradient.
 #version 460

@@ -19,7 +19,6 @@ layout(set = 0, binding = 1) readonly buffer Targets { float targets[]; };
 layout(set = 0, binding = 2) writeonly buffer Moments { vec4 moments[]; };
 layout(push_constant) uniform Push { uint rows; uint width; uint channels; };
 
-// Moments of one pixel, without variance.
 vec4 moments_of(uint pixel, uint color) {
     float a = frames[pixel * channels + color];
     return vec4(a, a - targets[pixel * 3 + color], 0, 0);

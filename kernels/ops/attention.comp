@@ -77,7 +77,6 @@ void weigh(uint sequence, uint first_key, inout vec4 scores[ROWS]) {
 
 // Turns scores into shared weights and rescales the running sums.
 void softmax(uint first_key, vec4 scores[ROWS]) {
-    // Padding has weight 0.
     bvec4 real = lessThan(first_key + uvec4(0, 1, 2, 3), uvec4(keys));
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         vec4 s = mix(vec4(LOWEST), scores[r], real);
@@ -95,7 +94,7 @@ void softmax(uint first_key, vec4 scores[ROWS]) {
 // Adds the weighted values of a tile of keys.
 void gather(uint v_base, uint first_key, uint tile_quads) {
     uint lanes = gl_WorkGroupSize.x;
-    // Surplus lanes repeat a part to keep the loop uniform.
+    // Surplus lanes keep the loop uniform.
     uint part = gl_LocalInvocationID.x / QUADS % PARTS;
     uint first_channel = gl_LocalInvocationID.x % QUADS;
     for (uint first = 0; first < tile_quads; first += PARTS) {

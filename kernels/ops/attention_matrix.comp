@@ -28,7 +28,7 @@ const uint LANES = THREADS / SUBGROUPS;
 const uint ROWS = REPEAT_M * MATRIX_M;
 const uint STEPS = CHANNELS / MATRIX_K;  // matrices along the queries' channels
 const uint BLOCKS = CHANNELS / MATRIX_N; // matrices along the sums' channels
-// Shared memory in 16-byte vectors, one of padding per row against bank conflicts.
+// 16-byte vectors, one of padding per row against bank conflicts.
 const uint PIECES = CHANNELS / 8;
 const uint STRIDE = PIECES + 1;
 const uint LOADS = (TILE * PIECES + THREADS - 1) / THREADS;
@@ -64,7 +64,6 @@ vec4 more(uint first_key) {
 
 #include "shared/running_softmax.glsl"
 
-// Keys past the last are 0.
 void load(uint base, uint first_key) {
     [[unroll]] for (uint i = 0; i < LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
@@ -100,7 +99,7 @@ void main() {
 
     Left query[REPEAT_M * STEPS];
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        // Queries past the last load arbitrary rows; their results are dropped.
+        // Surplus queries load arbitrary rows; their results are dropped.
         uint at = (head_sequence * queries + min(first_query, queries) + m * MATRIX_M) * PIECES;
         [[unroll]] for (uint c = 0; c < STEPS; c++) {
             coopMatLoad(query[m * STEPS + c], q, at + c * MATRIX_K / 8, PIECES, ROW_MAJOR);

@@ -50,7 +50,7 @@ uint64_t q_at[TILE_ROWS];
 float highest[TILE_ROWS];
 float total[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
-// Scores of the panel's keys, then their weights.
+// Scores, then weights.
 float weight[TILE_ROWS][KEY_VECTORS];
 
 void score(uint64_t k_at) {

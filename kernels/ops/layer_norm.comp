@@ -33,7 +33,7 @@ layout(push_constant) uniform Push {
     float eps;
 };
 
-uint from; // start of the row in Source
+uint from;
 uint addend_from;
 
 float value_of(uint c) { return ADD ? source[from + c] + addend[addend_from + c] : source[from + c]; }

@@ -47,7 +47,7 @@ void main() {
     uint quads = (columns + 3) / 4;
     uint quads_inner = inner / 4;
     const uint panel_quads = PANEL_COLUMNS / 4;
-    // Surplus lanes repeat a panel to keep the loop uniform.
+    // Surplus lanes keep the loop uniform.
     uint panel = min(quad, quads - 1) / panel_quads;
     uint weight_at = panel * inner * panel_quads + quad % panel_quads;
     uint integers_at = panel * quads_inner * panel_quads + quad % panel_quads;

@@ -18,7 +18,7 @@
 
 layout(local_size_x_id = 0) in;
 
-layout(constant_id = 4) const uint SUBGROUPS = 1; // of a workgroup
+layout(constant_id = 4) const uint SUBGROUPS = 1;
 layout(constant_id = 5) const uint TILE_COLUMNS = 32;
 layout(constant_id = 6) const uint LANE_ROWS = 4;
 layout(constant_id = 7) const uint LANE_COLUMNS = 4; // a multiple of 4
@@ -30,7 +30,7 @@ const uint TILE_QUADS = TILE_COLUMNS / 4;
 const uint COLUMN_LANES = TILE_COLUMNS / LANE_COLUMNS;
 const uint ROW_LANES = LANES / COLUMN_LANES;
 const uint TILE_ROWS = ROW_LANES * LANE_ROWS;
-// Shared memory in vectors of 8 terms, one of padding per row against bank conflicts.
+// Vectors of 8 terms, one of padding per row against bank conflicts.
 const uint PIECES = TILE_K / 8;
 const uint STRIDE = PIECES + 1;
 const uint STAGED_A = TILE_ROWS * STRIDE;
@@ -53,7 +53,7 @@ shared ivec2 staged[STAGED_A + TILE_COLUMNS * STRIDE];
 ivec2 next_a[A_LOADS];
 ivec2 next_weight[W_LOADS];
 
-// Surplus rows and columns repeat the last; their results are dropped. Terms past `inner` are 0.
+// Surplus rows and columns repeat the last; terms past `inner` are 0.
 void load(uint first_row, uint first_column, uint first) {
     uint pieces = inner / 8;
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
@@ -70,7 +70,7 @@ void load(uint first_row, uint first_column, uint first) {
     }
 }
 
-// Shared-memory row of a column: columns that neighboring lanes read together are adjacent.
+// Columns that neighboring lanes read together are adjacent.
 uint staged_column(uint quad, uint c) { return STAGED_A + (c * TILE_QUADS + quad) * STRIDE; }
 
 void stage() {

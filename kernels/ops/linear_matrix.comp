@@ -35,8 +35,7 @@ const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
 const uint TILE_M = SUBGROUPS / SUBGROUPS_N * SUBGROUP_M;
 const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
-// Shared memory in vectors of 8 factors. 16 bytes of padding per row avoid bank conflicts and keep
-// matrix loads aligned.
+// Vectors of 8 factors, 16 bytes of padding per row: no bank conflicts, aligned matrix loads.
 const uint PIECES = TILE_K / 8;
 const uint STRIDE = PIECES + QUAD;
 const uint STAGE = (TILE_M + TILE_N) * STRIDE;
@@ -76,7 +75,7 @@ Piece next_weight[W_LOADS];
 Piece weight_at(uint at) { return weight[at]; }
 Piece factors(Piece loaded) { return loaded; }
 #else
-// 8 weights; if Q8, two words of integers, one of scales, and which of its two applies.
+// If Q8: two words of integers, one of scales, and which of its two applies.
 Piece weight_at(uint at) {
     if (!Q8) return weight[at];
     uint group = at / (Q8_GROUP / 8);
@@ -90,7 +89,7 @@ Piece factors(Piece loaded) {
 }
 #endif
 
-// Surplus rows and columns repeat the last; their results are dropped. Terms past `inner` are 0.
+// Surplus rows and columns repeat the last; terms past `inner` are 0.
 void load(uint first_row, uint first_column, uint tile) {
     uint pieces = inner / 8;
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {

@@ -17,7 +17,7 @@
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 4) const bool Q8 = false;
-layout(constant_id = 5) const uint SUBGROUPS = 1; // of a workgroup
+layout(constant_id = 5) const uint SUBGROUPS = 1;
 layout(constant_id = 6) const uint TILE_COLUMNS = 32;
 layout(constant_id = 7) const uint LANE_ROWS = 4;
 layout(constant_id = 8) const uint LANE_COLUMNS = 4; // a multiple of 4
@@ -31,7 +31,7 @@ const uint COLUMN_LANES = TILE_COLUMNS / LANE_COLUMNS;
 const uint ROW_LANES = LANES / COLUMN_LANES;
 const uint TILE_ROWS = ROW_LANES * LANE_ROWS;
 const uint PANEL_QUADS = PANEL_COLUMNS / 4;
-// One vec4 of padding per row of A avoids bank conflicts.
+// A vec4 of padding per row avoids bank conflicts.
 const uint A_QUADS = TILE_K / 4;
 const uint A_STRIDE = A_QUADS + 1;
 const uint STAGED_A = TILE_ROWS * A_STRIDE;
@@ -53,10 +53,10 @@ layout(push_constant) uniform Push {
 shared vec4 staged[STAGED_A + TILE_K * TILE_QUADS];
 
 vec4 next_a[A_LOADS];
-uvec3 next_integers[W_LOADS]; // 4 columns, with scales
+uvec3 next_integers[W_LOADS];
 vec4 next_weight[W_LOADS];
 
-// Surplus rows and columns repeat the last; their results are dropped. Terms past `end` are 0.
+// Surplus rows and columns repeat the last; terms past `end` are 0.
 void load(uint first_row, uint first_quad, uint first, uint end) {
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
         uint at = i * LANES + gl_LocalInvocationID.x;

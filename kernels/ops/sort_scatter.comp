@@ -23,7 +23,6 @@ layout(push_constant) uniform Push { uint shift; uint mask; uint blocks; };
 
 shared uint next[RADIX];
 
-// Lanes among `lanes` with this lane's digit.
 uvec4 peers(uint digit, uvec4 lanes) {
     for (uint bit = 1; bit <= mask; bit <<= 1) {
         bool set = (digit & bit) != 0;

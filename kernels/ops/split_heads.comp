@@ -53,7 +53,7 @@ layout(push_constant) uniform Push {
     float eps;
 };
 
-uint from; // start of the head in Projection
+uint from;
 
 // Rows of Projection averaged into one row of Out.
 struct Group {
@@ -73,7 +73,6 @@ Group group_of(uint row) {
     return Group(view + leading + at.y * columns + at.x, min(patches - at, uvec2(POOL)));
 }
 
-// The group's i-th row.
 uint member(Group group, uint i) { return group.first + i / group.size.x * columns + i % group.size.x; }
 
 float value_of(uint c) { return from_ELEMENT(projection[from + c]); }
@@ -96,7 +95,6 @@ void store(uint head, uint row, uint channel, float value) {
     }
 }
 
-// Pair p of a row of Projection, normed and rotated.
 vec2 pair(Statistics statistics, uint row, uint head, uint p) {
     uint c = pair_channel(p);
     uint apart = dim / 4;

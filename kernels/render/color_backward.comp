@@ -6,8 +6,8 @@
 // Colors    [N, C, 3] f32, of render/project
 // Status    [3] u32, of render/intersect
 // Slots     [N C + 1] u32, as in render/rasterise_backward
-// Moments   [capacity, 6] f32, of render/rasterise_backward
-// DValues   [capacity, 3, 4 or 1] f32, of render/rasterise_backward
+// Moments   [capacity, 6] f32, as Slots
+// DValues   [capacity, 3, 4 or 1] f32, as Slots
 // DPairs    [N, C, 10] f32, see shared/pair_gradient
 // DShCoeffs [N, (SH_DEGREE + 1)^2, 3] f32, accumulated if SCENE_GRADIENTS
 //

@@ -90,7 +90,6 @@ void add_bands(uint n, vec3 direction, inout vec3 sum) {
     for (uint k = 1; k < COEFFS; k++) sum += basis[k] * sh_coeffs[n * COEFFS + k];
 }
 
-// Color seen along `offset`.
 vec3 color(uint n, vec3 offset) {
     vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
     if (SH_DEGREE > 0) add_bands(n, unit_vector(offset), sum);

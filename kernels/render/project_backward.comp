@@ -3,18 +3,16 @@
 // Means, Scales, Quats, Opacities, Cameras as in render/project
 // Conics      [N, C, 3] f32, of render/project
 // DPairs      [N, C, 10] f32, of render/color_backward, 0 if culled
-// DMeans      [N, 3] f32, accumulated if SCENE_GRADIENTS, like the next three
-// DScales     [N, 3] f32
-// DQuats      [N, 4] f32
-// DOpacities  [N] f32
+// DMeans, DScales, DQuats, DOpacities as the Gaussians, accumulated if SCENE_GRADIENTS
 // DCameras    [workgroups, C, 10] f32, sums over a workgroup's Gaussians, written if
 //             CAMERA_GRADIENTS: w, v of camera-to-world pose o (exp(w^), v), fx, fy, cx, cy
 //
 // One invocation owns one Gaussian, one workgroup a subgroup of them. Sums are in the order of
 // cameras, then lanes.
-// F is the two rows of J W R S, Q the conic's matrix, d the offset from the center. ln alpha =
-// -d'Qd / 2 gives F the gradient (Qd)(Qd)'F. Q = [1, -k]'A[1, -k] + [0, 1]'P[0, 1] expresses Qd by
-// e and y, and QF by A (u - k v) and P v: nothing cancels for needles.
+// F is the two rows of J W R S, Q the conic's matrix, d the offset from the center. As ln alpha is
+// -d'Qd / 2, F's gradient is that of ln alpha times (Qd)(Qd)'F. The completed squares
+// Q = [1, -k]'A[1, -k] + [0, 1]'P[0, 1] express Qd by e and y, and QF by A (u - k v) and P v:
+// nothing cancels for needles.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -58,7 +56,7 @@ struct CameraGradient {
     vec2 principal;
 };
 
-// Gradients of the splat's rows u and v, both scaled by `unit`.
+// Gradients of the splat's rows; u and v come scaled by `unit`.
 void to_rows(PairGradient pair, vec3 conic, vec3 u, vec3 v, float unit, out vec3 d_u, out vec3 d_v) {
     float blur = BLUR * unit * unit;
     vec3 minors = cross(u, v);
@@ -67,8 +65,8 @@ void to_rows(PairGradient pair, vec3 conic, vec3 u, vec3 v, float unit, out vec3
     d_u = (ee * m + ey * v) / unit;
     d_v = (ey * m + yy * v) / unit - conic.y * d_u;
     if (ANTIALIASED) {
-        // ln compensation is half of ln det F F' - ln det (F F' + BLUR): its gradient is BLUR Q
-        // times the dual of F.
+        // ln compensation is (ln det F F' - ln det (F F' + BLUR)) / 2, with gradient BLUR Q times
+        // F's dual.
         float sharp = dot(minors, minors);
         vec3 dual_u = cross(v, minors) / sharp * unit, dual_v = cross(minors, u) / sharp * unit;
         vec3 across = BLUR * pair.first.x * conic.x * (dual_u - conic.y * dual_v);
@@ -96,7 +94,7 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     vec3 d_u, d_v;
     to_rows(pair, conic, u * unit, v * unit, unit, d_u, d_v);
 
-    // Gradients of the rotated axes' rows, each scaled by its length.
+    // Gradients of the rotated axes' rows.
     vec3 d_x = focal.x / p.z * scale * d_u, d_y = focal.y / p.z * scale * d_v, d_z = -slope.x * d_x - slope.y * d_y;
     vec2 d_slope = -vec2(dot(rows[2], d_x), dot(rows[2], d_y));
     vec2 sizes = vec2(dot(u, d_u), dot(v, d_v));
@@ -146,8 +144,7 @@ void main() {
     d_means[n] += sum.mean;
     d_scales[n] += sum.scale;
     d_opacities[n] += sum.opacity;
-    // A small rotation w moves a quaternion q by (0, w) q / 2: its gradient is twice that of w,
-    // times q / |q|^2.
+    // A small rotation w moves a quaternion q by (0, w) q / 2.
     float size = length_of(quats[n]);
     vec4 turned = quats[n] / size;
     d_quats[n] += 2 / size * vec4(-dot(sum.turn, turned.yzw), turned.x * sum.turn + cross(sum.turn, turned.yzw));

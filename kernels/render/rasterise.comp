@@ -2,10 +2,7 @@
 //
 // PairIndices [intersections] u32, by tile, near to far
 // TileOffsets [tiles + 1] u32
-// XyOpacities [pairs, 3] f32, of render/project
-// Conics      [pairs, 3] f32, of render/project
-// Colors      [pairs, 3] f32, of render/project
-// Depths      [pairs] f32, of render/project
+// XyOpacities, Conics, Colors, Depths [pairs, 3 or 1] f32, of render/project
 // Normals     [pairs, 3] f32, of render/normals
 // Frames      [C, rows, width, channels] f32: RGB, alpha, depth, normal, token RGB, as enabled
 //
@@ -43,7 +40,6 @@ layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row
 
 #include "shared/runs.glsl"
 
-// Values of one Gaussian, or blended ones.
 struct Values {
     vec3 rgb;
     float depth;

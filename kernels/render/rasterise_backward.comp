@@ -55,7 +55,6 @@ struct Pixel {
     float d_alpha;
 };
 
-// Gradient of a splat through a tile.
 struct Gradient {
     vec3 first;  // moments 1, e, y
     vec3 second; // e e, e y, y y
@@ -103,7 +102,6 @@ void put(uint slot, Gradient gradient) {
     if (DEPTH) d_values[slot * VALUES + VALUES - 1] = gradient.depth;
 }
 
-// Slot of a pair in this tile.
 uint slot_of(uint pair) {
     TileSet set = unpack(tile_sets[pair]);
     uvec2 at = tile() - set.first;

@@ -2,7 +2,6 @@
 // errors from being simplified to 0.
 // Source: Dekker, A floating-point technique for extending the available precision, 1971.
 
-// Sum of two numbers, the larger first.
 vec2 carried(float high, float low) {
     precise float sum = high + low;
     precise float rest = low - (sum - high);

@@ -10,7 +10,6 @@ layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
 layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
 layout(set = 0, binding = 5) buffer Out { OUTPUT result[]; };
 
-// Bias of four columns, 0 past the last.
 vec4 bias_of(uint quad, uint columns) {
     vec4 offset = vec4(bias[4 * quad], 0.0, 0.0, 0.0);
     [[unroll]] for (uint c = 1; c < 4; c++) offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;

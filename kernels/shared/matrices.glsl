@@ -7,7 +7,7 @@
 #extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
 
-layout(constant_id = 1) const uint SUBGROUPS = 4; // of a workgroup
+layout(constant_id = 1) const uint SUBGROUPS = 4;
 layout(constant_id = 2) const uint MATRIX_M = 16;
 layout(constant_id = 3) const uint MATRIX_N = 16;
 layout(constant_id = 4) const uint MATRIX_K = 16;

@@ -3,13 +3,12 @@
 // A total variance is the mean of variances plus the variance of means. Values are relative to a
 // `centre` near them, so squares do not cancel.
 
-// Filter input of moments relative to `centre`.
+// Filter input, relative to `centre`.
 vec4 squared(vec4 moments, vec2 centre) {
     float a = moments.x - centre.x, d = moments.y - centre.y, b = a - d;
     return vec4(a, d, moments.z + a * a + b * b, moments.w + d * d);
 }
 
-// Moments of filtered input.
 vec4 centred(vec4 filtered, vec2 centre) {
     float a = filtered.x, d = filtered.y, b = a - d;
     vec2 variances = max(filtered.zw - vec2(a * a + b * b, d * d), 0);

@@ -25,7 +25,6 @@ void turn(vec4 q, out vec2 turned[3][3]) {
     turned[2] = vec2[3](add(xz, wy), add(yz, -wx), add(add(ww, zz), -add(xx, yy)));
 }
 
-// Replaces a splat's place (see ridge_row) and conic.
 void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec4 quat, inout vec2 place, inout vec3 conic) {
     vec2 rows[3][3], offset[3], p[3];
     for (uint c = 0; c < 3; c++) offset[c] = add(add(mean[c], -camera[c].w), vec2(-camera[4 + c].w, 0));

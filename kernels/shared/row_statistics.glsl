@@ -24,7 +24,7 @@ Statistics row_statistics(uint width, float eps) {
     float mean = subgroupAdd(sum) / float(width);
     // A power of two is exact.
     float unit = subgroupMax(largest) > 1e18 ? 5.421010862427522e-20 : 1.0;
-    vec2 sums = vec2(0.0); // differences and their squares
+    vec2 sums = vec2(0.0);
     for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
         float d = (value_of(c) - mean) * unit;
         sums += vec2(d, d * d);

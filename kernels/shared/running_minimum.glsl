@@ -12,7 +12,6 @@ const uint LANE_ROWS = (MATRIX_M + LANES - 1) / LANES;
 const uint OWN_ROWS = REPEAT_M * LANE_ROWS;
 const uint QUADS = SUBGROUP_N / 4;
 const uint STRIP_STRIDE = QUADS + 1;
-// Lanes of a workgroup per row.
 const uint PARTS = SUBGROUPS_N * ROW_LANES;
 
 vec4 scores_of(vec4 values, uint own, uint column);
@@ -39,7 +38,7 @@ void minimum_begin() {
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) two_least[own] = NONE;
 }
 
-// Scans the m-th strip, of columns from `first_column` on.
+// Scans the m-th strip.
 void minimum(uint strip, uint m, uint first_column) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
         uint own = m * LANE_ROWS + i;
@@ -57,7 +56,7 @@ void minimum(uint strip, uint m, uint first_column) {
     }
 }
 
-// Stores the lane's results in shared memory, PARTS per row.
+// Stores the lane's results, PARTS per row.
 void minimum_end(uint own_row, uint subgroup_column) {
     uint part = subgroup_column * ROW_LANES + gl_SubgroupInvocationID % ROW_LANES;
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) {

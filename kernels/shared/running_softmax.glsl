@@ -22,7 +22,6 @@ void softmax_begin() {
     }
 }
 
-// The lane's i-th row of the subgroup.
 uint lane_row(uint i) { return i * LANES + gl_SubgroupInvocationID / ROW_LANES; }
 
 void put_factor(uint row, float factor) {
@@ -65,7 +64,6 @@ bool softmax(uint scores, uint first_key, uint keys) {
     return changed;
 }
 
-// Stores 1 / total as each row's factor.
 void softmax_end(uint scores) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
         [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) total[i] += subgroupShuffleXor(total[i], apart);

@@ -23,7 +23,6 @@ uvec2 tile() { return uvec2(gl_WorkGroupID.x * RUNS * LANES / (TILE * TILE), fir
 
 uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset(); }
 
-// A splat relative to a tile.
 struct Falloff {
     // Offset of the tile's first pixel from the splat's place; z: its y from ridge_row.
     vec3 corner;
@@ -46,7 +45,6 @@ struct Sight {
     float across;
 };
 
-// Whether any pixel of the run can see the splat.
 bool sees(Falloff falloff, uint run, out Sight sight) {
     vec3 from = falloff.corner + run_start(run).xyy + vec3(0, lane_offset().yy);
     float shear = falloff.conic.y * from.z;

@@ -5,7 +5,6 @@ const float WINDOW[2 * RADIUS + 1] = float[](0.00102838012, 0.00759875821, 0.036
 const float MIDDLE = 0.5; // subtracted from values to keep squares small
 const int REACH = int(RUN) + 2 * RADIUS; // values that a run reads
 
-// Adds value `k` of the reach to the sums of the run.
 void add_tap(inout vec4 sums[RUN], int k, vec4 value) {
     [[unroll]] for (int p = 0; p < RUN; p++) {
         int tap = k - p;
