@@ -1,32 +1,32 @@
-//! Number types and kernels of linear layers, attention and k-means use.
+//! Precisions, and the number types and kernels that each one selects.
 
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
 
-/// The precision of matrix products. Sums, softmax, norms, the residual stream and geometry are f32 in all of them.
+/// Precision of matrix products. Sums, softmax, norms, the residual stream and geometry are always
+/// f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
     Exact,
-    /// Factors of matrix products in f16.
+    /// f16 factors in matrix products.
     Fast,
-    /// Factors of matrix products in bf16: f32's range in 8 bits, for networks whose activations f16 cannot hold.
+    /// bf16 factors in matrix products, for activations beyond f16's range.
     FastBf16,
-    /// As `Fast`, and in the linear layers of blocks 8-bit integers: a scale for every token and for every output.
+    /// `Fast`, with 8-bit integers in blocks' linear layers: one scale per token and per output.
     Turbo,
 }
 
 impl Precision {
-    /// All, the slowest first.
+    /// Every precision, slowest first.
     pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
 
-    /// The precision where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
-    /// which convert f16 slowly.
+    /// The default: `Fast` on GPUs with matrix units, `Exact` elsewhere. CPUs convert f16 slowly.
     pub fn best(limits: &Limits) -> Self {
         if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
     }
 
-    /// As on the command line.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Precision::Exact => "exact",
@@ -39,43 +39,41 @@ impl Precision {
 
 /// Number types and kernels of linear layers, attention and k-means.
 ///
-/// With a type of 16 bits, these are rounded to it: weights, and activations that only feed matrix products: normed rows,
-/// queries, keys and values, hidden layers, what attention gives; and the normed rows of an output layer, whose mean goes on
-/// beside their product. They saturate at its largest value rather than overflow; networks with activations beyond f16's 65504
-/// are not known. Scores are f32, so that those of blocks without q/k norm, which reach 1e4 and more, stay finite.
+/// 16-bit types hold weights and activations that only feed matrix products. Values saturate
+/// instead of overflowing. Attention scores stay f32: without q/k norm they reach 1e4 and more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arithmetic {
     /// Type of the factors of matrix products.
     pub element: Element,
-    /// How work is cut for linear layers with such factors on lanes.
+    /// Tiles of linear layers on lanes, with factors of type `element`.
     pub tiles: Tiles,
-    /// How work is cut for linear layers on lanes that are f32 whatever the precision.
+    /// Tiles of linear layers on lanes that are f32 in every precision.
     pub exact_tiles: Tiles,
-    /// Matrix units that linear layers run on, where they do.
+    /// Matrix units for linear layers.
     pub linear: Option<Units>,
-    /// Matrix units that attention runs on, where it does.
+    /// Matrix units for attention.
     pub attention: Option<Units>,
-    /// Matrix units for 8-bit integers that linear layers of blocks run on, where they do.
+    /// 8-bit matrix units for blocks' linear layers.
     pub quantised: Option<Units>,
-    /// How work is cut for linear layers of blocks with 8-bit integers on lanes, where they are to run there.
+    /// Tiles of blocks' 8-bit linear layers on lanes.
     pub dots: Option<Tiles>,
-    /// Matrix units for f16 that k-means finds nearest rows on, where it does: exactly enough in every precision.
+    /// f16 matrix units for k-means, exact enough in every precision.
     pub nearest: Option<Units>,
 }
 
-/// Matrix units as a kernel uses them.
+/// A device's matrix units, as configured for a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Units {
-    /// Type of their factors.
+    /// Type of the factors.
     pub factor: Element,
-    /// Their shape.
+    /// Shape of one matrix product.
     pub shape: MatrixShape,
-    /// How work is cut for them.
+    /// Tiles by size of the result.
     pub tiles: Tiles,
 }
 
 impl Units {
-    /// The matrix units of a device for factors of a type, with tiles by rule.
+    /// Returns the device's matrix units for a factor type, with default tiles.
     pub fn of(factor: Element, limits: &Limits) -> Option<Self> {
         limits.matrices.of(factor).map(|shape| Self { factor, shape, tiles: Tiles::default() })
     }
@@ -94,22 +92,22 @@ impl Arithmetic {
         nearest: None,
     };
 
-    /// f32 throughout, with work cut in the same way.
+    /// Returns the f32 arithmetic, with tuned tiles.
     pub(super) fn exact(&self) -> Self {
         Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
     }
 
-    /// True where linear layers of blocks have 8-bit integers, on matrix units or without them on lanes.
+    /// Whether blocks' linear layers use 8-bit integers.
     pub fn has_integers(&self) -> bool {
         self.quantised.is_some() || self.dots.is_some()
     }
 
-    /// The same without 8-bit integers.
+    /// Returns the arithmetic without 8-bit integers.
     pub fn without_integers(&self) -> Self {
         Self { quantised: None, dots: None, ..*self }
     }
 
-    /// The arithmetic of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
+    /// Returns the arithmetic of a precision, or `None` if the device does not support it.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
         let element = match precision {
             Precision::Exact => return Some(Self::EXACT),

@@ -1,4 +1,5 @@
-//! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
+//! Multi-head attention: splits heads out of a projection, then computes local, global or cross
+//! attention.
 
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
@@ -10,50 +11,50 @@ use crate::{
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
-/// Heads and their channels.
+/// Number of heads and channels per head.
 #[derive(Clone, Copy, Debug)]
 pub struct Heads {
     /// Number of heads.
     pub count: usize,
-    /// Channels of a head.
+    /// Channels per head.
     pub dim: usize,
 }
 
 impl Heads {
-    /// `count` heads over `width` channels.
+    /// Returns `count` heads over `width` channels.
     pub fn new(count: usize, width: usize) -> Self {
         Self { count, dim: width / count }
     }
 
-    /// Channels of all heads.
+    /// Returns the channels of all heads.
     pub fn width(&self) -> usize {
         self.count * self.dim
     }
 }
 
-/// Queries, keys or values: what happens to them on the way from a projection.
+/// Processing of queries, keys or values as they leave the projection.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part {
     /// Norm over a head's channels.
     pub norm: Option<Norm>,
-    /// The rotations of tokens by their places.
+    /// Rotary embedding.
     pub rotary: Option<Rotary>,
-    /// Whether these are keys, which are laid out with tokens running fastest.
+    /// Whether these are keys, whose layout is transposed on lanes.
     pub keys: bool,
-    /// Factor, or 0 for none.
+    /// Scale; 0 for none.
     pub scale: f32,
-    /// The place for the logarithm of how many patches each pooled key is the mean of.
+    /// Output for the logarithm of each pooled key's patch count.
     pub log_counts: Option<Tensor>,
 }
 
-/// Rotary embedding: rotations of the tokens of a view, the same in every view.
+/// Rotary embedding of a view's tokens, the same for every view.
 #[derive(Clone, Copy, Debug)]
 pub struct Rotary {
-    /// `[turned, dim / 2, 2]` f32: cosine and sine for each pair of channels.
+    /// `[turned, dim / 2, 2]` f32: cosine and sine per pair of channels.
     pub table: Tensor,
-    /// Tokens of a view.
+    /// Tokens per view.
     pub tokens: usize,
-    /// The first tokens of a view, which turn; the others stay as they are.
+    /// Number of leading tokens that rotate.
     pub turned: usize,
 }
 
@@ -62,31 +63,30 @@ pub struct Rotary {
 pub struct Attention {
     /// Heads.
     pub heads: Heads,
-    /// Sequences that do not see each other.
+    /// Number of independent sequences.
     pub sequences: usize,
-    /// Queries of a sequence.
+    /// Queries per sequence.
     pub queries: usize,
-    /// Keys of a sequence.
+    /// Keys per sequence.
     pub keys: usize,
-    /// Groups of patches whose means the keys and values are.
+    /// Pooling of keys and values.
     pub pool: Option<Pool>,
-    /// The kernel that computes it.
+    /// Kernel.
     pub kernel: AttentionKernel,
 }
 
-/// The kernel of an attention, which decides the layout of queries, keys and values.
+/// Attention kernel, which decides the layout of queries, keys and values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
-    /// ops/attention, or ops/attention_uniform where that is faster: everything of this type, keys in panels, in which they run
-    /// fastest: [`Attention::tensors`].
+    /// ops/attention or the faster ops/attention_uniform: tensors of this type, keys in panels.
     Lanes(Element),
-    /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices of a
-    /// subgroup.
+    /// ops/attention_matrix: 16-bit tensors on matrix units, head channels padded to whole
+    /// matrices.
     Matrix(Units),
 }
 
 impl AttentionKernel {
-    /// Type of queries, keys, values and of what comes out.
+    /// Returns the type of queries, keys, values and results.
     pub fn element(self) -> Element {
         match self {
             AttentionKernel::Lanes(element) | AttentionKernel::Matrix(Units { factor: element, .. }) => element,
@@ -95,8 +95,8 @@ impl AttentionKernel {
 }
 
 impl Attention {
-    /// Tensors for queries, keys and values, and `[sequences * keys]` f32 for [`Part::log_counts`] where keys are pooled, else the
-    /// keys again.
+    /// Allocates queries, keys, values and `[sequences * keys]` f32 for [`Part::log_counts`].
+    /// Without pooling, the last is an alias of the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
@@ -104,7 +104,7 @@ impl Attention {
             AttentionKernel::Lanes(_) => {
                 (queries, sequences * self.keys.next_multiple_of(self.panel(rec.limits())) * width, keys)
             }
-            // The last workgroup reads queries beyond the end.
+            // The last workgroup reads past the last query.
             AttentionKernel::Matrix(units) => {
                 let tiles = Tile::attention(rec.limits(), units, 8);
                 let most_rows = tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0);
@@ -117,7 +117,7 @@ impl Attention {
         [q, k, v, self.pool.map_or(k, |_| rec.tensor::<f32>("log_counts", sequences * self.keys))]
     }
 
-    /// Channels of a head as queries, keys and values hold it.
+    /// Channels per head, with padding.
     fn channels(&self) -> usize {
         match self.kernel {
             AttentionKernel::Lanes(_) => self.heads.dim,
@@ -127,8 +127,8 @@ impl Attention {
         }
     }
 
-    /// Takes a part out of columns of a projection, whose first row is row `first_row` of all, into `out`. Of views whose keys are
-    /// pooled the projection has all rows.
+    /// Copies one part from columns of a projection into `out`. The projection's first row is row
+    /// `first_row` of all; with pooled keys it must cover whole views.
     pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
         let of_keys = part.keys || part.scale == 0.0;
         let (sequence, pool) = if of_keys { (self.keys, self.pool) } else { (self.queries, None) };
@@ -176,12 +176,12 @@ impl Attention {
         rec.dispatch_groups(kernel, rows * self.heads.count);
     }
 
-    /// Scale of the queries: 1 / sqrt(dim).
+    /// Returns the query scale, 1 / sqrt(dim).
     pub fn scale(&self) -> f32 {
         1.0 / (self.heads.dim as f32).sqrt()
     }
 
-    /// softmax(q k) v of every head, `[sequences * queries, width]`.
+    /// Computes softmax(q k) v of every head: `[sequences * queries, width]`.
     pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 4]) -> Rows {
         let rows = self.sequences * self.queries;
         let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
@@ -193,7 +193,7 @@ impl Attention {
         out
     }
 
-    /// Keys that lie side by side, of one channel after the other: those that ops/attention_uniform takes at a time, or all, in quads.
+    /// Keys per panel: the tile of ops/attention_uniform, or all keys, padded to quads.
     fn panel(&self, limits: &Limits) -> usize {
         if self.is_uniform(limits) {
             (UNIFORM_TILE[1] * limits.subgroup_size) as usize
@@ -202,7 +202,8 @@ impl Attention {
         }
     }
 
-    /// True where ops/attention_uniform computes the heads, which takes whole subgroups of channels.
+    /// Whether ops/attention_uniform applies. It needs head widths in multiples of the subgroup
+    /// size.
     fn is_uniform(&self, limits: &Limits) -> bool {
         let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
@@ -225,7 +226,7 @@ impl Attention {
             heads: self.heads.count as u32,
             dim,
             vectors: dim / rec.limits().subgroup_size,
-            terms: terms_of(self.heads.dim).min(16), // 32 take 3 % more time
+            terms: terms_of(self.heads.dim).min(16),
             tile_rows,
             key_vectors,
             pooled: self.pool.is_some(),
@@ -285,7 +286,7 @@ impl Attention {
     fn tile(&self, limits: &Limits, units: Units) -> Tile {
         let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
         let candidates = Tile::attention(limits, units, channels);
-        // Wide heads do not fit every tile.
+        // Tiles were measured at `TUNED_CHANNELS`; wider heads may not fit all of them.
         let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
         let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
         let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));
@@ -293,7 +294,6 @@ impl Attention {
         choose(&candidates, measured, by_rule, |tile| self.queries.div_ceil(tile.sides(units)[0]) * heads)
     }
 
-    /// Workgroups of `rows` queries.
     fn dispatch<K: Kernel>(&self, rec: &mut Recorder, kernel: K, rows: usize) {
         let groups = [self.queries.div_ceil(rows), self.heads.count, self.sequences];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
@@ -324,7 +324,6 @@ mod tests {
         assert!(tiles.iter().any(|tile| tile.repeats == [2, 1]));
         for (index, tile) in tiles.iter().enumerate() {
             let units = Units { tiles: Tiles::always(index), ..units };
-            // Also for heads of other sizes, as far as it fits them.
             assert_eq!([16, 64].map(|channels| choose(units, 300, 16, channels)), [*tile; 2]);
         }
     }

@@ -1,6 +1,7 @@
-//! Arithmetic in registers and nothing else, and copies: what a device can do at most, for benchmarks to compare with.
+//! Peak throughput of a device in register arithmetic and copies, for benchmarks.
 //!
-//! The recorder is not told how much it is, because it must not cut these dispatches: whoever measures gives them a length.
+//! These dispatches report no work, so the recorder does not split them. Callers choose their
+//! length.
 
 use super::Units;
 use crate::{
@@ -8,7 +9,7 @@ use crate::{
     kernels::measure as kernels,
 };
 
-/// A copy of `from`, whole multiples of 16 bytes, by a kernel: each byte is read once and written once.
+/// Copies `from`, a multiple of 16 bytes: one read and one write per byte.
 pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     let out = rec.tensor::<u8>("copy", from.bytes() as usize);
     let quads = from.bytes() as usize / 16;
@@ -16,31 +17,32 @@ pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     out
 }
 
-/// Chains of steps x = x * factor + term on every lane of a device.
+/// Chains of x = x * factor + term on every lane.
 #[derive(Clone, Copy, Debug)]
 pub struct FmaChains {
     /// Invocations.
     pub threads: usize,
     /// Rounds of [`FmaChains::STEPS`] steps.
     pub iterations: u32,
-    /// The number that a step multiplies by.
+    /// Multiplier of a step.
     pub factor: f32,
-    /// The number that a step adds.
+    /// Addend of a step.
     pub term: f32,
 }
 
 impl FmaChains {
-    /// Chains of an invocation: twice 4 cycles of latency and more, and few enough for 16 registers.
+    /// Chains per invocation: they hide the FMA latency and still fit 16 registers.
     pub const CHAINS: u32 = 12;
-    /// Steps of a chain in one iteration.
+    /// Steps of a chain per iteration.
     pub const STEPS: u32 = 8;
 
-    /// Multiplications and additions.
+    /// Returns the number of multiplications and additions.
     pub fn flops(&self) -> u64 {
         2 * self.threads as u64 * u64::from(Self::CHAINS * Self::STEPS) * u64::from(self.iterations)
     }
 
-    /// `[threads]` f32: each invocation's chains added up. Chain `c` of invocation `t` starts at `t % 16 + 16 c`.
+    /// Returns `[threads]` f32, the sum of each invocation's chains. Chain `c` of invocation `t`
+    /// starts at `t % 16 + 16 c`.
     pub fn record(&self, rec: &mut Recorder) -> Tensor {
         let out = rec.tensor::<f32>("out", self.threads);
         let kernel = kernels::Fma {
@@ -57,37 +59,39 @@ impl FmaChains {
     }
 }
 
-/// Products of matrices on a device's matrix units, added up.
+/// Accumulated matrix products on a device's matrix units.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
-    /// Matrix units; their tiles do not matter.
+    /// Matrix units; tiles are ignored.
     pub units: Units,
     /// Subgroups, a multiple of [`MatrixProducts::SUBGROUPS`]. Each computes the same.
     pub subgroups: usize,
-    /// How often all products are added.
+    /// Number of accumulations of all products.
     pub iterations: u32,
-    /// Bit `i % 32` exchanges the left factors behind iteration `i`.
+    /// Bit `i % 32` swaps the left factors after iteration `i`.
     pub swaps: u32,
 }
 
 impl MatrixProducts {
-    /// Subgroups of a workgroup.
+    /// Subgroups per workgroup.
     pub const SUBGROUPS: usize = 4;
 
-    /// Products of an iteration: sums that do not wait for each other. On a CPU matrices are loops that take long to compile.
+    /// Returns the number of independent products per iteration. CPUs get fewer, to limit compile
+    /// time.
     pub fn products(limits: &Limits) -> usize {
         if limits.cpu { 4 } else { 8 }
     }
 
-    /// Multiplications and additions.
+    /// Returns the number of multiplications and additions.
     pub fn flops(&self, limits: &Limits) -> u64 {
         let MatrixShape { m, n, k } = self.units.shape;
         let products = (self.subgroups * Self::products(limits)) as u64 * u64::from(self.iterations);
         2 * products * u64::from(m * n * k)
     }
 
-    /// `[subgroups, m, n]`, see [`MatrixProducts::sums`]: the sum of `a[s] b[p]` over iterations and products `p`, of `a`
-    /// `[2, m, k]`, whose first is the left factor until they are exchanged, and `b` `[products, k, n]`.
+    /// Returns `[subgroups, m, n]`, see [`MatrixProducts::sums`]: the sum of `a[s] b[p]` over
+    /// iterations and products `p`. `a` is `[2, m, k]`, with the first as left factor until a swap;
+    /// `b` is `[products, k, n]`.
     pub fn record(&self, rec: &mut Recorder, a: Tensor, b: Tensor) -> Tensor {
         let MatrixShape { m, n, k } = self.units.shape;
         let out = rec.tensor::<u32>("out", self.subgroups * (m * n) as usize);
@@ -108,7 +112,7 @@ impl MatrixProducts {
         out
     }
 
-    /// The numbers that the words of a result stand for: f32, or where factors are 8-bit integers whole numbers.
+    /// Decodes a result: f32, or integers for 8-bit factors.
     pub fn sums(&self, words: Vec<u32>) -> Vec<f32> {
         let number = |word: u32| match self.units.factor {
             Element::I8 => word as i32 as f32,

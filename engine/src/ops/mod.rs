@@ -1,4 +1,5 @@
-//! Dispatches that several stages use. Each takes tensors and shapes and records; none owns device memory.
+//! Operations that several stages share. Each records dispatches over tensors; none owns device
+//! memory.
 
 mod arithmetic;
 mod attention;

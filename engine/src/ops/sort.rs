@@ -1,5 +1,5 @@
-//! Least significant digit radix sort of u32 keys with u32 values: stable, over the bits in use, of a number of items
-//! that only the device knows. Shares are cut for the capacity, so that no dispatch depends on that number.
+//! Stable LSD radix sort of u32 key-value pairs whose count only the device knows. Dispatches
+//! depend on the capacity alone.
 
 use super::scan::exclusive_scan;
 use crate::{
@@ -10,15 +10,14 @@ use crate::{
     },
 };
 
-/// Bits of a digit.
 const DIGIT_BITS: u32 = RADIX.ilog2();
-/// Items that a workgroup should have at least: four of each digit, so that the table of digits stays smaller.
+/// Minimum items per workgroup: four times the digits, which bounds the digit table.
 const SHARE: usize = 1024;
-/// Workgroups at most: the table of digits has a column for each.
+/// Maximum workgroups, one digit table column each.
 const MAX_BLOCKS: usize = 1024;
 
-/// Records the sort of the first `item_count[0]` of `capacity` keys by their lowest `bits` bits, smallest first, equal
-/// keys in their order. Returns the sorted keys and values; what was given keeps its order.
+/// Sorts the first `item_count[0]` of `capacity` pairs by the lowest `bits` key bits, ascending and
+/// stable. Returns new keys and values; the inputs stay unchanged.
 pub fn sort_pairs(
     rec: &mut Recorder,
     mut keys: Tensor,
@@ -55,15 +54,15 @@ pub fn sort_pairs(
     (keys, values)
 }
 
-/// Where the items of each of `key_count` keys start among the first `item_count[0]` of `keys`, which are sorted:
-/// `[key_count + 1]`.
+/// Returns the first index of each of `key_count` keys among the first `item_count[0]` sorted
+/// `keys`: `[key_count + 1]`.
 pub fn key_starts(rec: &mut Recorder, keys: Tensor, item_count: Tensor, key_count: usize) -> Tensor {
     let starts = rec.tensor::<u32>("starts", key_count + 1);
     rec.dispatch(KeyStarts { keys, item_count, starts, key_count: key_count as u32 }, key_count + 1);
     starts
 }
 
-/// Bits that keys below `count` use.
+/// Returns the bits needed for keys below `count`.
 pub fn key_bits(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }

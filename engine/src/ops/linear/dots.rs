@@ -1,4 +1,4 @@
-//! Linear layers of 8-bit integers on lanes, by dot products.
+//! 8-bit linear layers on lanes, by dot products.
 
 use super::{
     super::{
@@ -12,7 +12,7 @@ use crate::{
     kernels::ops,
 };
 
-/// Candidates that are taken by rule, where nothing was measured.
+/// Number of candidates without measurements.
 const BY_RULE: usize = 2;
 
 impl Linear {
@@ -43,7 +43,6 @@ impl Linear {
             factor: Element::I8,
             output: out.element,
         };
-        // Columns run fastest, as in ops/linear_matrix.
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));

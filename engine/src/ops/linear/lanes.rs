@@ -1,4 +1,4 @@
-//! Linear layers on lanes: the kernels, and how they cut their work into workgroups.
+//! Linear layers on lanes: kernels and tiles.
 
 use super::{
     super::{
@@ -14,35 +14,36 @@ use crate::{
 };
 use std::fmt;
 
-/// Lanes as a linear layer uses them.
+/// Lane configuration of a linear layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lanes {
     /// Type of the factors.
     pub element: Element,
-    /// How work is cut for them; by rule for ops/linear.
+    /// Tiles by size of the result.
     pub tiles: Tiles,
 }
 
-/// The share of a linear layer that a workgroup of lanes owns.
+/// Tile of a linear layer on lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaneTile {
-    /// Rows and columns of the workgroup.
+    /// Rows and columns per workgroup.
     pub sides: [u32; 2],
-    /// Rows and columns of a lane.
+    /// Rows and columns per lane.
     pub lane: [u32; 2],
-    /// Terms of the sums that pass through shared memory at a time; 0 where none do, in ops/linear and ops/linear_uniform.
+    /// Terms per stage in shared memory; 0 for ops/linear and ops/linear_uniform, which use none.
     pub k: u32,
 }
 
 impl Lanes {
-    /// Factors of a type, by ops/linear.
+    /// Lanes with factors of a type and default tiles.
     pub const fn of(element: Element) -> Self {
         Self { element, tiles: Tiles::BY_RULE }
     }
 }
 
 impl LaneTile {
-    /// Candidates, that of the rule first; of 8-bit integers those of ops/linear_dot, the first two by rule, the larger first.
+    /// Returns the candidates, defaults first. 8-bit integers get those of ops/linear_dot, with two
+    /// defaults, larger first.
     pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
         if element == Element::I8 {
             return Self::of_dots(limits);
@@ -55,7 +56,7 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 16 },
             LaneTile { sides: [32, 32], lane: [4, 4], k: 16 },
         ];
-        // On a CPU larger ones take long to compile.
+        // Larger tiles take long to compile on a CPU.
         const CPU: &[LaneTile] = &[LaneTile { sides: [8, 32], lane: [2, 4], k: 8 }];
         let ruled = match is_uniform(limits, [element, Element::F32]) {
             true => {
@@ -77,24 +78,23 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
         ];
         let cpu = [LaneTile { sides: [32, 8 * limits.subgroup_size], lane: [8, 8], k: 32 }];
-        // As kernels/ops/linear_dot.comp lays shared memory out.
+        // Shared memory layout of kernels/ops/linear_dot.comp.
         let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
         let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Lanes of the workgroup.
+    /// Lanes per workgroup.
     pub(super) fn lanes(&self) -> u32 {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
 
-    /// Bytes of shared memory, as kernels/ops/linear_tiled.comp lays it out.
+    /// Shared memory in bytes, as laid out by kernels/ops/linear_tiled.comp.
     fn shared_bytes(&self) -> u32 {
         let [rows, columns] = self.sides;
         16 * (rows * (self.k / 4 + 1) + self.k * columns / 4)
     }
 
-    /// True where a workgroup of whole subgroups with so much shared memory is within the device's limits.
     fn fits(&self, limits: &Limits, shared_bytes: u32) -> bool {
         let lanes = self.lanes();
         lanes.is_multiple_of(limits.subgroup_size)
@@ -104,7 +104,7 @@ impl LaneTile {
 }
 
 impl fmt::Display for LaneTile {
-    /// Sides, those of a lane, depth.
+    /// Workgroup sides, lane sides, depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { sides: [rows, columns], lane: [lane_rows, lane_columns], k } = self;
         write!(f, "{rows}x{columns} of {lane_rows}x{lane_columns}")?;
@@ -112,13 +112,13 @@ impl fmt::Display for LaneTile {
     }
 }
 
-/// True where ops/linear_uniform takes the place of ops/linear, for inputs and results of these types.
+/// Whether ops/linear_uniform applies to these input and result types.
 fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
     types == [Element::F32; 2] && divides_panels(limits)
 }
 
 impl Linear {
-    /// Applies the layer on lanes, `share` terms of its sums at a time.
+    /// Applies the layer on lanes, with split-K of `share` terms.
     pub(super) fn on_lanes(
         &self,
         rec: &mut Recorder,
@@ -223,7 +223,7 @@ impl Linear {
             input: input.element,
             output: out.element,
         };
-        // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
+        // Columns vary fastest: concurrent workgroups share rows, and the weight stays in cache.
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
