@@ -1,5 +1,5 @@
-//! Choosing what a device computes with: fast kernels are tested against their exact twins, their tiles are timed, and both are
-//! remembered. What follows is an [`Arithmetic`], with which stages are laid out and from which operations take their kernels.
+//! Kernel selection for a device: self-tests against exact references, and tile timings, both
+//! cached. The result is an [`Arithmetic`].
 
 mod attention;
 mod cache;
@@ -21,62 +21,60 @@ use crate::{
     ops::{Arithmetic, LaneTile, Lanes, Tile, Tiles, Units},
 };
 
-/// An operation with several candidates to compute it: an exact one in f32, and fast ones on lanes and on matrix units.
+/// An operation with several implementations: exact f32, and fast ones on lanes and matrix units.
 trait Operation: Sync {
-    /// Name in what is remembered and shown.
+    /// Name in the cache and in messages.
     fn name(&self) -> &'static str;
 
-    /// Types of fast factors on lanes.
+    /// Fast factor types on lanes.
     fn lanes(&self) -> &'static [Element];
 
-    /// Types of factors on matrix units.
+    /// Factor types on matrix units.
     fn factors(&self) -> &'static [Element];
 
-    /// Ways to cut the work for matrix units that are within a device's limits.
+    /// Tiles for matrix units within the device's limits.
     fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile>;
 
-    /// Ways to cut the work of lanes, that of the rule first, where there are several.
+    /// Tiles for lanes, the default first; empty if there is no choice.
     fn lane_tiles(&self, _limits: &Limits, _factor: Element) -> Vec<LaneTile> {
         Vec::new()
     }
 
-    /// Kernels that factors of a type need, on matrix units or on lanes: name, and type of the results.
+    /// Name and result type of the kernels for a factor type.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)>;
 
-    /// How far a candidate with results of this type is off its exact twin, see [`self_test::deviation`].
+    /// Deviation of a candidate from the exact reference, see [`self_test::deviation`].
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>>;
 
-    /// A run to be timed, whose result has `rows` rows of [`COLUMNS`] values.
+    /// A run for timing, with a result of `rows` rows of [`COLUMNS`] values.
     fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run>;
 
-    /// The fields in which an arithmetic keeps the matrix units that were chosen.
+    /// The arithmetic's matrix unit fields for this operation.
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;
 
-    /// The fields in which an arithmetic keeps how the work of lanes is cut, with the type of the factors.
+    /// The arithmetic's lane tile fields for this operation, with their factor types.
     fn chosen_on_lanes<'a>(&self, _arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
         Vec::new()
     }
 }
 
-/// All operations that have candidates.
 const OPERATIONS: [&dyn Operation; 3] = [&linear::LinearLayers, &attention::Attentions, &nearest::NearestSearches];
 
-/// One of the ways to compute an operation.
+/// One implementation of an operation.
 #[derive(Clone, Copy)]
 enum Candidate {
-    /// On lanes that always take the same tile, this one where there are several.
+    /// Lanes with a fixed tile, if there is a choice.
     Lanes(Lanes, Option<LaneTile>),
-    /// On matrix units that always take this tile.
+    /// Matrix units with a fixed tile.
     Units(Units, Tile),
 }
 
-/// Columns of the results of timed runs: channels of all heads, or targets. Those of a middling network.
+/// Result columns in timed runs: channels of all heads, or targets.
 const COLUMNS: usize = 1024;
-/// Terms of a sum, or keys, of timed runs.
+/// Terms of a sum, or keys, in timed runs.
 const TERMS: usize = 1024;
 
 impl Candidate {
-    /// Type of the factors.
     fn factor(self) -> Element {
         match self {
             Candidate::Lanes(lanes, _) => lanes.element,
@@ -84,7 +82,6 @@ impl Candidate {
         }
     }
 
-    /// Name of its tile.
     fn tile(self) -> String {
         match self {
             Candidate::Lanes(_, tile) => tile.map(|tile| tile.to_string()).unwrap_or_default(),
@@ -94,7 +91,8 @@ impl Candidate {
 }
 
 impl dyn Operation {
-    /// The candidates on lanes: with factors of f32, and of types that the device keeps and has no matrix units for.
+    /// Candidates on lanes: f32, and factor types that the device stores without matrix units for
+    /// them.
     fn on_lanes(&self, limits: &Limits) -> Vec<Candidate> {
         let narrow = self
             .lanes()
@@ -110,7 +108,7 @@ impl dyn Operation {
         [Element::F32].into_iter().chain(narrow).flat_map(of).collect()
     }
 
-    /// Every type of factors that the device has matrix units for, with the candidates for it.
+    /// Matrix units of the device, with their candidates.
     fn on_units(&self, limits: &Limits) -> Vec<(Units, Vec<Candidate>)> {
         let units = self.factors().iter().filter_map(|factor| Units::of(*factor, limits));
         let always = |units, (index, tile)| Candidate::Units(Units { tiles: Tiles::always(index), ..units }, tile);
@@ -119,12 +117,11 @@ impl dyn Operation {
     }
 }
 
-/// True where lanes of the device take factors of a type, other than f32.
+/// Whether the device's lanes support a factor type other than f32.
 fn on_lanes(limits: &Limits, factor: Element) -> bool {
     if factor == Element::I8 { limits.dot_products } else { limits.half_storage }
 }
 
-/// Name of the kernel `base` with factors of a type.
 fn kernel_name(base: &str, on_units: bool, factor: Element) -> String {
     format!("{base}{}_{}", if on_units { "_matrix" } else { "" }, factor.name())
 }
