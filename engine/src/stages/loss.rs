@@ -1,6 +1,6 @@
-//! Losses: how far pictures are from photos, and the gradient of that.
+//! Image losses and their gradients.
 //!
-//! Source: SSIM, Wang et al. 2004, with the window, padding and mix of 3D Gaussian splatting (Kerbl et al. 2023).
+//! Source: SSIM, Wang et al. 2004, with the window, padding and weights of Kerbl et al. 2023.
 
 use super::FrameShape;
 use crate::{
@@ -9,33 +9,33 @@ use crate::{
     ops::row_chunks,
 };
 
-/// Pixels of a line that one invocation owns: a filter of 11 taps then loads (RUN + 10) / RUN values for each.
+/// Pixels of a line per invocation: an 11-tap filter loads (RUN + 10) / RUN values for each.
 const RUN: usize = 8;
 
-/// A loss of a picture: a mean over its pixels and colours.
+/// Image loss, averaged over pixels and colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// |frame - target|.
     L1,
     /// (frame - target)^2.
     Mse,
-    /// 1 - SSIM: 11 x 11 pixels of a Gaussian of sigma 1.5, zero outside the picture.
+    /// 1 - SSIM with an 11 x 11 Gaussian window of sigma 1.5, zero-padded.
     Dssim,
     /// 0.8 L1 + 0.2 Dssim.
     L1Dssim,
 }
 
-/// The loss of each picture and its gradient, on the device.
+/// Losses and gradients on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTensors {
-    /// `[cameras]` f32: the loss of each picture.
+    /// `[cameras]` f32: loss of each image.
     pub value: Tensor,
-    /// `[cameras, height, width, channels]` f32: the gradient.
+    /// `[cameras, height, width, channels]` f32: gradient.
     pub d_frames: Tensor,
 }
 
 impl Loss {
-    /// The numbers that `loss/gradient` has for losses of single pixels, their weight, and that of 1 - SSIM.
+    /// `loss/gradient`'s code and weight of the pointwise loss, and the weight of 1 - SSIM.
     fn parts(self) -> (u32, f32, Option<f32>) {
         match self {
             Loss::L1 => (1, 1.0, None),
@@ -46,12 +46,12 @@ impl Loss {
     }
 }
 
-/// Records the loss of `frames` `[cameras, height, width, channels]`, red, green, blue first, against `targets`
-/// `[cameras, height, width, 3]`, both f32. The gradient is that of `scale` times the sum of the losses of all cameras;
-/// it is 0 in other channels.
+/// Records the loss of `frames` `[cameras, height, width, channels]` against `targets` `[cameras,
+/// height, width, 3]`, both f32. The gradient is that of `scale` times the summed losses, 0 in
+/// channels past RGB.
 ///
-/// SSIM takes scratch of 84 bytes a pixel, in which pictures take turns where they are many; the 48 bytes a pixel of its
-/// moments of a picture must fit into a binding.
+/// SSIM takes 84 bytes of scratch per pixel; many images are processed in parts. One image's
+/// moments, 48 bytes per pixel, must fit a binding.
 pub fn record_loss(
     rec: &mut Recorder,
     loss: Loss,
@@ -76,7 +76,6 @@ pub fn record_loss(
     LossTensors { value, d_frames }
 }
 
-/// Pictures that are compared at once.
 struct Pictures {
     frames: Tensor,
     targets: Tensor,
@@ -85,7 +84,7 @@ struct Pictures {
 }
 
 impl Pictures {
-    /// Records the loss into `d_frames` and into `value` from a place on.
+    /// Records the losses into `d_frames` and `value`, from an index.
     fn record(&self, rec: &mut Recorder, loss: Loss, scale: f32, d_frames: Tensor, value: (Tensor, usize)) {
         let FrameShape { cameras, width, height } = self.shape;
         let lanes = rec.limits().subgroup_size;
@@ -115,7 +114,7 @@ impl Pictures {
         rec.dispatch_groups(kernel, cameras);
     }
 
-    /// The derivatives of 1 - SSIM by what its window filters, filtered along rows again; what it is goes to `sums`.
+    /// Writes losses to `sums` and returns the derivatives of 1 - SSIM, filtered along rows.
     fn dssim(&self, rec: &mut Recorder, weight: f32, groups: [u32; 3], sums: Tensor) -> Tensor {
         let FrameShape { cameras, width, height } = self.shape;
         let (rows, columns, run) = (cameras * height as usize, width as usize, RUN as u32);

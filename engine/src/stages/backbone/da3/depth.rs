@@ -1,4 +1,4 @@
-//! The backbone as Depth Anything 3's own heads use it.
+//! The backbone for Depth Anything 3's own heads.
 
 use super::transformer::{OutLayer, Transformer};
 use crate::{
@@ -9,10 +9,9 @@ use crate::{
     types::{Camera, relative_encoding},
 };
 
-/// The backbone's parameters.
+/// Backbone parameters.
 pub struct DepthBackbone {
     transformer: Transformer,
-    /// Views see each other.
     alternates: bool,
 }
 
@@ -22,12 +21,12 @@ impl DepthBackbone {
         Self { transformer: Transformer::new(p, a), alternates: a.alternates() }
     }
 
-    /// The tensors that the host writes beside the pixels.
+    /// Allocates the host inputs besides the pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.inputs(rec, grid, cameras)
     }
 
-    /// Records the backbone for `images` `[views, 3, height, width]` f32, normalised.
+    /// Records the backbone for normalized `images` `[views, 3, height, width]` f32.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -45,7 +44,7 @@ impl DepthBackbone {
         DepthFeatures { layers, cameras }
     }
 
-    /// The feature of an out layer, without camera tokens.
+    /// Feature of an out layer, without camera tokens.
     fn feature(&self, rec: &mut Recorder, layer: usize, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
         let (width, patches) = (global.width, grid.patches());
         let halves = if self.alternates { 2 } else { 1 };
@@ -63,7 +62,7 @@ impl DepthBackbone {
     /// Writes the inputs of a run.
     ///
     /// # Errors
-    /// A transfer that fails, or a camera that cannot be used.
+    /// Failed transfers; unusable cameras.
     pub fn write(
         &self,
         run: &mut Run,
@@ -77,7 +76,7 @@ impl DepthBackbone {
     }
 }
 
-/// `[views, 2 width]`: both halves of every camera token.
+/// Both halves of every camera token, `[views, 2 width]`.
 fn camera_features(rec: &mut Recorder, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
     let out = Rows::scratch(rec, "cameras", grid.views, 2 * global.width, Element::F32);
     for view in 0..grid.views {
