@@ -1,4 +1,4 @@
-//! The network: one line a stage, values named by meaning.
+//! The whole network.
 
 use super::{Kept, Shape};
 use crate::{
@@ -10,14 +10,14 @@ use crate::{
     weights::Checkpoint,
 };
 
-/// A network's parameters, laid out for a device.
+/// Parameters of a network.
 pub struct Network {
     pub(super) architecture: Architecture,
     pub(super) parameters: ParameterLayout,
     pub(super) stages: Stages,
 }
 
-/// The tensors that go in and out of a plan.
+/// Inputs and outputs of a plan.
 #[derive(Clone, Debug)]
 pub struct Tensors {
     pub(super) inputs: Inputs,
@@ -25,7 +25,7 @@ pub struct Tensors {
     scene: SceneTensors,
 }
 
-/// The tensors by which the host hands over the photos.
+/// Photo inputs.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
     /// `[views, 3, height, width]` f32, RGB in 0..1.
@@ -34,28 +34,28 @@ pub(super) struct Inputs {
     pub backbone: Vec<Tensor>,
 }
 
-/// The tensors by which the host says which scene is made of features.
+/// Inputs and outputs that select a scene's tokens.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
-    /// `[1]` f32: the world's unit, where there are Gaussians.
+    /// `[1]` f32: scene scale, for Gaussians.
     pub unit: Option<Tensor>,
-    /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
+    /// Initial centroids' tokens or the kept tokens; absent at ratio 1.
     pub indices: Option<Tensor>,
-    /// `[tokens]` u32: the tokens that k-means chose, where it did; read after a run.
+    /// `[tokens]` u32: tokens selected by k-means.
     pub chosen: Option<Tensor>,
 }
 
-/// The tensors that the first half of the network leaves for the second.
+/// Features between backbone and decoding.
 #[derive(Clone, Debug)]
 pub(super) struct FeatureTensors {
-    /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
+    /// `[views, 3, height, width]` f32, RGB in 0..1, for colors.
     pub images: Tensor,
-    /// All tokens of each, f32, deepest first.
+    /// f32 tokens per layer, deepest first.
     pub layers: Vec<Rows>,
 }
 
 impl FeatureTensors {
-    /// The features of a shape, laid out to be kept.
+    /// Allocates persistent features.
     pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
         let (tokens, width) = (grid.tokens(), architecture.width);
         let mut layer = |_| Rows::new(layout.add::<f32>(tokens * width), tokens, width);
@@ -64,30 +64,30 @@ impl FeatureTensors {
     }
 }
 
-/// A plan from photos to Gaussians that stay on the device.
+/// A plan from photos to device Gaussians.
 pub struct NetworkPlan {
-    /// The commands; they need the weights, and a memory of `layout`.
+    /// Commands; they need the weights and a memory of `layout`.
     pub plan: Plan,
-    /// The tensors that go in and come out.
+    /// Inputs and outputs.
     pub tensors: Tensors,
-    /// The memory of the Gaussians.
+    /// Memory of the Gaussians.
     pub layout: ResidentLayout,
 }
 
 impl NetworkPlan {
-    /// Bytes of the arena and of the Gaussians.
+    /// Bytes of the arena and the Gaussians.
     pub fn bytes(&self) -> u64 {
         self.plan.arena_bytes() + self.layout.bytes()
     }
 }
 
 impl Network {
-    /// Lays out a network; needs no device.
+    /// Lays out a network without a device.
     pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
         Self::laid_out(architecture, ParameterLayout::new(limits, arithmetic))
     }
 
-    /// Lays out the network of a checkpoint, whose weights of 8 bits keep them on the device; needs none.
+    /// Lays out a checkpoint's network without a device, keeping 8-bit weights.
     ///
     /// # Errors
     /// As [`Checkpoint::suits`].
@@ -108,16 +108,16 @@ impl Network {
         self.parameters.bytes()
     }
 
-    /// Records the whole forward pass, whose Gaussians the host reads.
+    /// Records the forward pass, with Gaussians read by the host.
     pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
         let into = SceneTensors::output(rec, self.gaussians_of(shape), self.architecture.sh_degree as u32);
         self.record_into(rec, shape, into)
     }
 
-    /// Plans the whole forward pass, whose Gaussians stay on the device; needs none.
+    /// Plans the forward pass without a device, with Gaussians kept on the device.
     ///
     /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+    /// [`Error::Memory`](crate::Error::Memory) if a tensor exceeds these limits.
     pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
         let mut layout = ResidentLayout::new(limits);
         let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);
@@ -126,7 +126,7 @@ impl Network {
         Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
     }
 
-    /// Gaussians of a scene.
+    /// Number of Gaussians.
     pub fn gaussians_of(&self, shape: Shape) -> usize {
         shape.tokens * self.architecture.gaussians_per_token
     }
@@ -138,7 +138,7 @@ impl Network {
         Tensors { inputs, choice, scene }
     }
 
-    /// Records the first half, up to features that stay on the device in `into`.
+    /// Records photos to features in `into`.
     pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> Inputs {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
@@ -147,7 +147,7 @@ impl Network {
         inputs
     }
 
-    /// Records the second half, from features to Gaussians.
+    /// Records features to Gaussians.
     pub(super) fn record_decoding(
         &self,
         rec: &mut Recorder,
@@ -161,7 +161,7 @@ impl Network {
         Choice { unit: Some(unit), ..choice }
     }
 
-    /// Records the way from features to the tokens that the head reads, which stay on the device in `into`.
+    /// Records features to head input tokens in `into`.
     pub(super) fn record_tokens(
         &self,
         rec: &mut Recorder,
@@ -175,7 +175,7 @@ impl Network {
         choice
     }
 
-    /// The input that says which tokens are kept, and what the head reads of those: scene tokens and their colours.
+    /// Token selection, and the head's inputs: scene tokens and colors.
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
@@ -207,7 +207,7 @@ impl Network {
 }
 
 impl Tensors {
-    /// The Gaussians' tensors.
+    /// Tensors of the Gaussians.
     pub fn scene(&self) -> &SceneTensors {
         &self.scene
     }
@@ -215,7 +215,7 @@ impl Tensors {
     /// Reads the scene after a run of [`Network::record`].
     ///
     /// # Errors
-    /// Where a transfer fails.
+    /// Failed transfers.
     pub fn read(&self, run: &Run) -> Result<Scene> {
         Ok(Scene {
             means: run.read(self.scene.means)?,
