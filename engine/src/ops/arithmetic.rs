@@ -1,19 +1,18 @@
-//! Precisions, and the number types and kernels that each one selects.
+//! Precisions and the kernels that each selects.
 
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
 
-/// Precision of matrix products. Sums, softmax, norms, the residual stream and geometry are always
-/// f32.
+/// Precision of matrix products. All other computation is f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
     Exact,
-    /// f16 factors in matrix products.
+    /// f16 factors.
     Fast,
-    /// bf16 factors in matrix products, for activations beyond f16's range.
+    /// bf16 factors, for activations beyond f16's range.
     FastBf16,
-    /// `Fast`, with 8-bit integers in blocks' linear layers: one scale per token and per output.
+    /// `Fast`, with 8-bit integers in blocks' linear layers.
     Turbo,
 }
 
@@ -21,12 +20,12 @@ impl Precision {
     /// Every precision, slowest first.
     pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
 
-    /// The default: `Fast` on GPUs with matrix units, `Exact` elsewhere. CPUs convert f16 slowly.
+    /// The default: `Fast` with matrix units, else `Exact`. CPUs convert f16 slowly.
     pub fn best(limits: &Limits) -> Self {
         if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
     }
 
-    /// Name on the command line.
+    /// Command-line name.
     pub fn name(self) -> &'static str {
         match self {
             Precision::Exact => "exact",
@@ -37,17 +36,17 @@ impl Precision {
     }
 }
 
-/// Number types and kernels of linear layers, attention and k-means.
+/// Number types and kernels of a precision.
 ///
-/// 16-bit types hold weights and activations that only feed matrix products. Values saturate
-/// instead of overflowing. Attention scores stay f32: without q/k norm they reach 1e4 and more.
+/// 16-bit types hold weights and activations that only feed matrix products, saturating. Attention
+/// scores stay f32: without q/k norm they exceed 1e4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arithmetic {
-    /// Type of the factors of matrix products.
+    /// Factor type of matrix products.
     pub element: Element,
-    /// Tiles of linear layers on lanes, with factors of type `element`.
+    /// Tiles of linear layers on lanes.
     pub tiles: Tiles,
-    /// Tiles of linear layers on lanes that are f32 in every precision.
+    /// Tiles of linear layers that are always f32.
     pub exact_tiles: Tiles,
     /// Matrix units for linear layers.
     pub linear: Option<Units>,
@@ -55,25 +54,25 @@ pub struct Arithmetic {
     pub attention: Option<Units>,
     /// 8-bit matrix units for blocks' linear layers.
     pub quantised: Option<Units>,
-    /// Tiles of blocks' 8-bit linear layers on lanes.
+    /// Tiles of blocks' 8-bit layers on lanes.
     pub dots: Option<Tiles>,
-    /// f16 matrix units for k-means, exact enough in every precision.
+    /// f16 matrix units for k-means, in every precision.
     pub nearest: Option<Units>,
 }
 
-/// A device's matrix units, as configured for a kernel.
+/// Matrix units as configured for a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Units {
     /// Type of the factors.
     pub factor: Element,
-    /// Shape of one matrix product.
+    /// Matrix shape.
     pub shape: MatrixShape,
-    /// Tiles by size of the result.
+    /// Tiles by result size.
     pub tiles: Tiles,
 }
 
 impl Units {
-    /// Returns the device's matrix units for a factor type, with default tiles.
+    /// Returns the matrix units for a factor type, if any.
     pub fn of(factor: Element, limits: &Limits) -> Option<Self> {
         limits.matrices.of(factor).map(|shape| Self { factor, shape, tiles: Tiles::default() })
     }
@@ -92,22 +91,21 @@ impl Arithmetic {
         nearest: None,
     };
 
-    /// Returns the f32 arithmetic, with tuned tiles.
     pub(super) fn exact(&self) -> Self {
         Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
     }
 
-    /// Whether blocks' linear layers use 8-bit integers.
+    /// Whether blocks use 8-bit integers.
     pub fn has_integers(&self) -> bool {
         self.quantised.is_some() || self.dots.is_some()
     }
 
-    /// Returns the arithmetic without 8-bit integers.
+    /// Removes 8-bit integers.
     pub fn without_integers(&self) -> Self {
         Self { quantised: None, dots: None, ..*self }
     }
 
-    /// Returns the arithmetic of a precision, or `None` if the device does not support it.
+    /// Returns the arithmetic of a precision, if supported.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
         let element = match precision {
             Precision::Exact => return Some(Self::EXACT),

@@ -1,5 +1,4 @@
-//! Multi-head attention: splits heads out of a projection, then computes local, global or cross
-//! attention.
+//! Multi-head attention.
 
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
@@ -11,7 +10,7 @@ use crate::{
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
-/// Number of heads and channels per head.
+/// Attention heads.
 #[derive(Clone, Copy, Debug)]
 pub struct Heads {
     /// Number of heads.
@@ -21,44 +20,44 @@ pub struct Heads {
 }
 
 impl Heads {
-    /// Returns `count` heads over `width` channels.
+    /// `count` heads over `width` channels.
     pub fn new(count: usize, width: usize) -> Self {
         Self { count, dim: width / count }
     }
 
-    /// Returns the channels of all heads.
+    /// Channels of all heads.
     pub fn width(&self) -> usize {
         self.count * self.dim
     }
 }
 
-/// Processing of queries, keys or values as they leave the projection.
+/// Processing of projected queries, keys or values.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part {
-    /// Norm over a head's channels.
+    /// Norm per head.
     pub norm: Option<Norm>,
     /// Rotary embedding.
     pub rotary: Option<Rotary>,
-    /// Whether these are keys, whose layout is transposed on lanes.
+    /// Whether these are keys, transposed on lanes.
     pub keys: bool,
     /// Scale; 0 for none.
     pub scale: f32,
-    /// Output for the logarithm of each pooled key's patch count.
+    /// Output for the log patch counts of pooled keys.
     pub log_counts: Option<Tensor>,
 }
 
-/// Rotary embedding of a view's tokens, the same for every view.
+/// Rotary embedding, the same for every view.
 #[derive(Clone, Copy, Debug)]
 pub struct Rotary {
-    /// `[turned, dim / 2, 2]` f32: cosine and sine per pair of channels.
+    /// `[turned, dim / 2, 2]` f32: cosine and sine per channel pair.
     pub table: Tensor,
     /// Tokens per view.
     pub tokens: usize,
-    /// Number of leading tokens that rotate.
+    /// Leading tokens that rotate.
     pub turned: usize,
 }
 
-/// Shape of an attention over `sequences` independent sequences.
+/// Shape of an attention.
 #[derive(Clone, Copy, Debug)]
 pub struct Attention {
     /// Heads.
@@ -69,24 +68,23 @@ pub struct Attention {
     pub queries: usize,
     /// Keys per sequence.
     pub keys: usize,
-    /// Pooling of keys and values.
+    /// Key pooling.
     pub pool: Option<Pool>,
     /// Kernel.
     pub kernel: AttentionKernel,
 }
 
-/// Attention kernel, which decides the layout of queries, keys and values.
+/// Attention kernel and layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
-    /// ops/attention or the faster ops/attention_uniform: tensors of this type, keys in panels.
+    /// ops/attention or ops/attention_uniform, with keys in panels.
     Lanes(Element),
-    /// ops/attention_matrix: 16-bit tensors on matrix units, head channels padded to whole
-    /// matrices.
+    /// ops/attention_matrix, 16-bit, heads padded to whole matrices.
     Matrix(Units),
 }
 
 impl AttentionKernel {
-    /// Returns the type of queries, keys, values and results.
+    /// Type of all tensors.
     pub fn element(self) -> Element {
         match self {
             AttentionKernel::Lanes(element) | AttentionKernel::Matrix(Units { factor: element, .. }) => element,
@@ -96,7 +94,7 @@ impl AttentionKernel {
 
 impl Attention {
     /// Allocates queries, keys, values and `[sequences * keys]` f32 for [`Part::log_counts`].
-    /// Without pooling, the last is an alias of the keys.
+    /// Without pooling, the last aliases the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
@@ -104,7 +102,7 @@ impl Attention {
             AttentionKernel::Lanes(_) => {
                 (queries, sequences * self.keys.next_multiple_of(self.panel(rec.limits())) * width, keys)
             }
-            // The last workgroup reads past the last query.
+            // The last workgroup overruns the queries.
             AttentionKernel::Matrix(units) => {
                 let tiles = Tile::attention(rec.limits(), units, 8);
                 let most_rows = tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0);
@@ -117,7 +115,6 @@ impl Attention {
         [q, k, v, self.pool.map_or(k, |_| rec.tensor::<f32>("log_counts", sequences * self.keys))]
     }
 
-    /// Channels per head, with padding.
     fn channels(&self) -> usize {
         match self.kernel {
             AttentionKernel::Lanes(_) => self.heads.dim,
@@ -127,8 +124,8 @@ impl Attention {
         }
     }
 
-    /// Copies one part from columns of a projection into `out`. The projection's first row is row
-    /// `first_row` of all; with pooled keys it must cover whole views.
+    /// Copies a part from projection columns into `out`, starting at row `first_row` of all. Pooled
+    /// keys need whole views.
     pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
         let of_keys = part.keys || part.scale == 0.0;
         let (sequence, pool) = if of_keys { (self.keys, self.pool) } else { (self.queries, None) };
@@ -176,12 +173,12 @@ impl Attention {
         rec.dispatch_groups(kernel, rows * self.heads.count);
     }
 
-    /// Returns the query scale, 1 / sqrt(dim).
+    /// Query scale, 1 / sqrt(dim).
     pub fn scale(&self) -> f32 {
         1.0 / (self.heads.dim as f32).sqrt()
     }
 
-    /// Computes softmax(q k) v of every head: `[sequences * queries, width]`.
+    /// Returns softmax(q k) v, `[sequences * queries, width]`.
     pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 4]) -> Rows {
         let rows = self.sequences * self.queries;
         let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
@@ -193,7 +190,7 @@ impl Attention {
         out
     }
 
-    /// Keys per panel: the tile of ops/attention_uniform, or all keys, padded to quads.
+    /// Keys per panel.
     fn panel(&self, limits: &Limits) -> usize {
         if self.is_uniform(limits) {
             (UNIFORM_TILE[1] * limits.subgroup_size) as usize
@@ -202,8 +199,7 @@ impl Attention {
         }
     }
 
-    /// Whether ops/attention_uniform applies. It needs head widths in multiples of the subgroup
-    /// size.
+    /// Whether ops/attention_uniform applies.
     fn is_uniform(&self, limits: &Limits) -> bool {
         let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
@@ -286,7 +282,7 @@ impl Attention {
     fn tile(&self, limits: &Limits, units: Units) -> Tile {
         let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
         let candidates = Tile::attention(limits, units, channels);
-        // Tiles were measured at `TUNED_CHANNELS`; wider heads may not fit all of them.
+        // Wider heads may not fit every measured tile.
         let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
         let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
         let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));

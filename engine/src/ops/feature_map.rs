@@ -4,7 +4,7 @@ use super::{Rows, rows::aligned_rows};
 use crate::gpu::{Element, Recorder, Tensor};
 use std::ops::Range;
 
-/// A feature map `[height * width, channels]` f32, one row per pixel.
+/// A feature map `[height * width, channels]` f32.
 #[derive(Clone, Copy)]
 pub struct FeatureMap {
     /// Pixels in raster order.
@@ -16,12 +16,12 @@ pub struct FeatureMap {
 }
 
 impl FeatureMap {
-    /// Wraps rows as a map.
+    /// Wraps rows.
     pub fn new(rows: Rows, [height, width]: [usize; 2]) -> Self {
         Self { rows, height, width }
     }
 
-    /// Allocates a map in scratch memory.
+    /// Allocates scratch memory.
     pub fn scratch(rec: &mut Recorder, name: &str, [height, width]: [usize; 2], channels: usize) -> Self {
         Self::new(Rows::scratch(rec, name, height * width, channels, Element::F32), [height, width])
     }
@@ -31,23 +31,22 @@ impl FeatureMap {
         self.rows.width
     }
 
-    /// Returns the height and width.
+    /// Height and width.
     pub fn size(&self) -> [usize; 2] {
         [self.height, self.width]
     }
 
-    /// Returns the bytes of one image line.
+    /// Bytes per line.
     pub fn line_bytes(&self) -> usize {
         self.width * self.rows.row_bytes()
     }
 
-    /// Returns the values of image lines. The first must start at a valid slice offset.
+    /// Returns lines; the first must be slice-aligned.
     pub fn lines(&self, lines: Range<usize>) -> Tensor {
         self.rows.part(lines.start * self.width..lines.end * self.width).tensor
     }
 
-    /// Returns the values of image lines and the index of their first. The range is clipped to the
-    /// map and its start aligned for slicing.
+    /// Returns lines, clipped to the map and aligned, and the index of the first.
     pub fn seen(&self, lines: Range<usize>) -> (Tensor, u32) {
         let aligned = aligned_rows(self.line_bytes());
         let first = lines.start / aligned * aligned;

@@ -20,36 +20,35 @@ use crate::{
 };
 use half::f16;
 
-/// Minimum row bytes assumed when chunking narrow layers. It keeps workgroups per axis below
-/// 65,535, Vulkan's guaranteed limit.
+/// Minimum row bytes in chunking: limits workgroups per axis to Vulkan's guaranteed 65,535.
 pub(crate) const NARROWEST: usize =
     (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
 
-/// Parameters of a linear layer.
+/// Linear layer parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// Weight in the layout of `kernel`, see [`pack_matrix`](super::pack_matrix).
+    /// Packed weight, see [`pack_matrix`](super::pack_matrix).
     pub weight: Tensor,
     /// `[columns]` f32.
     pub bias: Tensor,
-    /// Values per input row, padded to the kernel's vectors.
+    /// Padded values per input row.
     pub inner: usize,
-    /// Outputs, before SwiGLU halves them.
+    /// Outputs, before SwiGLU.
     pub columns: usize,
     /// Kernel.
     pub kernel: LinearKernel,
 }
 
-/// Linear kernel, which decides the layout of the weight.
+/// Linear kernel and weight layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
-    /// ops/linear, ops/linear_uniform or ops/linear_tiled on lanes. The weight is `[panels, inner,
-    /// PANEL_COLUMNS]`, its last panel padded.
+    /// ops/linear, ops/linear_uniform or ops/linear_tiled. The weight is `[panels, inner,
+    /// PANEL_COLUMNS]`.
     Panels(Lanes, Weights),
-    /// ops/linear_matrix on matrix units, with the weight `[columns, inner]`. 8-bit factors append
-    /// `[columns]` f32 scales; their f16 inputs are quantized per row.
+    /// ops/linear_matrix, with the weight `[columns, inner]`. For 8-bit factors, `[columns]` f32
+    /// scales follow and f16 inputs are quantized per row.
     Matrix(Units, Weights),
-    /// ops/linear_dot: 8-bit integers on lanes, in the layout of 8-bit matrix units.
+    /// ops/linear_dot, in the 8-bit layout of matrix units.
     Dots(Tiles),
 }
 
@@ -58,12 +57,12 @@ pub enum LinearKernel {
 pub enum Weights {
     /// In the factor type.
     Factors,
-    /// As [`Q8`](super::Q8): integers, then f16 scales per group at a 256-byte boundary. Panels
-    /// interleave blocks of four terms by four columns. Not combined with 8-bit factors.
+    /// [`Q8`](super::Q8): integers, then f16 scales at a 256-byte boundary. Panels interleave
+    /// blocks of four terms by four columns.
     Q8,
 }
 
-/// Pointwise function after the bias.
+/// Pointwise function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
     /// Identity.
@@ -82,12 +81,12 @@ pub struct Epilogue {
     pub activation: Activation,
     /// LayerScale, `[columns]` f32.
     pub gamma: Option<Tensor>,
-    /// f32 residual in the shape of the output; may alias the output.
+    /// f32 residual; may alias the output.
     pub residual: Option<Rows>,
 }
 
 impl LinearKernel {
-    /// Returns the type of the inputs.
+    /// Input type.
     pub fn element(self) -> Element {
         match self.factor() {
             Element::I8 => Element::F16,
@@ -95,7 +94,7 @@ impl LinearKernel {
         }
     }
 
-    /// Returns the type of the factors.
+    /// Factor type.
     pub fn factor(self) -> Element {
         match self {
             LinearKernel::Panels(Lanes { element, .. }, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => {
@@ -105,7 +104,7 @@ impl LinearKernel {
         }
     }
 
-    /// Returns the storage of the weight.
+    /// Weight storage.
     pub fn weights(self) -> Weights {
         match self {
             LinearKernel::Panels(_, weights) | LinearKernel::Matrix(_, weights) => weights,
@@ -113,7 +112,7 @@ impl LinearKernel {
         }
     }
 
-    /// Returns this kernel with 8-bit weights, if that combination exists.
+    /// Returns this kernel with 8-bit weights, if supported.
     pub fn with_q8(self) -> Option<Self> {
         match self {
             LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => None,
@@ -122,7 +121,6 @@ impl LinearKernel {
         }
     }
 
-    /// Returns the columns of the packed weight.
     pub(super) fn padded_columns(self, columns: usize) -> usize {
         match self {
             LinearKernel::Panels(..) => columns.next_multiple_of(PANEL_COLUMNS as usize),
@@ -130,36 +128,36 @@ impl LinearKernel {
         }
     }
 
-    /// Returns the values in 16 bytes, the alignment of an input row.
+    /// Alignment of input rows in values.
     pub fn vector(self) -> usize {
         16 / self.element().bytes()
     }
 }
 
-/// Byte offset of the scales behind 8-bit integers.
+/// Byte offset of 8-bit weights' scales.
 pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
     (columns * inner).next_multiple_of(SLICE)
 }
 
 impl Linear {
-    /// Returns the type of the inputs.
+    /// Input type.
     pub fn element(&self) -> Element {
         self.kernel.element()
     }
 
-    /// Returns the values per output row.
+    /// Values per output row.
     pub fn out_columns(&self, activation: Activation) -> usize {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Applies the layer to rows of `inner` values and returns new rows of type `output`.
+    /// Applies the layer, returning rows of type `output`.
     pub fn apply(&self, rec: &mut Recorder, name: &str, input: Rows, output: Element, epilogue: Epilogue) -> Rows {
         let out = Rows::scratch(rec, name, input.count, self.out_columns(epilogue.activation), output);
         self.record(rec, input, out, epilogue);
         out
     }
 
-    /// Applies the layer to rows of `inner` values, into `out`.
+    /// Applies the layer into `out`.
     pub fn record(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let alone = epilogue.gamma.is_none() && epilogue.residual.is_none() && self.columns.is_multiple_of(4);
         assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");
@@ -180,7 +178,6 @@ impl Linear {
         }
     }
 
-    /// Computes the layer, or with split-K the partial sums of `share` terms each.
     fn sums(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         match self.kernel {
             LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, share),
@@ -189,7 +186,7 @@ impl Linear {
         }
     }
 
-    /// Merges split-K partial sums and applies the epilogue.
+    /// Merges split-K partial sums.
     fn merge(&self, rec: &mut Recorder, sums: Rows, parts: usize, out: Rows, epilogue: Epilogue) {
         let kernel = ops::LinearMerge {
             sums: sums.tensor,
@@ -208,7 +205,7 @@ impl Linear {
         rec.dispatch(kernel, out.count * self.columns.div_ceil(4));
     }
 
-    /// The weight's three bindings. Unused slots bind `bias` as a placeholder.
+    /// Three bindings, with `bias` as the placeholder.
     fn weights(&self) -> [Tensor; 3] {
         let values = self.kernel.padded_columns(self.columns) * self.inner;
         match self.kernel.weights() {
@@ -276,7 +273,7 @@ impl Linear {
             output: out.element,
         };
         let [tile_rows, tile_columns] = tile.sides(units);
-        // Columns vary fastest: concurrent workgroups share rows, and the weight stays in cache.
+        // Columns vary fastest, so that workgroups share rows in cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }

@@ -1,7 +1,6 @@
-//! Peak throughput of a device in register arithmetic and copies, for benchmarks.
+//! Peak arithmetic and copy throughput, for benchmarks.
 //!
-//! These dispatches report no work, so the recorder does not split them. Callers choose their
-//! length.
+//! Reports no work, so that the recorder does not split dispatches.
 
 use super::Units;
 use crate::{
@@ -9,7 +8,7 @@ use crate::{
     kernels::measure as kernels,
 };
 
-/// Copies `from`, a multiple of 16 bytes: one read and one write per byte.
+/// Copies a multiple of 16 bytes.
 pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     let out = rec.tensor::<u8>("copy", from.bytes() as usize);
     let quads = from.bytes() as usize / 16;
@@ -17,7 +16,7 @@ pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     out
 }
 
-/// Chains of x = x * factor + term on every lane.
+/// FMA chains on every lane.
 #[derive(Clone, Copy, Debug)]
 pub struct FmaChains {
     /// Invocations.
@@ -31,18 +30,17 @@ pub struct FmaChains {
 }
 
 impl FmaChains {
-    /// Chains per invocation: they hide the FMA latency and still fit 16 registers.
+    /// Chains per invocation: hides latency, fits 16 registers.
     pub const CHAINS: u32 = 12;
-    /// Steps of a chain per iteration.
+    /// Chain steps per iteration.
     pub const STEPS: u32 = 8;
 
-    /// Returns the number of multiplications and additions.
+    /// Multiplications and additions.
     pub fn flops(&self) -> u64 {
         2 * self.threads as u64 * u64::from(Self::CHAINS * Self::STEPS) * u64::from(self.iterations)
     }
 
-    /// Returns `[threads]` f32, the sum of each invocation's chains. Chain `c` of invocation `t`
-    /// starts at `t % 16 + 16 c`.
+    /// Returns `[threads]` f32 chain sums. Chain `c` of invocation `t` starts at `t % 16 + 16 c`.
     pub fn record(&self, rec: &mut Recorder) -> Tensor {
         let out = rec.tensor::<f32>("out", self.threads);
         let kernel = kernels::Fma {
@@ -59,16 +57,16 @@ impl FmaChains {
     }
 }
 
-/// Accumulated matrix products on a device's matrix units.
+/// Accumulated matrix products.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
-    /// Matrix units; tiles are ignored.
+    /// Matrix units, without tiles.
     pub units: Units,
-    /// Subgroups, a multiple of [`MatrixProducts::SUBGROUPS`]. Each computes the same.
+    /// Redundant subgroups, a multiple of [`MatrixProducts::SUBGROUPS`].
     pub subgroups: usize,
-    /// Number of accumulations of all products.
+    /// Accumulations of all products.
     pub iterations: u32,
-    /// Bit `i % 32` swaps the left factors after iteration `i`.
+    /// Bit `i % 32` swaps left factors after iteration `i`.
     pub swaps: u32,
 }
 
@@ -76,22 +74,20 @@ impl MatrixProducts {
     /// Subgroups per workgroup.
     pub const SUBGROUPS: usize = 4;
 
-    /// Returns the number of independent products per iteration. CPUs get fewer, to limit compile
-    /// time.
+    /// Independent products per iteration, fewer on CPUs to limit compile time.
     pub fn products(limits: &Limits) -> usize {
         if limits.cpu { 4 } else { 8 }
     }
 
-    /// Returns the number of multiplications and additions.
+    /// Multiplications and additions.
     pub fn flops(&self, limits: &Limits) -> u64 {
         let MatrixShape { m, n, k } = self.units.shape;
         let products = (self.subgroups * Self::products(limits)) as u64 * u64::from(self.iterations);
         2 * products * u64::from(m * n * k)
     }
 
-    /// Returns `[subgroups, m, n]`, see [`MatrixProducts::sums`]: the sum of `a[s] b[p]` over
-    /// iterations and products `p`. `a` is `[2, m, k]`, with the first as left factor until a swap;
-    /// `b` is `[products, k, n]`.
+    /// Returns `[subgroups, m, n]`, the sum of `a[s] b[p]` over iterations and products. `a` is
+    /// `[2, m, k]`, alternated by swaps; `b` is `[products, k, n]`.
     pub fn record(&self, rec: &mut Recorder, a: Tensor, b: Tensor) -> Tensor {
         let MatrixShape { m, n, k } = self.units.shape;
         let out = rec.tensor::<u32>("out", self.subgroups * (m * n) as usize);
@@ -112,7 +108,7 @@ impl MatrixProducts {
         out
     }
 
-    /// Decodes a result: f32, or integers for 8-bit factors.
+    /// Decodes f32 or integer results.
     pub fn sums(&self, words: Vec<u32>) -> Vec<f32> {
         let number = |word: u32| match self.units.factor {
             Element::I8 => word as i32 as f32,

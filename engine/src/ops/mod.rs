@@ -1,5 +1,4 @@
-//! Operations that several stages share. Each records dispatches over tensors; none owns device
-//! memory.
+//! Operations on device tensors, shared by stages.
 
 mod arithmetic;
 mod attention;

@@ -1,4 +1,4 @@
-//! Nearest-row search without a distance matrix.
+//! Nearest-row search.
 
 use super::{
     Rows, Tile, Units,
@@ -13,18 +13,18 @@ use crate::{
     },
 };
 
-/// Rows whose mean approximates the origin of all rows.
+/// Rows averaged for the origin.
 const ORIGIN_ROWS: usize = 256;
 
-/// Partitions of the targets, so that few points still fill the device.
+/// Target partitions, to fill the device.
 const SHARES: usize = 8;
 
 /// Nearest-row kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NearestKernel {
-    /// cluster/nearest or the faster cluster/nearest_uniform: f32 differences.
+    /// cluster/nearest or cluster/nearest_uniform: f32 differences.
     Lanes,
-    /// cluster/nearest_matrix: products of rows about an origin, each value as two f16.
+    /// cluster/nearest_matrix: split-f16 products about an origin.
     Matrix(Units),
 }
 
@@ -41,24 +41,22 @@ enum Space {
     Matrix { units: Units, origin: Tensor },
 }
 
-/// Rows in the kernel's layout.
+/// Rows in kernel layout.
 #[derive(Clone, Copy, Debug)]
 pub struct NearestRows {
     rows: Tensor,
-    /// Points in the kernel's layout: f32, panels or pairs of f16.
+    /// f32, panels or f16 pairs.
     values: Tensor,
-    /// Scales of cluster/halves; a placeholder on lanes.
     scales: Tensor,
     norms: Tensor,
     count: usize,
 }
 
 impl Nearest {
-    /// Relative excess over the least squared distance within which targets tie, well above
-    /// rounding error.
+    /// Relative distance within which targets tie, well above rounding.
     pub const TIE: f32 = 1.0 / 65536.0;
 
-    /// Prepares a search among f32 rows like `sample`; its width is a multiple of 4.
+    /// Prepares a search; the origin is the mean of `sample`, and its width a multiple of 4.
     pub fn among(rec: &mut Recorder, kernel: NearestKernel, sample: Rows) -> Self {
         let Rows { tensor: source, count, width, .. } = sample;
         let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
@@ -74,13 +72,12 @@ impl Nearest {
         Self::about(origin, units, width)
     }
 
-    /// Searches on matrix units about `origin` `[width]` f32. Errors grow with distance from the
-    /// origin.
+    /// Searches on matrix units about `origin` `[width]` f32; errors grow with distance from it.
     pub fn about(origin: Tensor, units: Units, width: usize) -> Self {
         Self { space: Space::Matrix { units, origin }, width }
     }
 
-    /// Returns the origin `[width]` f32, if the kernel uses one.
+    /// Origin `[width]` f32, if used.
     pub fn origin(&self) -> Option<Tensor> {
         match self.space {
             Space::Lanes => None,
@@ -88,14 +85,14 @@ impl Nearest {
         }
     }
 
-    /// Converts f32 rows to the kernel's layout.
+    /// Converts f32 rows to kernel layout.
     pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
             let values = if divides_panels(rec.limits()) { self.panels(rec, rows, count) } else { rows };
             return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
-        // The kernel reads these as vec4.
+        // Read as vec4.
         let [scales, norms] = ["scales", "norms"].map(|name| rec.tensor::<f32>(name, count.next_multiple_of(4)));
         let kernel = kernels::Halves {
             source: rows,
@@ -110,9 +107,8 @@ impl Nearest {
         NearestRows { rows, values: halves, scales, norms, count }
     }
 
-    /// Returns the nearest target of each point, `[points]` u32. Ties ([`Nearest::TIE`]) go to the
-    /// first target, independently of rounding. The source rows must be unchanged since
-    /// [`Nearest::rows`].
+    /// Returns nearest targets, `[points]` u32. Ties ([`Nearest::TIE`]) go to the first. The source
+    /// rows must be unchanged.
     pub fn record(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows) -> Tensor {
         let out = rec.tensor::<u32>("nearest", points.count);
         self.record_into(rec, points, targets, out);
@@ -128,7 +124,6 @@ impl Nearest {
         }
     }
 
-    /// Packs rows `[count, width]` as cluster/nearest_uniform reads points.
     fn panels(&self, rec: &mut Recorder, rows: Tensor, count: usize) -> Tensor {
         let values = count.next_multiple_of(PANEL_COLUMNS as usize) * self.width;
         let out = rec.tensor::<f32>("panels", values);
@@ -201,7 +196,7 @@ impl Nearest {
             tile_k: tile.k,
             factor: units.factor,
         };
-        // Shares vary fastest: concurrent workgroups keep the same few points in cache.
+        // Shares vary fastest, so that workgroups share points in cache.
         let groups = [shares, points.count.div_ceil(tile_points), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(points, targets));
         let merge = kernels::NearestMerge {

@@ -6,38 +6,35 @@ use half::f16;
 use rayon::prelude::*;
 
 const PANEL: usize = PANEL_COLUMNS as usize;
-/// Terms that share a scale.
 const GROUP: usize = Q8_GROUP as usize;
 
-/// Conversion of a checkpoint's values to a kernel's layout.
+/// Conversion to a kernel's layout.
 #[derive(Clone, Copy)]
 pub(super) enum Packing {
     /// Unchanged values.
     Vector,
-    /// A vector in the column order of a gated matrix.
+    /// A vector for a gated matrix.
     GatedVector,
-    /// A `[columns, inner]` matrix for a [`LinearKernel`], zero-padded.
+    /// A zero-padded `[columns, inner]` matrix.
     Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
-    /// A permuted matrix for a [`LinearKernel`], followed at a 256-byte boundary by a zero bias
-    /// `[columns]`.
+    /// A permuted matrix, then a zero bias `[columns]` at a 256-byte boundary.
     Reordered { order: Order, inner: usize, columns: usize, kernel: LinearKernel },
 }
 
-/// Order of a `[columns, inner]` matrix in the checkpoint.
+/// Order of a checkpoint's matrix.
 #[derive(Clone, Copy)]
 pub(super) enum Order {
-    /// `[inner / taps, taps, columns]` with reversed taps: a convolution's gradient.
+    /// `[inner / taps, taps, columns]`, taps reversed: a convolution's gradient.
     Transposed { taps: usize },
-    /// `[columns, channels, taps]`, read as inner `[taps, channels padded to whole vec4]`: a
-    /// convolution over channels-last images.
+    /// `[columns, channels, taps]` to channels-last `[taps, padded channels]`.
     Planar { taps: usize, channels: usize },
-    /// `[inner, columns / taps, taps]`, read as columns `[taps, columns / taps]`: a transposed
-    /// convolution with stride equal to its kernel.
+    /// `[inner, columns / taps, taps]` to `[taps, columns / taps]`: a non-overlapping transposed
+    /// convolution.
     Spread { taps: usize },
 }
 
 impl Order {
-    /// Index in the checkpoint of a packed value; `None` for padding.
+    /// Source index; `None` for padding.
     fn place(self, [inner, columns]: [usize; 2], column: usize, k: usize) -> Option<usize> {
         match self {
             Order::Transposed { taps } => {
@@ -56,8 +53,7 @@ impl Order {
     }
 }
 
-/// Row of the checkpoint's matrix for a packed column. Gated matrices interleave their halves:
-/// gate, value, gate, value.
+/// Source row; gated matrices interleave gate and value.
 fn source_row(column: usize, columns: usize, gated: bool) -> usize {
     if gated { (column % 2) * (columns / 2) + column / 2 } else { column }
 }
@@ -77,12 +73,11 @@ pub(super) fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -
 }
 
 impl Packing {
-    /// Whether the source must be [`Q8`].
     pub fn takes_q8(self) -> bool {
         matches!(self, Packing::Matrix { kernel, .. } if kernel.weights() == Weights::Q8)
     }
 
-    /// Packs values into the kernel's layout.
+    /// Packs values.
     ///
     /// # Panics
     /// If the kernel takes [`Q8`].
@@ -127,7 +122,7 @@ impl Packing {
         }
     }
 
-    /// [`Packing::pack`] for 8-bit weights.
+    /// Packs 8-bit weights.
     ///
     /// # Panics
     /// If the kernel does not take [`Q8`].
@@ -166,10 +161,10 @@ impl Packing {
     }
 }
 
-/// Packs the matrix `weight` `[columns, inner]` for `kernel`, rounding to its type.
+/// Packs `weight` `[columns, inner]` for `kernel`.
 ///
 /// # Panics
-/// If the kernel takes [`Q8`] and values exceed its range.
+/// If values exceed a required [`Q8`].
 pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
     let mut packed = Vec::new();
     let packing = Packing::Matrix { inner, columns, gated: false, kernel };
@@ -180,7 +175,6 @@ pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: 
     packed
 }
 
-/// Packs columns as `[panels, padded, PANEL_COLUMNS]` of an N-byte type.
 fn panels<'a, const N: usize>(
     row: impl Fn(usize) -> &'a [f32] + Sync,
     columns: usize,
@@ -198,8 +192,7 @@ fn panels<'a, const N: usize>(
     });
 }
 
-/// Quantizes columns to `[columns, padded]` 8-bit integers with a largest magnitude of 127,
-/// followed by the scales.
+/// 8-bit integers `[columns, padded]` with largest magnitude 127, then scales.
 fn quantised<'a>(row: impl Fn(usize) -> &'a [f32] + Sync, columns: usize, padded: usize, packed: &mut [u8]) {
     let largest = |column: usize| row(column).iter().fold(0f32, |most, x| most.max(x.abs()));
     let (integers, scales) = packed.split_at_mut(scales_at(columns, padded));

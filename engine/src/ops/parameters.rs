@@ -1,4 +1,4 @@
-//! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
+//! Model parameters: layout from shapes, loading from checkpoints.
 
 use super::{
     Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
@@ -15,13 +15,11 @@ use std::{
     sync::Arc,
 };
 
-/// Parameters of a network: name, shape, device location and packing. Checkpoints are validated
-/// against these declarations.
+/// Declared parameters: name, shape, location and packing.
 pub struct ParameterLayout {
     layout: ResidentLayout,
     declared: Vec<Declared>,
     arithmetic: Arithmetic,
-    /// Names of matrices with 8-bit weights.
     q8: HashSet<String>,
 }
 
@@ -42,7 +40,7 @@ impl<F: Fn(&str, &mut [f32]) -> Result<()>> ParameterSource for F {
     }
 }
 
-/// Handle of a parameter kept on the host.
+/// Handle of a host parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct HostParameter(usize);
 
@@ -50,7 +48,7 @@ pub struct HostParameter(usize);
 pub struct Parameters {
     /// Parameters on the device.
     pub resident: Arc<Resident>,
-    /// Values per declaration; empty for device parameters.
+    /// Per declaration; empty for device parameters.
     host: Vec<Vec<f32>>,
 }
 
@@ -64,13 +62,13 @@ impl Index<HostParameter> for Parameters {
 
 /// Source of parameter values.
 pub trait ParameterSource {
-    /// Reads a parameter's values in C order.
+    /// Reads values in C order.
     ///
     /// # Errors
     /// Failed reads.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()>;
 
-    /// Reads a weight passed to [`ParameterLayout::with_q8`].
+    /// Reads a weight of [`ParameterLayout::with_q8`].
     ///
     /// # Errors
     /// Failed reads.
@@ -80,15 +78,15 @@ pub trait ParameterSource {
 }
 
 impl ParameterLayout {
-    /// Returns an empty layout for devices of these limits.
+    /// Returns an empty layout.
     pub fn new(limits: &Limits, arithmetic: Arithmetic) -> Self {
         Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic, q8: HashSet::new() }
     }
 
-    /// Keeps these linear weights in 8 bits on the device.
+    /// Keeps these weights in 8 bits.
     ///
     /// # Panics
-    /// If the arithmetic already quantizes weights to 8 bits.
+    /// If the arithmetic has 8-bit integers.
     pub fn with_q8(self, names: impl IntoIterator<Item = String>) -> Self {
         let q8: HashSet<String> = names.into_iter().collect();
         assert!(q8.is_empty() || !self.arithmetic.has_integers(), "weights of 8 bits are rounded once");
@@ -108,18 +106,18 @@ impl ParameterLayout {
         self.arithmetic.nearest.map_or(NearestKernel::Lanes, NearestKernel::Matrix)
     }
 
-    /// Returns the name and shape of every parameter, in order of declaration.
+    /// Names and shapes, in order.
     pub fn names_and_shapes(self) -> Vec<(String, Vec<usize>)> {
         self.declared.into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
     }
 
-    /// Declares a parameter for the host only.
+    /// Declares a host parameter.
     pub fn host(&mut self, name: &str, shape: &[usize]) -> HostParameter {
         self.declared.push(Declared { name: name.into(), shape: shape.into(), place: Place::Host });
         HostParameter(self.declared.len() - 1)
     }
 
-    /// Declares an f32 parameter without packing.
+    /// Declares an f32 parameter.
     pub fn vector(&mut self, name: &str, shape: &[usize]) -> Tensor {
         self.add::<f32>(name, shape, shape.iter().product(), Packing::Vector)
     }
@@ -129,46 +127,42 @@ impl ParameterLayout {
         self.convolution(name, &[inner], columns)
     }
 
-    /// Declares a convolution as a linear layer over flattened kernels.
+    /// Declares a convolution as a linear layer.
     pub fn convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.without_integers())
     }
 
-    /// Declares a linear layer of a block, with 8-bit integers if the arithmetic has them. The
-    /// residual stream outweighs their error.
+    /// Declares a block's linear layer, 8-bit if available.
     pub fn block_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic)
     }
 
-    /// Declares a linear layer that is f32 in every precision.
+    /// Declares a linear layer, always f32.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic.exact())
     }
 
-    /// Declares a convolution that is f32 in every precision.
+    /// Declares a convolution, always f32.
     pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.exact())
     }
 
-    /// Declares the backward pass of the layer `name`, from `[rows, columns]` to `[rows, inner]`
-    /// gradients: its transposed weight in f32, without bias.
+    /// Declares a layer's f32 backward pass, from `[rows, columns]` to `[rows, inner]`.
     pub fn transposed_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.transposed(name, &[columns, inner], 1)
     }
 
-    /// Declares the backward pass of a convolution: a convolution of gradients with the kernel
-    /// flipped.
+    /// Declares a convolution's backward pass, with the kernel flipped.
     pub fn transposed_convolution(&mut self, name: &str, sides: [usize; 2], inputs: usize, outputs: usize) -> Linear {
         self.transposed(name, &[outputs, sides[0], sides[1], inputs], sides[0] * sides[1])
     }
 
-    /// Declares `NAME.weight` `[outputs, .., inputs]` of `taps` taps, transposed.
     fn transposed(&mut self, name: &str, shape: &[usize], taps: usize) -> Linear {
         self.reordered(name, shape, [taps * shape[0], shape[shape.len() - 1]], Order::Transposed { taps })
     }
 
-    /// Declares a convolution in f32: `NAME.weight` `[outputs, inputs, side, side]` and, if
-    /// `biased`, `NAME.bias`. Its input rows are `[side, side, inputs padded to whole vec4]`.
+    /// Declares an f32 convolution: `NAME.weight` `[outputs, inputs, side, side]`, optionally
+    /// `NAME.bias`. Input rows are `[side, side, padded inputs]`.
     pub fn planar_convolution(
         &mut self,
         name: &str,
@@ -183,9 +177,8 @@ impl ParameterLayout {
         if biased { Linear { bias: self.vector(&format!("{name}.bias"), &[outputs]), ..layer } } else { layer }
     }
 
-    /// Declares a transposed convolution with stride equal to its kernel side, `NAME.weight`
-    /// `[inputs, outputs, side, side]`. It becomes an f32 layer to `[side, side, outputs]`, without
-    /// bias.
+    /// Declares a non-overlapping transposed convolution, `NAME.weight` `[inputs, outputs, side,
+    /// side]`, as an f32 layer to `[side, side, outputs]`.
     pub fn spread_convolution(&mut self, name: &str, [inputs, outputs]: [usize; 2], side: usize) -> Linear {
         let taps = side * side;
         self.reordered(name, &[inputs, outputs, side, side], [inputs, taps * outputs], Order::Spread { taps })
@@ -206,7 +199,7 @@ impl ParameterLayout {
         }
     }
 
-    /// [`ParameterLayout::block_linear`] for a layer with output [gate | value].
+    /// Declares a block's layer with output [gate | value].
     pub fn gated_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, true, self.arithmetic)
     }
@@ -221,7 +214,7 @@ impl ParameterLayout {
         }
     }
 
-    /// Returns the bytes on the device.
+    /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.layout.bytes()
     }
@@ -229,7 +222,7 @@ impl ParameterLayout {
     /// Allocates and loads the parameters. `progress` gets the fraction done and may cancel.
     ///
     /// # Errors
-    /// [`Error::Memory`] if the device has too little; errors of `source`; [`Error::Cancelled`].
+    /// [`Error::Memory`]; errors of `source`; [`Error::Cancelled`].
     pub fn load(
         &self,
         device: &Device,
@@ -268,7 +261,7 @@ impl ParameterLayout {
         let inner = row.iter().product::<usize>();
         let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
-        // 8-bit and matrix kernels write whole vectors.
+        // Other kernels write whole vectors.
         let vectors = columns.is_multiple_of(if gated { 8 } else { 4 });
         let kernel = match arithmetic {
             Arithmetic { quantised: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),

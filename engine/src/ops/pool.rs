@@ -1,20 +1,20 @@
-//! Pooling of keys and values over neighboring patches.
+//! Pooling of keys and values.
 
 use super::row_chunks;
 use crate::{Error, Result, gpu::Recorder};
 use std::ops::Range;
 
-/// Groups of neighboring patches per view, whose keys and values are averaged.
+/// Key pooling over groups of neighboring patches.
 ///
 /// A group of n patches adds log n to its score (proportional attention). Sources: Token Merging,
 /// Bolya et al. 2023; FastVGGT, Shen et al. 2025.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pool {
-    /// Patches along a group's side, fewer at the right and lower borders.
+    /// Group side in patches.
     pub side: usize,
-    /// Rows and columns of patches per view.
+    /// Patch rows and columns per view.
     pub grid: [usize; 2],
-    /// Unpooled tokens before a view's patches.
+    /// Unpooled leading tokens.
     pub leading: usize,
 }
 
@@ -22,7 +22,6 @@ impl Pool {
     /// Largest group side.
     pub const MAX_SIDE: usize = 4;
 
-    /// Returns groups of `side` x `side` patches, or `None` for single patches.
     pub(crate) fn of(side: usize, grid: [usize; 2], leading: usize) -> Option<Self> {
         (side > 1).then_some(Self { side, grid, leading })
     }
@@ -30,7 +29,7 @@ impl Pool {
     /// Validates a group side.
     ///
     /// # Errors
-    /// [`Error::Argument`] unless it is in 1..=[`Pool::MAX_SIDE`].
+    /// [`Error::Argument`] outside 1..=[`Pool::MAX_SIDE`].
     pub fn check(side: usize) -> Result<()> {
         match (1..=Self::MAX_SIDE).contains(&side) {
             true => Ok(()),
@@ -38,22 +37,21 @@ impl Pool {
         }
     }
 
-    /// Returns the tokens per view.
+    /// Tokens per view.
     pub fn tokens(&self) -> usize {
         self.leading + self.grid.iter().product::<usize>()
     }
 
-    /// Returns the keys per view.
+    /// Keys per view.
     pub fn keys(&self) -> usize {
         self.leading + self.grid.iter().map(|side| side.div_ceil(self.side)).product::<usize>()
     }
 
-    /// Keys for `tokens` tokens of whole views.
     pub(super) fn keys_of(pool: Option<Self>, tokens: usize) -> usize {
         pool.map_or(tokens, |pool| tokens / pool.tokens() * pool.keys())
     }
 
-    /// [`row_chunks`], in whole views if keys are pooled.
+    /// [`row_chunks`] of whole views.
     pub(super) fn chunks(
         pool: Option<Self>,
         rec: &Recorder,

@@ -1,4 +1,4 @@
-//! 8-bit weights with a scale per group.
+//! 8-bit weights.
 
 use crate::kernels::limits::Q8_GROUP;
 use half::f16;
@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 
 const GROUP: usize = Q8_GROUP as usize;
 
-/// Weights in groups of [`Q8_GROUP`]: integers times their group's scale, exact in f32.
+/// Integers with a scale per [`Q8_GROUP`], exact in f32.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Q8 {
     /// Integers, -128 to 127.
@@ -17,24 +17,23 @@ pub struct Q8 {
 }
 
 impl Q8 {
-    /// Range of nonzero scales: every value fits f16, without subnormals.
+    /// Nonzero scales that keep values normal in f16.
     pub const SCALES: RangeInclusive<f32> = 1.0 / 16384.0..=511.0;
 
     /// Values per group.
     pub const GROUP: usize = GROUP;
 
-    /// Returns the number of scales for `values` values.
+    /// Number of scales.
     pub fn scales_of(values: usize) -> usize {
         values / GROUP
     }
 
-    /// Whether rows of `width` values are whole groups.
+    /// Whether rows are whole groups.
     pub fn fits(width: usize) -> bool {
         width.is_multiple_of(GROUP)
     }
 
-    /// Rounds whole groups of values to the nearest integer multiple of their scale. Returns `None`
-    /// if a scale exceeds [`Q8::SCALES`].
+    /// Rounds whole groups; `None` if a scale exceeds [`Q8::SCALES`].
     pub fn round(values: &[f32]) -> Option<Self> {
         let scale = |group: &[f32]| match group.iter().fold(0f32, |most, x| most.max(x.abs())) {
             0.0 => f16::ZERO,
@@ -49,7 +48,7 @@ impl Q8 {
         scales.iter().all(|scale| scale.to_f32() <= *Self::SCALES.end()).then_some(Self { integers, scales })
     }
 
-    /// Writes the dequantized values.
+    /// Writes dequantized values.
     ///
     /// # Panics
     /// If `out` has another length.
@@ -62,7 +61,7 @@ impl Q8 {
     }
 }
 
-/// Returns the least f16 not below `x`, for nonnegative `x`.
+/// Least f16 not below nonnegative `x`.
 fn no_less(x: f32) -> f16 {
     let nearest = f16::from_f32(x);
     if nearest.to_f32() < x { f16::from_bits(nearest.to_bits() + 1) } else { nearest }

@@ -1,4 +1,4 @@
-//! Row tensors, row-wise operations, and splitting of long tensors at the binding limit.
+//! Row tensors and their splitting at the binding limit.
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -6,7 +6,7 @@ use crate::{
 };
 use std::ops::Range;
 
-/// Rows of values on the device, `[count, width]`.
+/// Device rows, `[count, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows {
     /// Values.
@@ -31,33 +31,33 @@ pub struct Columns {
 }
 
 impl Rows {
-    /// Wraps a tensor as f32 rows.
+    /// Wraps f32 rows.
     pub fn new(tensor: Tensor, count: usize, width: usize) -> Self {
         Self { tensor, count, width, element: Element::F32 }
     }
 
-    /// Allocates rows in scratch memory.
+    /// Allocates scratch memory.
     pub fn scratch(rec: &mut Recorder, name: &str, count: usize, width: usize, element: Element) -> Self {
         Self { tensor: rec.tensor_of(element, name, count * width), count, width, element }
     }
 
-    /// Returns the rows of a range.
+    /// Returns a range of rows.
     pub fn part(&self, rows: Range<usize>) -> Self {
         let tensor = self.tensor.slice_of(self.element, rows.start * self.width, rows.len() * self.width);
         Self { tensor, count: rows.len(), ..*self }
     }
 
-    /// Returns `width` columns of every row from `first`.
+    /// Returns columns from `first`.
     pub fn columns(&self, first: usize, width: usize) -> Columns {
         Columns { of: *self, first, width }
     }
 
-    /// Returns the number of values.
+    /// Number of values.
     pub fn values(&self) -> usize {
         self.count * self.width
     }
 
-    /// Returns the bytes of a row.
+    /// Bytes per row.
     pub fn row_bytes(&self) -> usize {
         self.element.bytes() * self.width
     }
@@ -69,29 +69,28 @@ impl From<Rows> for Columns {
     }
 }
 
-/// Alignment of tensor slices in bytes.
+/// Slice alignment in bytes.
 pub(super) const SLICE: usize = 256;
 
-/// Scratch budget of a row-wise step in bytes: fills any device, yet small next to the activations.
+/// Scratch budget: fills any device, small next to the activations.
 pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
 
-/// Rows of `bytes` bytes between aligned slices, a power of two.
+/// Rows between aligned slices, a power of two.
 pub(super) fn aligned_rows(bytes: usize) -> usize {
     SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
 }
 
-/// Splits `rows` of tensors with `widths` bytes per row. Each part fits one binding and the scratch
-/// budget, and starts aligned in every tensor.
+/// Splits rows so that every tensor's part is aligned and fits a binding and the budget.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl Iterator<Item = Range<usize>> + use<> {
     let bytes = rec.limits().max_binding_bytes.min(SCRATCH_BYTES) as usize;
     let widest = widths.iter().copied().fold(1, usize::max);
-    // These are powers of two, so the largest is a multiple of the rest.
+    // The largest power of two is a multiple of the rest.
     let alignment = widths.iter().copied().map(aligned_rows).fold(1, usize::max);
     let step = (bytes / widest).max(alignment) / alignment * alignment;
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))
 }
 
-/// Adds `other` to `target`, f32 of one shape.
+/// Adds `other` to `target`, both f32.
 pub fn add(rec: &mut Recorder, target: Rows, other: Rows) {
     for part in row_chunks(rec, target.values(), &[size_of::<f32>()]) {
         let [left, right] = [target, other].map(|rows| rows.tensor.slice::<f32>(part.start, part.len()));
@@ -99,7 +98,7 @@ pub fn add(rec: &mut Recorder, target: Rows, other: Rows) {
     }
 }
 
-/// Gathers the `count` f32 rows `source[rows_from_out[i]]`.
+/// Gathers f32 rows `source[rows_from_out[i]]`.
 pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, count: usize) -> Rows {
     let out = Rows::scratch(rec, "gathered", count, source.width, Element::F32);
     for part in row_chunks(rec, source.count, &[source.row_bytes()]) {
@@ -117,7 +116,7 @@ pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, coun
     out
 }
 
-/// Quantizes f16 rows to 8-bit integers and `[rows]` f32 scales.
+/// Quantizes f16 rows to 8 bits and `[rows]` f32 scales.
 pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     let Rows { count, width, .. } = source;
     let out = Rows::scratch(rec, "quantised", count, width, Element::I8);
@@ -127,7 +126,7 @@ pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     (out, scales)
 }
 
-/// Writes f32 rows into the columns of `out` from `column`, in its type.
+/// Writes f32 rows into columns of `out`.
 pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
     let kernel = ops::PlaceColumns {
         source: source.tensor,
@@ -141,7 +140,7 @@ pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize)
     rec.dispatch(kernel, source.values());
 }
 
-/// Concatenates the columns of f32 rows as type `output`.
+/// Concatenates f32 columns as type `output`.
 pub fn join_columns(rec: &mut Recorder, [left, right]: [Rows; 2], output: Element) -> Rows {
     let out = Rows::scratch(rec, "joined", left.count, left.width + right.width, output);
     for part in row_chunks(rec, out.count, &[left, right, out].map(|rows| rows.row_bytes())) {

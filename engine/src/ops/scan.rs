@@ -1,5 +1,4 @@
-//! Prefix sums: each workgroup sums its share, then scans it on top of the previous shares. Two
-//! dispatches for any length; no workgroup waits for another.
+//! Prefix sums in two dispatches for any length, without waiting workgroups.
 
 use crate::{
     gpu::{Recorder, Tensor},
@@ -8,10 +7,10 @@ use crate::{
 
 /// Minimum items per workgroup.
 const SHARE: usize = 1024;
-/// Maximum workgroups; each reads all previous sums.
+/// Maximum workgroups.
 const MAX_BLOCKS: usize = 1024;
 
-/// Replaces each of the first `count` u32 of `values` by the sum of those before it, modulo 2^32.
+/// Replaces the first `count` u32 by exclusive prefix sums modulo 2^32.
 pub fn exclusive_scan(rec: &mut Recorder, values: Tensor, count: usize) {
     let blocks = count.div_ceil(SHARE).min(MAX_BLOCKS);
     let count = u32::try_from(count).expect("bindings hold fewer than 2^32 words");

@@ -1,5 +1,4 @@
-//! Stable LSD radix sort of u32 key-value pairs whose count only the device knows. Dispatches
-//! depend on the capacity alone.
+//! Stable LSD radix sort with a device-side count; dispatches depend on capacity alone.
 
 use super::scan::exclusive_scan;
 use crate::{
@@ -11,13 +10,12 @@ use crate::{
 };
 
 const DIGIT_BITS: u32 = RADIX.ilog2();
-/// Minimum items per workgroup: four times the digits, which bounds the digit table.
+/// Minimum items per workgroup, which bounds the digit table.
 const SHARE: usize = 1024;
-/// Maximum workgroups, one digit table column each.
+/// Maximum workgroups.
 const MAX_BLOCKS: usize = 1024;
 
-/// Sorts the first `item_count[0]` of `capacity` pairs by the lowest `bits` key bits, ascending and
-/// stable. Returns new keys and values; the inputs stay unchanged.
+/// Returns `item_count[0]` of `capacity` pairs sorted by the lowest `bits` bits.
 pub fn sort_pairs(
     rec: &mut Recorder,
     mut keys: Tensor,
@@ -54,15 +52,14 @@ pub fn sort_pairs(
     (keys, values)
 }
 
-/// Returns the first index of each of `key_count` keys among the first `item_count[0]` sorted
-/// `keys`: `[key_count + 1]`.
+/// Returns `[key_count + 1]` starts of keys among `item_count[0]` sorted `keys`.
 pub fn key_starts(rec: &mut Recorder, keys: Tensor, item_count: Tensor, key_count: usize) -> Tensor {
     let starts = rec.tensor::<u32>("starts", key_count + 1);
     rec.dispatch(KeyStarts { keys, item_count, starts, key_count: key_count as u32 }, key_count + 1);
     starts
 }
 
-/// Returns the bits needed for keys below `count`.
+/// Bits of keys below `count`.
 pub fn key_bits(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }

@@ -1,11 +1,11 @@
-//! Tiles of matrix kernels and their selection.
+//! Matrix kernel tiles and their selection.
 
 use super::Units;
 use crate::gpu::{Element, Limits};
 use std::fmt;
 
-/// Selected candidate per size of the result: [`Tiles::CLASSES`] sizes from 2^14 values, by factors
-/// of four. `tune` measures candidates; the default is a rule.
+/// Tile selection by result size, in [`Tiles::CLASSES`] classes from 2^14 values by factors of
+/// four. Defaults to a rule.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 
@@ -13,36 +13,33 @@ impl Tiles {
     /// Number of size classes.
     pub const CLASSES: usize = 7;
 
-    /// The default rule at every size.
+    /// The default rule.
     pub const BY_RULE: Self = Self([None; Self::CLASSES]);
 
-    /// Selects one candidate at every size.
+    /// Selects one candidate.
     pub fn always(index: usize) -> Self {
         Self([Some(index as u8); Self::CLASSES])
     }
 
-    /// Selects a candidate for a size class and all larger ones.
     pub(crate) fn set_from(&mut self, class: usize, index: usize) {
         self.0[class..].fill(Some(index as u8));
     }
 
-    /// Number of values at the middle of a class.
     pub(crate) fn values(class: usize) -> usize {
         1 << (14 + 2 * class)
     }
 
-    /// Candidate for a result of `values` values, if selected.
+    /// Selected candidate for a number of values.
     pub(super) fn of(&self, values: usize) -> Option<usize> {
         let class = values.max(1).ilog2().saturating_sub(13) as usize / 2;
         self.0[class.min(Self::CLASSES - 1)].map(usize::from)
     }
 }
 
-/// Split-K: terms per partial sum of a linear layer with `inner` terms.
+/// Split-K terms per partial sum.
 ///
-/// Splits only long sums whose 64 x 64 tiles would occupy less than half of a large GPU. Depends on
-/// the shape alone, so tuning never changes bits. Only for 16-bit factors: `exact` adds term by
-/// term, and integer sums are exact.
+/// Splits long 16-bit sums with few tiles. Depends on the shape alone, so tuning never changes
+/// bits.
 pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
     const LONG: usize = 2048;
     let workgroups = (rows.div_ceil(64) * columns.div_ceil(64)).max(1);
@@ -54,29 +51,28 @@ pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) 
     inner.div_ceil(parts).next_multiple_of(128)
 }
 
-/// Work of one workgroup in a matrix kernel. Rows and columns are those of a linear layer, points
-/// and targets, or queries and channels.
+/// Work of one workgroup in a matrix kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// Subgroups along rows and columns.
+    /// Subgroups by rows, columns.
     pub subgroups: [u32; 2],
-    /// Matrices per subgroup along rows and columns.
+    /// Matrices per subgroup by rows, columns.
     pub repeats: [u32; 2],
-    /// Terms, or attention keys, per stage in shared memory.
+    /// Terms, or keys, per shared memory stage.
     pub k: u32,
 }
 
-/// Subgroups along rows and columns; rows and columns per subgroup.
+/// Subgroups; rows and columns of each.
 type Layout = ([u32; 2], [u32; 2]);
 
-/// Workgroups that fill a large GPU of up to 144 cores.
+/// Workgroups that fill a large GPU.
 const BUSY: usize = 256;
 
-/// Returns the measured candidate. Without one, returns the first of the leading `by_rule` defaults
-/// with enough workgroups to fill the device, or the last.
+/// Returns the measured candidate, else the first of `by_rule` defaults that fills the device, else
+/// the last default.
 ///
 /// # Panics
-/// If the list is empty; callers check that a tile fits.
+/// If the list is empty.
 pub(super) fn choose<T: Copy>(
     candidates: &[T],
     measured: Option<usize>,
@@ -90,13 +86,12 @@ pub(super) fn choose<T: Copy>(
 }
 
 impl Tile {
-    /// Head channels in attention tuning: those of every DA3 network.
+    /// Head channels in attention tuning, as in every DA3 network.
     pub const TUNED_CHANNELS: usize = 64;
 
-    /// Candidates of ops/linear_matrix. The first two are the defaults, larger first: 64 x 64 or 32
-    /// x 32 per subgroup.
+    /// Candidates of ops/linear_matrix: two defaults, larger first.
     pub fn linear(limits: &Limits, units: Units) -> Vec<Self> {
-        // The second value is the bytes per row in shared memory.
+        // With bytes per shared memory row.
         const GPU: &[(Layout, u32)] = &[
             (([2, 2], [64, 64]), 64),
             (([2, 2], [32, 32]), 64),
@@ -105,14 +100,14 @@ impl Tile {
             (([4, 2], [32, 64]), 64),
             (([2, 4], [64, 32]), 64),
         ];
-        // CPUs emulate matrices by loops that take long to compile.
+        // CPUs emulate matrices by loops that compile slowly.
         const CPU: &[(Layout, u32)] = &[(([2, 2], [16, 16]), 16), (([1, 1], [16, 16]), 16)];
         let (shape, factor_bytes) = (units.shape, units.factor.bytes() as u32);
         let tile = |&(layout, bytes): &(Layout, u32)| {
             let k = if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / factor_bytes) };
             Self::of(layout, units, k)
         };
-        // Shared memory layout of kernels/ops/linear_matrix.comp.
+        // Mirrors kernels/ops/linear_matrix.comp.
         let shared_bytes = |tile: &Self| {
             let [rows, columns] = tile.sides(units);
             let stages = 2 * (rows + columns) as u32 * (tile.k * factor_bytes + 16);
@@ -122,19 +117,19 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of ops/attention_matrix for heads of `channels`, defaults first, larger first. A
-    /// subgroup has 16 or 32 queries; 16 is the default for its register use.
+    /// Candidates of ops/attention_matrix, 16-query defaults first, larger first. 32 queries need
+    /// more registers.
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
         let shape = units.shape;
         let queries: &[u32] = if limits.cpu { &[8] } else { &[16, 32] };
         let tiles = queries.iter().flat_map(|queries| {
             let repeat = queries.div_ceil(shape.m);
-            // Every lane converts at least 8 scores of a row into 16 bytes of weights.
+            // Every lane packs at least 8 scores of a row.
             let row_lanes = (limits.subgroup_size / (repeat * shape.m)).max(1);
             let k = (2 * shape.n.max(shape.k)).max(8 * row_lanes);
             [4, 2, 1].map(|subgroups| Self { subgroups: [subgroups, 1], repeats: [repeat, 1], k })
         });
-        // Shared memory layout of kernels/ops/attention_matrix.comp.
+        // Mirrors kernels/ops/attention_matrix.comp.
         let shared_bytes = |tile: &Self| {
             let values = 2 * tile.k * (channels as u32 / 8 + 1);
             16 * (values + tile.sides(units)[0] as u32 * (tile.k / 4 + 1))
@@ -142,13 +137,12 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of cluster/nearest_matrix, larger first. Subgroups hold two sets of sums, so
-    /// tiles are half those of a linear layer.
+    /// Candidates of cluster/nearest_matrix, larger first. Two sets of sums halve the tiles.
     pub fn nearest(limits: &Limits, units: Units) -> Vec<Self> {
         const GPU: &[Layout] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
         const CPU: &[Layout] = &[([2, 2], [16, 8])];
         let shape = units.shape;
-        // Shared memory layout of kernels/cluster/nearest_matrix.comp.
+        // Mirrors kernels/cluster/nearest_matrix.comp.
         let shared_bytes = |tile: &Self| {
             let [points, targets] = tile.sides(units).map(|side| side as u32);
             let stages = 2 * (points + targets) * (2 * tile.k / 8 + 1);
@@ -165,7 +159,7 @@ impl Tile {
         Self { subgroups, repeats: [rows.div_ceil(units.shape.m), columns.div_ceil(units.shape.n)], k }
     }
 
-    /// Returns the rows and columns per workgroup.
+    /// Workgroup rows and columns.
     pub fn sides(&self, units: Units) -> [usize; 2] {
         let matrix = [units.shape.m, units.shape.n];
         [0, 1].map(|axis| (self.subgroups[axis] * self.repeats[axis] * matrix[axis]) as usize)
@@ -182,7 +176,6 @@ impl Tile {
 }
 
 impl fmt::Display for Tile {
-    /// Subgroups, matrices per subgroup, depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { subgroups: [rows, columns], repeats: [m, n], k } = self;
         write!(f, "{rows}x{columns} of {m}x{n}, k {k}")

@@ -1,5 +1,3 @@
-//! 8-bit linear layers on lanes, by dot products.
-
 use super::{
     super::{
         rows::Rows,
@@ -12,7 +10,7 @@ use crate::{
     kernels::ops,
 };
 
-/// Number of candidates without measurements.
+/// Default candidates.
 const BY_RULE: usize = 2;
 
 impl Linear {

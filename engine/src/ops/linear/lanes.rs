@@ -14,36 +14,35 @@ use crate::{
 };
 use std::fmt;
 
-/// Lane configuration of a linear layer.
+/// Lane configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lanes {
     /// Type of the factors.
     pub element: Element,
-    /// Tiles by size of the result.
+    /// Tiles by result size.
     pub tiles: Tiles,
 }
 
 /// Tile of a linear layer on lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaneTile {
-    /// Rows and columns per workgroup.
+    /// Workgroup rows and columns.
     pub sides: [u32; 2],
-    /// Rows and columns per lane.
+    /// Lane rows and columns.
     pub lane: [u32; 2],
-    /// Terms per stage in shared memory; 0 for ops/linear and ops/linear_uniform, which use none.
+    /// Terms per shared memory stage; 0 without staging.
     pub k: u32,
 }
 
 impl Lanes {
-    /// Lanes with factors of a type and default tiles.
+    /// Default tiles for a factor type.
     pub const fn of(element: Element) -> Self {
         Self { element, tiles: Tiles::BY_RULE }
     }
 }
 
 impl LaneTile {
-    /// Returns the candidates, defaults first. 8-bit integers get those of ops/linear_dot, with two
-    /// defaults, larger first.
+    /// Returns the candidates, defaults first.
     pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
         if element == Element::I8 {
             return Self::of_dots(limits);
@@ -56,7 +55,7 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 16 },
             LaneTile { sides: [32, 32], lane: [4, 4], k: 16 },
         ];
-        // Larger tiles take long to compile on a CPU.
+        // Larger tiles compile slowly on CPUs.
         const CPU: &[LaneTile] = &[LaneTile { sides: [8, 32], lane: [2, 4], k: 8 }];
         let ruled = match is_uniform(limits, [element, Element::F32]) {
             true => {
@@ -78,7 +77,7 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
         ];
         let cpu = [LaneTile { sides: [32, 8 * limits.subgroup_size], lane: [8, 8], k: 32 }];
-        // Shared memory layout of kernels/ops/linear_dot.comp.
+        // Mirrors kernels/ops/linear_dot.comp.
         let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
         let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
@@ -89,7 +88,7 @@ impl LaneTile {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
 
-    /// Shared memory in bytes, as laid out by kernels/ops/linear_tiled.comp.
+    /// Mirrors kernels/ops/linear_tiled.comp.
     fn shared_bytes(&self) -> u32 {
         let [rows, columns] = self.sides;
         16 * (rows * (self.k / 4 + 1) + self.k * columns / 4)
@@ -104,7 +103,6 @@ impl LaneTile {
 }
 
 impl fmt::Display for LaneTile {
-    /// Workgroup sides, lane sides, depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { sides: [rows, columns], lane: [lane_rows, lane_columns], k } = self;
         write!(f, "{rows}x{columns} of {lane_rows}x{lane_columns}")?;
@@ -112,13 +110,12 @@ impl fmt::Display for LaneTile {
     }
 }
 
-/// Whether ops/linear_uniform applies to these input and result types.
+/// Whether ops/linear_uniform applies.
 fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
     types == [Element::F32; 2] && divides_panels(limits)
 }
 
 impl Linear {
-    /// Applies the layer on lanes, with split-K of `share` terms.
     pub(super) fn on_lanes(
         &self,
         rec: &mut Recorder,
@@ -223,7 +220,6 @@ impl Linear {
             input: input.element,
             output: out.element,
         };
-        // Columns vary fastest: concurrent workgroups share rows, and the weight stays in cache.
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
