@@ -9,10 +9,10 @@ use crate::{
 
 pub(super) struct Attentions;
 
-/// Largest passing deviation in unit roundoffs, from rounded queries, weights and results.
+/// Unit roundoffs, for rounded queries, weights and results.
 const LIMIT: f64 = 40.0;
 
-/// Channels of the widest heads, which take the most shared memory.
+/// Widest heads, which take the most shared memory.
 const WIDEST_HEAD: usize = 128;
 
 impl Operation for Attentions {
@@ -67,7 +67,6 @@ fn kernel(candidate: Candidate) -> AttentionKernel {
     }
 }
 
-/// Returns a run on random inputs representable in `factor`, and its result.
 fn attention(
     device: &Device,
     kernel: AttentionKernel,

@@ -1,4 +1,4 @@
-//! The user's cache of per-device results, keyed by device, driver and kernel hash.
+//! Per-device cache, keyed by driver and kernel hash.
 
 use crate::{gpu::Device, kernels::MODULES};
 use std::{
@@ -6,8 +6,7 @@ use std::{
     path::PathBuf,
 };
 
-/// Returns the cache folder for data that can be recomputed: `ZIPSPLAT_CACHE`, or `zipsplat` in the
-/// user's cache. `None` if the environment defines neither.
+/// Returns the cache folder: `ZIPSPLAT_CACHE`, or `zipsplat` in the user's cache.
 pub fn cache_folder() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
     let folder = |name: &str, below: &str| set(name).map(|value| PathBuf::from(value).join(below));
@@ -17,7 +16,6 @@ pub fn cache_folder() -> Option<PathBuf> {
         .or_else(|| folder("HOME", ".cache/zipsplat"))
 }
 
-/// Cache file of a `kind` of results about a device.
 pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
     let cache = cache_folder()?;
     let mut kernels = DefaultHasher::new();

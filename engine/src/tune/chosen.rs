@@ -1,4 +1,4 @@
-//! Arithmetic of a precision on a device, without kernels that failed their self-test.
+//! Arithmetic without kernels that failed their self-test.
 
 use super::{SelfTest, Tuning};
 use crate::{
@@ -8,28 +8,27 @@ use crate::{
 };
 use std::ops::ControlFlow;
 
-/// A precision and its arithmetic on a device.
+/// A precision's arithmetic on a device.
 #[derive(Clone, Debug)]
 pub struct Chosen {
     /// Precision.
     pub precision: Precision,
     /// Arithmetic.
     pub arithmetic: Arithmetic,
-    /// Notes on kernels that failed their self-test.
+    /// Failed kernels, for the user.
     pub notes: Vec<String>,
 }
 
 impl Chosen {
-    /// Returns the arithmetic of a precision, by default the device's best.
+    /// Returns the arithmetic of a precision, by default the best.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the device does not support the precision; device failures.
+    /// [`Error::Argument`] if unsupported; device failures.
     pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }
 
-    /// [`Chosen::of`] with progress. The first use of a precision on a device tests its kernels.
-    /// `progress` gets the next kernel and the fraction done, and may cancel.
+    /// [`Chosen::of`], with progress of the first self-test. `progress` may cancel.
     ///
     /// # Errors
     /// As [`Chosen::of`], and [`Error::Cancelled`].
@@ -54,7 +53,7 @@ impl Chosen {
         Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), notes })
     }
 
-    /// Returns the f32 arithmetic, which every device supports without a test.
+    /// Returns the f32 arithmetic, which needs no test.
     pub fn exact(device: &Device) -> Arithmetic {
         tuned(device, Arithmetic::EXACT)
     }

@@ -16,7 +16,7 @@ use crate::{
 
 pub(super) struct LinearLayers;
 
-/// Largest passing deviation. Both kernels get the same factors, so only the order of sums differs.
+/// Only the order of sums differs.
 const LIMIT: f64 = 1e-3;
 
 impl Operation for LinearLayers {
@@ -40,7 +40,7 @@ impl Operation for LinearLayers {
         LaneTile::candidates(limits, factor)
     }
 
-    /// One kernel for f32 results, one for results that only feed products.
+    /// For f32 results, and for results that only feed products.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
         let base = if factor == Element::I8 && !on_units { "ops/linear_dot" } else { "ops/linear" };
         let name = kernel_name(base, on_units, factor);
@@ -49,9 +49,9 @@ impl Operation for LinearLayers {
         outputs.map(|output| (format!("{name}_{}", output.name()), output)).collect()
     }
 
-    /// f32 candidates must match the reference bit for bit: all tiles add in one order.
+    /// f32 must match bit for bit: all tiles add in one order.
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
-        // Several workgroups along each axis, the last one partial.
+        // Several workgroups per axis, the last partial.
         let [rows, columns] = match candidate {
             Candidate::Lanes(_, Some(tile)) => tile.sides.map(|side| side as usize),
             Candidate::Lanes(..) => [32, 32],
@@ -121,8 +121,7 @@ struct Layer {
 }
 
 impl Layer {
-    /// Returns a run on random numbers representable by the kernel `tested`, and its result. GELU
-    /// runs include a residual and a scale.
+    /// Returns a run on random numbers and its result.
     fn run(&self, device: &Device, tested: LinearKernel) -> Result<(Run, Tensor)> {
         let ([rows, inner, columns], kernel, factor) = (self.sizes, self.kernel, tested.factor());
         let weight = match tested.weights() {
@@ -137,7 +136,6 @@ impl Layer {
         let input = Rows { tensor, count: rows, width: inner, element: kernel.element() };
         let with_residual = self.activation == Activation::Gelu;
         let residual = with_residual.then(|| Rows::new(rec.constant::<f32>("residual", rows * columns), rows, columns));
-        // The bias doubles as the scale.
         let gamma = residual.map(|_| bias);
         let epilogue = Epilogue { activation: self.activation, gamma, residual };
         let layer = Linear { weight, bias, inner, columns, kernel };

@@ -1,5 +1,4 @@
-//! Kernel selection for a device: self-tests against exact references, and tile timings, both
-//! cached. The result is an [`Arithmetic`].
+//! Kernel selection by cached self-tests and timings, as an [`Arithmetic`].
 
 mod attention;
 mod cache;
@@ -21,9 +20,9 @@ use crate::{
     ops::{Arithmetic, LaneTile, Lanes, Tile, Tiles, Units},
 };
 
-/// An operation with several implementations: exact f32, and fast ones on lanes and matrix units.
+/// An operation with exact and fast kernels.
 trait Operation: Sync {
-    /// Name in the cache and in messages.
+    /// Cache and message name.
     fn name(&self) -> &'static str;
 
     /// Fast factor types on lanes.
@@ -32,27 +31,26 @@ trait Operation: Sync {
     /// Factor types on matrix units.
     fn factors(&self) -> &'static [Element];
 
-    /// Tiles for matrix units within the device's limits.
     fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile>;
 
-    /// Tiles for lanes, the default first; empty if there is no choice.
+    /// Tiles on lanes, default first.
     fn lane_tiles(&self, _limits: &Limits, _factor: Element) -> Vec<LaneTile> {
         Vec::new()
     }
 
-    /// Name and result type of the kernels for a factor type.
+    /// Name and result type of each kernel.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)>;
 
-    /// Deviation of a candidate from the exact reference, see [`self_test::deviation`].
+    /// See [`self_test::deviation`].
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>>;
 
-    /// A run for timing, with a result of `rows` rows of [`COLUMNS`] values.
+    /// A run with `rows` rows of [`COLUMNS`] results.
     fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run>;
 
-    /// The arithmetic's matrix unit fields for this operation.
+    /// Matrix unit fields.
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;
 
-    /// The arithmetic's lane tile fields for this operation, with their factor types.
+    /// Lane tile fields, with factor types.
     fn chosen_on_lanes<'a>(&self, _arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
         Vec::new()
     }
@@ -60,18 +58,15 @@ trait Operation: Sync {
 
 const OPERATIONS: [&dyn Operation; 3] = [&linear::LinearLayers, &attention::Attentions, &nearest::NearestSearches];
 
-/// One implementation of an operation.
 #[derive(Clone, Copy)]
 enum Candidate {
-    /// Lanes with a fixed tile, if there is a choice.
     Lanes(Lanes, Option<LaneTile>),
-    /// Matrix units with a fixed tile.
     Units(Units, Tile),
 }
 
-/// Result columns in timed runs: channels of all heads, or targets.
+/// Channels of all heads, or targets, in timed runs.
 const COLUMNS: usize = 1024;
-/// Terms of a sum, or keys, in timed runs.
+/// Terms, or keys, in timed runs.
 const TERMS: usize = 1024;
 
 impl Candidate {
@@ -91,8 +86,7 @@ impl Candidate {
 }
 
 impl dyn Operation {
-    /// Candidates on lanes: f32, and factor types that the device stores without matrix units for
-    /// them.
+    /// f32, and types without matrix units.
     fn on_lanes(&self, limits: &Limits) -> Vec<Candidate> {
         let narrow = self
             .lanes()
@@ -108,7 +102,6 @@ impl dyn Operation {
         [Element::F32].into_iter().chain(narrow).flat_map(of).collect()
     }
 
-    /// Matrix units of the device, with their candidates.
     fn on_units(&self, limits: &Limits) -> Vec<(Units, Vec<Candidate>)> {
         let units = self.factors().iter().filter_map(|factor| Units::of(*factor, limits));
         let always = |units, (index, tile)| Candidate::Units(Units { tiles: Tiles::always(index), ..units }, tile);
@@ -117,7 +110,7 @@ impl dyn Operation {
     }
 }
 
-/// Whether the device's lanes support a factor type other than f32.
+/// Whether lanes support a factor type besides f32.
 fn on_lanes(limits: &Limits, factor: Element) -> bool {
     if factor == Element::I8 { limits.dot_products } else { limits.half_storage }
 }

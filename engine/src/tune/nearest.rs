@@ -9,8 +9,7 @@ use crate::{
 
 pub(super) struct NearestSearches;
 
-/// Largest passing excess in squared distance, relative to its rms: rounding error plus the tie
-/// threshold.
+/// Relative squared distance: rounding plus ties.
 const LIMIT: f64 = 1e-5 + Nearest::TIE as f64;
 
 impl Operation for NearestSearches {
@@ -18,7 +17,7 @@ impl Operation for NearestSearches {
         "nearest"
     }
 
-    /// f32 differences on lanes are exact in every precision.
+    /// f32 differences are always exact.
     fn lanes(&self) -> &'static [Element] {
         &[]
     }
@@ -35,12 +34,11 @@ impl Operation for NearestSearches {
         vec![(kernel_name("cluster/nearest", on_units, factor), Element::F32)]
     }
 
-    /// Compares distances to the nearest targets. Points lie nearly midway between two targets, so
-    /// that the low halves decide.
+    /// Compares nearest distances; the low halves must separate near ties.
     fn deviation(&self, device: &Device, candidate: Candidate, _: Element) -> Result<Option<f64>> {
         const WIDTH: usize = 76;
         let Candidate::Units(units, tile) = candidate else { return Ok(Some(0.0)) };
-        // Several workgroups along each axis, the last one partial.
+        // Several workgroups per axis, the last partial.
         let [points, targets] = tile.sides(units);
         let (points, targets) = (4 * points + 3, 2 * targets + 6);
         let [mut from, to] = [(1, points), (2, targets)].map(|(seed, rows)| noise(seed, rows, WIDTH, Element::F32));

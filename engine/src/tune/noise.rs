@@ -2,16 +2,14 @@
 
 use crate::gpu::Element;
 
-/// Distinct rows; more rows repeat them, since the host generates them slowly.
+/// Distinct rows, since the host generates them slowly.
 const DISTINCT: usize = 1024;
 
-/// `rows` of numbers in (-1, 1), exact in `factor`. For 8-bit factors these are 128ths that survive
-/// quantization by rows.
+/// Random numbers in (-1, 1), exact in `factor`. 8-bit ones survive row quantization.
 pub(super) fn noise(seed: u64, rows: usize, width: usize, factor: Element) -> Vec<f32> {
     repeated(distinct(seed, rows, width, factor), rows)
 }
 
-/// [`noise`] encoded in the type `stored`.
 pub(super) fn encoded_noise(seed: u64, rows: usize, width: usize, factor: Element, stored: Element) -> Vec<u8> {
     repeated(stored.encode(&distinct(seed, rows, width, factor)), rows)
 }

@@ -1,4 +1,4 @@
-//! Self-test of fast kernels against exact references, once per device and driver.
+//! Self-test of fast kernels, once per device and driver.
 
 use super::{Candidate, OPERATIONS, Operation, cache::cache_file, on_lanes};
 use crate::{
@@ -9,22 +9,20 @@ use crate::{
 };
 use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duration};
 
-/// Starts of an unfinished test before it counts as failed: drivers may hang or kill the process.
+/// Unfinished tests before giving up: drivers may hang or crash.
 const ATTEMPTS: u32 = 2;
-/// A test without progress for this long counts as unfinished. One kernel takes seconds.
+/// A test without progress for this long is unfinished.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Name of the failure after [`ATTEMPTS`] unfinished tests.
+/// Name of the failure of unfinished tests.
 const UNFINISHED: &str = "the self-test";
 
 /// Deviations of a device's kernels.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfTest {
-    /// Largest deviation per kernel, relative to its tolerance: above 1 it is unused. `None` if it
-    /// gave no number.
+    /// Relative to tolerance: above 1 fails. `None` without a number.
     pub deviations: BTreeMap<String, Option<f64>>,
 }
 
-/// Kernels tested together and their candidates.
 struct Group {
     operation: &'static dyn Operation,
     /// Name and result type.
@@ -33,7 +31,7 @@ struct Group {
 }
 
 impl SelfTest {
-    /// Tests every fast kernel of the device.
+    /// Tests every fast kernel.
     ///
     /// # Errors
     /// Device failures.
@@ -43,12 +41,12 @@ impl SelfTest {
         Ok(test)
     }
 
-    /// Returns the results for the kernels of `wanted`, from the user's cache if present.
-    /// `progress` gets the next kernel and the fraction done, and may cancel.
+    /// Returns cached or new results for `wanted`. `progress` gets the next kernel and the fraction
+    /// done, and may cancel.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Memory`], [`Error::Cancelled`]. Other failures count as
-    /// failed kernels.
+    /// [`Error::DeviceLost`], [`Error::Memory`], [`Error::Cancelled`]. Other failures fail their
+    /// kernel.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
         let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();
@@ -66,7 +64,7 @@ impl SelfTest {
         let keep = |begun: u32, test: &Self| Record { begun, result: Some(test.clone()) }.keep(file.as_deref());
         keep(begun + 1, &test);
         let outcome = test.run_groups(device, groups, progress, |test| keep(begun + 1, test));
-        // Out of memory or canceled: retry next time. Kernels that lost the device stay disabled.
+        // Retry after out of memory or cancellation, but not after device loss.
         keep(if matches!(outcome, Err(Error::Memory { .. } | Error::Cancelled)) { begun } else { 0 }, &test);
         outcome.map(|()| test)
     }
@@ -85,7 +83,7 @@ impl SelfTest {
         self.deviations.iter().filter(|(kernel, _)| !self.passed(kernel)).map(note).collect()
     }
 
-    /// Returns `wanted` without failed matrix kernels, or `None` if their replacements failed too.
+    /// Removes failed matrix kernels; `None` if their replacements failed too.
     pub(super) fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
         let mut allowed = wanted;
         for operation in OPERATIONS {
@@ -104,7 +102,7 @@ impl SelfTest {
         (allowed.has_integers() == wanted.has_integers()).then_some(allowed)
     }
 
-    /// Tests kernels. `kept` saves the results before each of them.
+    /// `kept` saves results before each kernel.
     fn run_groups(
         &mut self,
         device: &Device,
@@ -115,7 +113,7 @@ impl SelfTest {
         let all: usize = groups.iter().map(Group::runs).sum();
         let mut done = 0;
         for Group { operation, kernels, candidates } in groups {
-            // Without a tile within the device's limits, the kernel fails.
+            // No tile fits the device.
             let mut worst = vec![if candidates.is_empty() { None } else { Some(0.0) }; kernels.len()];
             for candidate in candidates {
                 for ((kernel, output), worst) in kernels.iter().zip(&mut worst) {
@@ -124,8 +122,7 @@ impl SelfTest {
                         return Err(Error::Cancelled);
                     }
                     done += 1;
-                    // Rejection by the driver or device loss fails this kernel only. Out of memory
-                    // would affect all.
+                    // Only errors that stop the other kernels are returned.
                     match operation.deviation(device, candidate, *output) {
                         Ok(deviation) => *worst = worse(*worst, deviation),
                         Err(error @ Error::Memory { .. }) => return Err(error),
@@ -188,14 +185,12 @@ impl Group {
     }
 }
 
-/// The larger deviation; `None` if either is `None`.
 pub(super) fn worse(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     a.zip(b).map(|(a, b)| a.max(b))
 }
 
-/// Largest difference of two results, relative to `limit` times the rms of the exact one: above 1
-/// fails. `None` if not finite. `stored` is the unit roundoff of the fast result's type: Vulkan
-/// allows either neighbor.
+/// Largest difference relative to `limit` times the exact rms; `None` if not finite. Vulkan may
+/// round the stored type either way.
 pub(super) fn deviation(limit: f64, stored: f64, exact: &[f32], fast: &[f32]) -> Option<f64> {
     let rms = (exact.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / exact.len() as f64).sqrt();
     let largest = exact.iter().fold(0.0, |most, x| f64::from(x.abs()).max(most));
@@ -207,7 +202,6 @@ pub(super) fn deviation(limit: f64, stored: f64, exact: &[f32], fast: &[f32]) ->
     Some(worst / rms / limit).filter(|deviation| deviation.is_finite())
 }
 
-/// Cached results of a device, and the number of unfinished tests.
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct Record {
     begun: u32,
@@ -215,8 +209,7 @@ struct Record {
 }
 
 impl Record {
-    /// Reads a record, or `None` if it is damaged. A test still in progress does not count as
-    /// begun.
+    /// `None` if damaged. A test in progress does not count as begun.
     fn read(file: &Path) -> Option<Self> {
         let mut known: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
         let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);
@@ -225,7 +218,7 @@ impl Record {
         Some(known)
     }
 
-    /// Stores the record; a failed write only costs a recomputation.
+    /// A failed write only costs a recomputation.
     fn keep(&self, file: Option<&Path>) {
         if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
             let folder = file.parent().map(fs::create_dir_all);

@@ -1,4 +1,4 @@
-//! Fastest tile per kernel and size, measured on the device.
+//! Tile measurements.
 
 use super::{COLUMNS, Candidate, OPERATIONS, Operation, cache::cache_file};
 use crate::{
@@ -16,26 +16,26 @@ use std::{
 /// Measured times of a device.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tuning {
-    /// Times per kernel and size.
+    /// Times by kernel and size.
     pub measured: Vec<Measured>,
-    /// Tiles with wrong results or rejected by the driver: kernel, factor type, name.
+    /// Wrong or rejected tiles: kernel, factor type, name.
     pub unusable: Vec<String>,
 }
 
-/// Tile times of one kernel at one size.
+/// Tile times of a kernel at a size.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Measured {
     /// Operation: `linear`, `attention` or `nearest`.
     pub kernel: String,
     /// Factor type.
     pub factor: Element,
-    /// Number of values in the result.
+    /// Result values.
     pub values: usize,
-    /// Name and milliseconds of each correct tile.
+    /// Name and milliseconds.
     pub tiles: Vec<(String, f64)>,
 }
 
-/// Milliseconds of one run that end the measurement: larger sizes reuse the best tile.
+/// Milliseconds that end a measurement; larger sizes reuse the best tile.
 const LONGEST: f64 = 50.0;
 const REPEATS: usize = 5;
 /// Warm-up before a measurement.
@@ -46,22 +46,22 @@ impl Measured {
         self.kernel == operation.name() && self.factor == factor
     }
 
-    /// Returns the name of the fastest tile.
+    /// Name of the fastest tile.
     pub fn best(&self) -> Option<&str> {
         self.tiles.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|(name, _)| name.as_str())
     }
 }
 
 impl Tuning {
-    /// Returns the cached times of this device, driver and kernels.
+    /// Returns the cached times.
     pub fn known(device: &Device) -> Option<Self> {
         serde_json::from_slice(&fs::read(cache_file(device, "tuning")?).ok()?).ok()
     }
 
-    /// Stores the times in the cache.
+    /// Stores the times.
     ///
     /// # Errors
-    /// [`Error::Argument`] without a cache folder, [`Error::Io`] if the write fails.
+    /// [`Error::Argument`] without a cache folder, [`Error::Io`].
     pub fn keep(&self, device: &Device) -> Result<()> {
         let file = cache_file(device, "tuning");
         let file = file.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE or HOME"))?;
@@ -70,11 +70,11 @@ impl Tuning {
         write_atomic(&file, |out| out.write_all(&bytes))
     }
 
-    /// Measures every usable tile, replacing its previous time. `progress` gets the next tile and
-    /// the fraction done, and may cancel. Earlier results survive an error.
+    /// Measures every usable tile, keeping earlier results on errors. `progress` gets the next tile
+    /// and the fraction done, and may cancel.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], which marks the current tile unusable; [`Error::Cancelled`].
+    /// [`Error::DeviceLost`], which marks the tile unusable; [`Error::Cancelled`].
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();
         for operation in OPERATIONS {
@@ -99,7 +99,7 @@ impl Tuning {
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
                 Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
-                // Wrong results, or rejected by the driver.
+                // Wrong or rejected.
                 _ => {}
             }
         }
@@ -120,7 +120,7 @@ impl Tuning {
         }
     }
 
-    /// Returns an arithmetic with the fastest tiles. Unknown names are ignored.
+    /// Applies the fastest known tiles.
     pub fn applied(&self, mut arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
         for operation in OPERATIONS {
             for units in operation.chosen(&mut arithmetic).into_iter().flatten() {
@@ -159,8 +159,7 @@ impl Timed {
         format!("{} {} {}", self.operation.name(), self.candidate.factor().name(), self.name)
     }
 
-    /// Times at growing sizes, until a run is slow or does not fit. `None` if a lane tile computes
-    /// wrong results; matrix units are tested before use.
+    /// Times by size; `None` for wrong lane tiles.
     fn times(&self, device: &Device) -> Result<Option<Vec<(usize, f64)>>> {
         let (operation, candidate) = (self.operation, self.candidate);
         if let Candidate::Lanes(lanes, Some(_)) = candidate {
@@ -186,8 +185,7 @@ impl Timed {
     }
 }
 
-/// Median milliseconds of the operation's kernels, after a warm-up: GPU clocks fall while the host
-/// prepares a tile.
+/// Median milliseconds, after a warm-up against lowered GPU clocks.
 fn median(device: &Device, operation: &dyn Operation, mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;
