@@ -14,47 +14,46 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Networks by backbone, with Depth Anything 3's out layers. Released weights exist for `vitg`
-/// (DA3-Giant) only.
+/// Backbones with Depth Anything 3's out layers; only `vitg` has released weights.
 pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
 
-/// The reference's recipes for the smaller backbones, with three out layers.
+/// The reference's smaller recipes.
 pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
 
-/// Largest dimension, so that products of a few fit 64 bits.
+/// Keeps products of a few dimensions within 64 bits.
 pub(crate) const MAX_SIZE: usize = 1 << 16;
 pub(crate) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
 
-/// Hyperparameters of a network. Blocks count from 0.
+/// Hyperparameters. Blocks count from 0.
 ///
-/// Source: ZipSplat, section 3 and appendix A; Depth Anything 3 for the backbone.
+/// Source: ZipSplat, section 3 and appendix A; Depth Anything 3.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
-    /// Name in messages; [`VARIANTS`] and [`RECIPES`] are reserved.
+    /// Name in messages.
     pub name: String,
     /// Token channels, D.
     pub width: usize,
     /// Backbone blocks.
     pub depth: usize,
-    /// Attention heads per backbone block.
+    /// Heads per backbone block.
     pub heads: usize,
-    /// Feed-forward network of the backbone.
+    /// Backbone feed-forward network.
     pub ffn: Ffn,
-    /// Its hidden channels; with SwiGLU, those of `gate`.
+    /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
     pub patch: usize,
-    /// Side M of the learned M x M position embeddings.
+    /// Side of the learned position grid.
     pub position_grid: usize,
-    /// First block that may be global; camera tokens enter here.
+    /// First block that may be global, where camera tokens enter.
     pub alt_start: usize,
-    /// First block with q/k norm; `depth` or more disables it.
+    /// First block with q/k norm.
     pub qk_norm_start: usize,
-    /// First block with rotary embedding; `depth` or more disables it.
+    /// First block with rotary embedding.
     pub rope_start: usize,
-    /// Blocks with feature outputs, ascending. The reference's feature 0 is the last.
+    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
     /// Camera encoder blocks.
     pub camera_depth: usize,
@@ -62,29 +61,28 @@ pub struct Architecture {
     pub camera_heads: usize,
     /// Camera encoder feed-forward channels.
     pub camera_hidden: usize,
-    /// Hidden channels of the pose embedding.
+    /// Pose embedding channels.
     pub camera_pose_hidden: usize,
-    /// Attention heads of the fusion.
+    /// Fusion heads.
     pub fusion_heads: usize,
-    /// Feed-forward channels of the fusion.
+    /// Fusion feed-forward channels.
     pub fusion_hidden: usize,
     /// Color token channels.
     pub color_width: usize,
-    /// Attention heads of the color cross-attention.
+    /// Color attention heads.
     pub color_heads: usize,
-    /// Feed-forward channels of the color cross-attention.
+    /// Color feed-forward channels.
     pub color_hidden: usize,
     /// Gaussian head channels.
     pub head_hidden: usize,
-    /// Gaussians per scene token, G.
+    /// Gaussians per token.
     pub gaussians_per_token: usize,
-    /// Spherical harmonics degree, at most 3.
+    /// SH degree, at most 3.
     pub sh_degree: usize,
 }
 
 impl Architecture {
-    /// Returns the paper's network at another width and depth. Q/k norm and rotary embedding start
-    /// at `alt_start`.
+    /// Returns the paper's network at another width and depth.
     pub fn new(name: &str, width: usize, depth: usize, alt_start: usize, out_layers: &[usize]) -> Self {
         let (heads, color_width) = ((width / 64).max(1), 128);
         Self {
@@ -161,8 +159,7 @@ impl Architecture {
         }
     }
 
-    /// Values per packed Gaussian: mean 3, scale 3, quaternion 4, opacity 1, and 3 per SH
-    /// coefficient.
+    /// Values per Gaussian: mean 3, scale 3, quaternion 4, opacity 1, 3 per SH coefficient.
     pub fn gaussian_width(&self) -> usize {
         11 + 3 * (self.sh_degree + 1).pow(2)
     }
@@ -172,7 +169,7 @@ impl Architecture {
         self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }
 
-    /// Validates the sizes; [`Error::Argument`] names the first invalid field.
+    /// Validates the sizes; [`Error::Argument`] names the invalid field.
     pub fn validate(&self) -> Result<()> {
         let sizes = [
             ("width", self.width, MAX_SIZE),
@@ -219,7 +216,7 @@ impl Architecture {
         if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
     }
 
-    /// Parameter names and shapes in the order of the reference's `state_dict`.
+    /// Parameter names and shapes, as in the reference's `state_dict`.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
         let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
         Stages::new(&mut declared, self);

@@ -1,4 +1,4 @@
-//! Clustering: k-means on the deepest tokens selects the nearest token of each centroid.
+//! Token selection by k-means.
 //!
 //! Source: ZipSplat, section 3.1, "Compression by clustering".
 
@@ -13,23 +13,22 @@ use crate::{
     random::Random,
 };
 
-/// The reference's number of k-means rounds.
+/// The reference's k-means rounds.
 pub const ROUNDS: usize = 5;
 
-/// Number of clusters at `ratio` in (0, 1]: truncated, at least one.
+/// Clusters at `ratio` in (0, 1]: truncated, at least one.
 pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
     ((tokens as f64 * ratio) as usize).clamp(1, tokens.max(1))
 }
 
-/// The paper's default ratio: 0.5 sqrt(2 / views), at most 1.
+/// The paper's ratio: 0.5 sqrt(2 / views), at most 1.
 pub fn auto_ratio(views: usize) -> f64 {
     (0.5 * (2.0 / views.max(1) as f64).sqrt()).min(1.0)
 }
 
-/// Returns `count` evenly spread indices, matching PyTorch's f32 `linspace` and rounding half to
-/// even.
+/// Returns evenly spread indices, bit-equal to PyTorch's f32 `linspace`, rounded half to even.
 ///
-/// Like PyTorch, the second half counts down from the end with a fused multiply-add.
+/// The second half counts down with a fused multiply-add.
 pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
     let last = (tokens - 1) as f32;
     let step = last / (count - 1).max(1) as f32;
@@ -47,7 +46,7 @@ pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
         .collect()
 }
 
-/// Returns `count` distinct indices below `tokens`, ascending and reproducible by seed.
+/// Returns distinct indices below `tokens`, ascending, reproducible by seed.
 pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     // Selection sampling (Knuth, TAOCP 2, 3.4.2, algorithm S).
     let mut random = Random::new(seed);
@@ -60,11 +59,10 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     chosen
 }
 
-/// Records k-means on `tokens`, starting from the tokens `initial` `[clusters]` ([`even_indices`]).
-/// Returns the nearest token of each centroid, `[clusters]` u32.
+/// Records k-means from the tokens `initial` `[clusters]`. Returns each centroid's nearest token,
+/// `[clusters]` u32.
 ///
-/// The mean of a two-token cluster is equidistant from both. [`Nearest::record`] resolves such ties
-/// by index, independently of summation order.
+/// Means of two tokens are equidistant; [`Nearest::record`] resolves such ties by index.
 pub fn record(
     rec: &mut Recorder,
     kernel: NearestKernel,
@@ -95,13 +93,12 @@ pub fn record(
 /// Cluster means.
 #[derive(Clone, Copy, Debug)]
 pub struct Means {
-    /// `[count]`: 0, 1, 2, ...
     points: Tensor,
     point_count: Tensor,
 }
 
 impl Means {
-    /// Prepares means of `count` points.
+    /// For `count` points.
     pub fn new(rec: &mut Recorder, count: usize) -> Self {
         let points = rec.tensor::<u32>("points", count);
         rec.fill(points, 1);
@@ -111,8 +108,8 @@ impl Means {
         Self { points, point_count }
     }
 
-    /// Writes to `centroids` the mean of each cluster's points, added in order; zero if empty. Rows
-    /// are f32 with a width divisible by 4.
+    /// Writes cluster means, added in order, zero if empty. Rows are f32 with a width divisible by
+    /// 4.
     pub fn record(&self, rec: &mut Recorder, points: Rows, cluster_of_point: Tensor, centroids: Rows) {
         let Rows { count: clusters, width, .. } = centroids;
         let (sorted, members) =

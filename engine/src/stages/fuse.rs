@@ -1,4 +1,4 @@
-//! Fusion: selected tokens attend to all tokens of every layer, and to each other.
+//! Fusion: selected tokens attend to all tokens and each other.
 //!
 //! Source: ZipSplat, section 3.1, "Token refinement".
 
@@ -10,7 +10,7 @@ use crate::{
 
 const EPS: f32 = 1e-5;
 
-/// Fusion parameters: a cross- and a self-attention block per layer.
+/// Fusion parameters, per layer.
 pub struct Fuse {
     cross: Vec<CrossBlock>,
     own: Vec<Block>,
@@ -28,8 +28,7 @@ impl Fuse {
         Self { cross, own }
     }
 
-    /// Records the fusion over `layers`, deepest first, for the `count` tokens `chosen` or all.
-    /// Keys are pooled by `pool`. Returns the scene tokens.
+    /// Fuses `layers`, deepest first, for the `count` tokens `chosen` or all. Returns scene tokens.
     pub fn record(
         &self,
         rec: &mut Recorder,

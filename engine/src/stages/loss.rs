@@ -1,6 +1,6 @@
-//! Image losses and their gradients.
+//! Image losses and gradients.
 //!
-//! Source: SSIM, Wang et al. 2004, with the window, padding and weights of Kerbl et al. 2023.
+//! Source: SSIM, Wang et al. 2004, with the settings of Kerbl et al. 2023.
 
 use super::FrameShape;
 use crate::{
@@ -9,33 +9,33 @@ use crate::{
     ops::row_chunks,
 };
 
-/// Pixels of a line per invocation: an 11-tap filter loads (RUN + 10) / RUN values for each.
+/// Pixels per invocation: an 11-tap filter loads (RUN + 10) / RUN values for each.
 const RUN: usize = 8;
 
-/// Image loss, averaged over pixels and colors.
+/// Mean image loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// |frame - target|.
     L1,
     /// (frame - target)^2.
     Mse,
-    /// 1 - SSIM with an 11 x 11 Gaussian window of sigma 1.5, zero-padded.
+    /// 1 - SSIM, 11 x 11 Gaussian window of sigma 1.5, zero-padded.
     Dssim,
     /// 0.8 L1 + 0.2 Dssim.
     L1Dssim,
 }
 
-/// Losses and gradients on the device.
+/// Losses and gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTensors {
-    /// `[cameras]` f32: loss of each image.
+    /// `[cameras]` f32 losses.
     pub value: Tensor,
-    /// `[cameras, height, width, channels]` f32: gradient.
+    /// `[cameras, height, width, channels]` f32 gradient.
     pub d_frames: Tensor,
 }
 
 impl Loss {
-    /// `loss/gradient`'s code and weight of the pointwise loss, and the weight of 1 - SSIM.
+    /// Pointwise loss code and weight; weight of 1 - SSIM.
     fn parts(self) -> (u32, f32, Option<f32>) {
         match self {
             Loss::L1 => (1, 1.0, None),
@@ -46,12 +46,10 @@ impl Loss {
     }
 }
 
-/// Records the loss of `frames` `[cameras, height, width, channels]` against `targets` `[cameras,
-/// height, width, 3]`, both f32. The gradient is that of `scale` times the summed losses, 0 in
-/// channels past RGB.
+/// Records losses of `frames` `[cameras, height, width, channels]` against `targets` `[cameras,
+/// height, width, 3]`, f32. The gradient is of `scale` times their sum.
 ///
-/// SSIM takes 84 bytes of scratch per pixel; many images are processed in parts. One image's
-/// moments, 48 bytes per pixel, must fit a binding.
+/// SSIM takes 84 scratch bytes per pixel; an image's 48 per pixel must fit a binding.
 pub fn record_loss(
     rec: &mut Recorder,
     loss: Loss,
@@ -84,7 +82,6 @@ struct Pictures {
 }
 
 impl Pictures {
-    /// Records the losses into `d_frames` and `value`, from an index.
     fn record(&self, rec: &mut Recorder, loss: Loss, scale: f32, d_frames: Tensor, value: (Tensor, usize)) {
         let FrameShape { cameras, width, height } = self.shape;
         let lanes = rec.limits().subgroup_size;
@@ -114,7 +111,7 @@ impl Pictures {
         rec.dispatch_groups(kernel, cameras);
     }
 
-    /// Writes losses to `sums` and returns the derivatives of 1 - SSIM, filtered along rows.
+    /// Writes losses to `sums`; returns row-filtered derivatives of 1 - SSIM.
     fn dssim(&self, rec: &mut Recorder, weight: f32, groups: [u32; 3], sums: Tensor) -> Tensor {
         let FrameShape { cameras, width, height } = self.shape;
         let (rows, columns, run) = (cameras * height as usize, width as usize, RUN as u32);

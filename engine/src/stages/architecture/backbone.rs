@@ -3,11 +3,11 @@
 use crate::ops::Ffn;
 use serde::{Deserialize, Serialize};
 
-/// Sizes of a transformer over all views. Blocks count from 0.
+/// Transformer sizes. Blocks count from 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackboneArchitecture {
-    /// Prefix of its parameter names.
+    /// Parameter name prefix.
     pub root: String,
     /// Token channels, D.
     pub width: usize,
@@ -15,34 +15,34 @@ pub struct BackboneArchitecture {
     pub depth: usize,
     /// Attention heads per block.
     pub heads: usize,
-    /// Feed-forward network of the blocks.
+    /// Feed-forward network.
     pub ffn: Ffn,
-    /// Its hidden channels; with SwiGLU, those of `gate`.
+    /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
     pub patch: usize,
-    /// Side M of the learned M x M position embeddings.
+    /// Side of the learned position grid.
     pub position_grid: usize,
-    /// First block that may be global; camera tokens enter here. `depth` or more keeps views
-    /// independent.
+    /// First block that may be global, where camera tokens enter; `depth` or more for separate
+    /// views.
     pub alt_start: usize,
-    /// First block with q/k norm; `depth` or more disables it.
+    /// First block with q/k norm; `depth` or more for none.
     pub qk_norm_start: usize,
-    /// First block with rotary embedding; `depth` or more disables it.
+    /// First block with rotary embedding; `depth` or more for none.
     pub rope_start: usize,
-    /// Blocks with feature outputs, ascending.
+    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
-    /// Epsilon of the final norm; blocks use 1e-6.
+    /// Final norm epsilon; blocks use 1e-6.
     pub final_eps: f32,
     /// Encoder of known cameras.
     pub camera: Option<CameraEncoderArchitecture>,
 }
 
-/// Sizes of the encoder of known cameras.
+/// Camera encoder sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraEncoderArchitecture {
-    /// Prefix of its parameter names.
+    /// Parameter name prefix.
     pub root: String,
     /// Blocks.
     pub depth: usize,
@@ -50,7 +50,7 @@ pub struct CameraEncoderArchitecture {
     pub heads: usize,
     /// Feed-forward channels.
     pub hidden: usize,
-    /// Hidden channels of the pose embedding.
+    /// Pose embedding channels.
     pub pose_hidden: usize,
 }
 
@@ -60,12 +60,12 @@ impl BackboneArchitecture {
         self.width / self.heads
     }
 
-    /// Whether some blocks attend across views.
+    /// Whether blocks attend across views.
     pub fn alternates(&self) -> bool {
         self.alt_start < self.depth
     }
 
-    /// Whether some blocks use rotary embedding.
+    /// Whether blocks use rotary embedding.
     pub fn rotates(&self) -> bool {
         self.rope_start < self.depth
     }

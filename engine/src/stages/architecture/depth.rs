@@ -13,26 +13,25 @@ use serde::{Deserialize, Serialize};
 pub const DEPTH_MODELS: [&str; 6] =
     ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large"];
 
-/// Hyperparameters of a depth network. Source: Depth Anything 3.
+/// Depth network hyperparameters. Source: Depth Anything 3.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DepthArchitecture {
-    /// Name in messages; [`DEPTH_MODELS`] are reserved.
+    /// Name in messages.
     pub name: String,
-    /// Transformer with four out layers. With alternating attention it sees all views and their
-    /// cameras.
+    /// Transformer with four out layers; alternating attention implies joint views and cameras.
     pub backbone: BackboneArchitecture,
-    /// Feature map channels of the heads, F.
+    /// Head feature channels.
     pub features: usize,
-    /// Channels of the four levels.
+    /// Level channels.
     pub channels: [usize; 4],
-    /// Whether there is a head for pixel-aligned Gaussians.
+    /// Whether there is a Gaussian head.
     pub gaussians: bool,
 }
 
 impl DepthArchitecture {
-    /// Returns a network with defaults for the other sizes. If `alt_start` is a block, q/k norm,
-    /// rotary embedding and cameras start there.
+    /// Returns a network with default sizes; q/k norm, rotary embedding and cameras start at
+    /// `alt_start`.
     pub fn new(
         name: &str,
         [width, depth, alt_start]: [usize; 3],
@@ -83,18 +82,17 @@ impl DepthArchitecture {
         })
     }
 
-    /// Whether views are processed jointly, with rays and cameras, or separately, with a sky
-    /// output.
+    /// Whether views are joint, with cameras, or separate, with sky.
     pub fn multi_view(&self) -> bool {
         self.backbone.alternates()
     }
 
-    /// Feature channels: `[local | global]`, or a single token for separate views.
+    /// Feature channels.
     pub fn feature_width(&self) -> usize {
         self.backbone.width * if self.multi_view() { 2 } else { 1 }
     }
 
-    /// Validates the sizes; [`Error::Argument`] names the first invalid field.
+    /// Validates the sizes; [`Error::Argument`] names the invalid field.
     pub fn validate(&self) -> Result<()> {
         let expect = |holds: bool, field: &str, found: String, expected: &str| {
             if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }

@@ -1,5 +1,4 @@
-//! Backbones: from pixels to tokens. The network knows a backbone only as [`Backbone`]; each has a
-//! folder and an entry in [`backbone`].
+//! Backbones: pixels to tokens, behind one trait.
 
 mod da3;
 
@@ -13,17 +12,16 @@ use crate::{
     types::Camera,
 };
 
-/// A network from pixels to one set of tokens per out layer.
+/// A network from pixels to tokens per out layer.
 pub trait Backbone: Send + Sync {
-    /// Allocates the host inputs besides the pixels.
+    /// Allocates host inputs besides pixels.
     fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor>;
 
     /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns f32
-    /// tokens of all views per out layer, deepest first. Global attention pools keys of `pool` x
-    /// `pool` patches.
+    /// tokens per out layer, deepest first. Global attention pools `pool` x `pool` keys.
     fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid, pool: usize) -> Vec<Rows>;
 
-    /// Writes the inputs of a run, with cameras in network units if they were allocated.
+    /// Writes the inputs, with cameras in network units.
     ///
     /// # Errors
     /// Failed transfers; unusable cameras.
@@ -37,7 +35,7 @@ pub trait Backbone: Send + Sync {
     ) -> Result<()>;
 }
 
-/// Returns the backbone of an architecture.
+/// Returns an architecture's backbone.
 pub fn backbone(p: &mut ParameterLayout, a: &Architecture) -> Box<dyn Backbone> {
     Box::new(da3::Da3::new(p, a))
 }

@@ -1,6 +1,4 @@
-//! Differentiable Gaussian head: tokens to Gaussians, and the backward pass.
-//!
-//! Weights are frozen and f32 in every precision.
+//! Differentiable Gaussian head, frozen and f32 in every precision.
 
 use super::activate;
 use crate::{
@@ -21,14 +19,14 @@ pub struct Head {
 /// Activations kept for the backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct HeadKept {
-    /// `[count, head_hidden]` f32, before GELU.
+    /// Before GELU, `[count, head_hidden]` f32.
     hidden: Rows,
-    /// `[count, gaussians_per_token * gaussian_width]` f32, before activation.
+    /// Before activation, `[count, gaussians_per_token * gaussian_width]` f32.
     raw: Rows,
     unit: Tensor,
 }
 
-/// Name, inner width and columns per layer.
+/// Name, inner width, columns.
 pub(super) fn layers(a: &Architecture) -> [(String, usize, usize); 3] {
     let (root, joined) = ("gaussian_head.gaussian_head", a.width + a.color_width);
     [
@@ -49,15 +47,15 @@ impl Head {
         }
     }
 
-    /// Allocates activations that persist between plans. For `unit` see [`Head::record`].
+    /// Allocates persistent activations.
     pub fn keep(&self, layout: &mut ResidentLayout, count: usize, unit: Tensor) -> HeadKept {
         let mut rows = |layer: &Linear| Rows::new(layout.add::<f32>(count * layer.columns), count, layer.columns);
         let [first, _, third] = &self.layers;
         HeadKept { hidden: rows(first), raw: rows(third), unit }
     }
 
-    /// Records the head for f32 `tokens`, scene token and color features side by side. Lengths in
-    /// `into` are scaled by `unit` (`[1]` f32).
+    /// Records the head for f32 `tokens`, scene tokens beside colors. `unit` (`[1]` f32) scales
+    /// lengths.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows, unit: Tensor, into: &SceneTensors) -> HeadKept {
         let [first, _, third] = &self.layers;
         let kept = rec.scope("head", |rec| {
@@ -83,7 +81,7 @@ impl Head {
         });
     }
 
-    /// Records the gradient with respect to the tokens, `[count, width + color_width]` f32.
+    /// Returns the token gradient, `[count, width + color_width]` f32.
     pub fn record_backward(&self, rec: &mut Recorder, kept: &HeadKept, d_gaussians: &SceneGradients) -> Tensor {
         rec.scope("head backward", |rec| {
             let [first, second, third] = &self.transposed;
@@ -98,7 +96,6 @@ impl Head {
         })
     }
 
-    /// Gradient with respect to the raw Gaussians, `[count, stride]`.
     fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneGradients, stride: usize) -> Rows {
         let bases = (self.sh_degree + 1).pow(2);
         let (group, width) = (self.gaussians_per_token, 11 + 3 * bases);
@@ -130,7 +127,7 @@ impl Head {
     }
 }
 
-/// GELU of `source`, or with a `gradient` the backward pass. `out` may alias `gradient`.
+/// GELU, or its backward pass with a `gradient`, in which `out` may alias it.
 fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let backward = gradient.is_some();
     let rows = [source, gradient.unwrap_or(source), out];

@@ -1,4 +1,4 @@
-//! Gaussians: decodes every scene token, with color from the pixels, to a group of Gaussians.
+//! Decoding of scene tokens to Gaussians.
 //!
 //! Source: ZipSplat, section 3.2 and appendix A.
 
@@ -18,7 +18,7 @@ pub use head::{Head, HeadKept};
 
 const EPS: f32 = 1e-5;
 
-/// Parameters of the color branch and the head.
+/// Color branch and head parameters.
 pub struct Gaussians {
     color_embed: Linear,
     color_cross: CrossBlock,
@@ -36,7 +36,7 @@ impl Gaussians {
         }
     }
 
-    /// Records the f32 colors of the tokens `chosen`, or all, of `images`.
+    /// Returns f32 colors of the tokens `chosen`, or all.
     pub fn colors(&self, rec: &mut Recorder, images: Tensor, grid: ViewGrid, chosen: Option<(Tensor, usize)>) -> Rows {
         rec.scope("color", |rec| {
             let tokens = embed_patches(rec, images, grid, &self.color_embed);
@@ -53,7 +53,7 @@ impl Gaussians {
     }
 
     /// Records the head for f32 scene tokens and colors. A token's Gaussians are consecutive;
-    /// lengths in `into` are scaled by `unit` (`[1]` f32).
+    /// `unit` (`[1]` f32) scales lengths.
     pub fn record(&self, rec: &mut Recorder, tokens: [Rows; 2], unit: Tensor, into: &SceneTensors) {
         let raw = rec.scope("head", |rec| {
             let [first, second, third] = &self.head;
@@ -68,7 +68,7 @@ impl Gaussians {
     }
 }
 
-/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`, with lengths scaled by `unit` (`[1]` f32).
+/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`; `unit` (`[1]` f32) scales lengths.
 pub fn activate(rec: &mut Recorder, raw: Tensor, unit: Tensor, into: &SceneTensors) {
     let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree } = *into;
     let bases = (sh_degree as usize + 1).pow(2);

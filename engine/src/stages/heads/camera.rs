@@ -1,4 +1,4 @@
-//! Camera decoder: camera tokens to poses and fields of view.
+//! Camera decoder.
 
 use super::convolution::{Convolution, How};
 use crate::{
@@ -6,7 +6,7 @@ use crate::{
     ops::{FeatureMap, ParameterLayout, Rows},
 };
 
-/// Decoder parameters: 1 x 1 convolutions over views.
+/// 1 x 1 convolutions over views.
 pub(super) struct CameraDecoder {
     trunk: [Convolution; 2],
     translation: Convolution,
@@ -19,9 +19,9 @@ pub(super) struct CameraDecoder {
 pub struct CameraTensors {
     /// `[views, 3]`: camera centers.
     pub translations: Tensor,
-    /// `[views, 4]`: camera-to-world quaternions xyzw, unnormalized.
+    /// `[views, 4]`: unnormalized camera-to-world quaternions xyzw.
     pub quaternions: Tensor,
-    /// `[views, 2]`: vertical and horizontal field of view in radians, before ReLU.
+    /// `[views, 2]`: vertical and horizontal fields of view in radians, before ReLU.
     pub fovs: Tensor,
 }
 
@@ -37,7 +37,6 @@ impl CameraDecoder {
         }
     }
 
-    /// Records the decoder for `tokens` `[views, width]` f32.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows) -> CameraTensors {
         let rectified = How { rectified: true, ..How::default() };
         let x = FeatureMap::new(tokens, [1, tokens.count]);

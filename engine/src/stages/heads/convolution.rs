@@ -7,7 +7,7 @@ use crate::{
 };
 use std::ops::Range;
 
-/// A zero-padded convolution with an odd kernel. Channels come in whole vec4.
+/// A zero-padded odd convolution over whole vec4 of channels.
 pub struct Convolution {
     layer: Linear,
     side: usize,
@@ -19,15 +19,14 @@ pub struct Convolution {
 pub struct How {
     /// ReLU on the input.
     pub rectified: bool,
-    /// Exact (erf) GELU after the bias.
+    /// Exact (erf) GELU.
     pub gelu: bool,
-    /// Residual of the result's size.
+    /// Residual.
     pub residual: Option<FeatureMap>,
 }
 
 impl Convolution {
-    /// Wraps an f32 panel layer with input `[side, side, channels]` as a convolution of stride
-    /// `step`.
+    /// Wraps an f32 panel layer over `[side, side, channels]`.
     pub fn of(layer: Linear, [side, step]: [usize; 2]) -> Self {
         Self { layer, side, step }
     }
@@ -44,7 +43,7 @@ impl Convolution {
         Self { layer: p.planar_convolution(name, channels, 3, false), side: 3, step: 1 }
     }
 
-    /// Declares a 1 x 1 convolution, `NAME.weight` `[outputs, inputs]` and `NAME.bias`.
+    /// A 1 x 1 convolution with `NAME.weight` `[outputs, inputs]`.
     pub(super) fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
         Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }
@@ -56,7 +55,7 @@ impl Convolution {
         out
     }
 
-    /// Records the convolution into a map of the resulting size.
+    /// Records the convolution.
     pub fn record_into(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         if divides_panels(rec.limits()) {
             let bordered = self.bordered(rec, source, how.rectified);
@@ -73,7 +72,7 @@ impl Convolution {
     fn implicit(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         let (Self { layer, side, step }, padding) = (self, self.padding());
         let across = layer.columns.div_ceil(4 * rec.limits().subgroup_size as usize);
-        // Input lines per output line, with alignment overlap.
+        // Input lines per output line, plus overlap.
         let seen = step + 2 * padding + 1;
         for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * source.line_bytes()]) {
             let first = (lines.start * step).saturating_sub(padding);
@@ -104,7 +103,7 @@ impl Convolution {
         }
     }
 
-    /// The zero-padded map after optional ReLU, or the map itself if unchanged.
+    /// Zero-padded, optionally after ReLU.
     fn bordered(&self, rec: &mut Recorder, source: FeatureMap, rectified: bool) -> FeatureMap {
         let (padding, channels) = (self.padding(), source.channels());
         if padding == 0 && !rectified {
@@ -143,7 +142,7 @@ impl Convolution {
     fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         let (Self { layer, side, step }, [tile_rows, vectors]) = (self, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
-        // Input lines per output line, with alignment overlap.
+        // Input lines per output line, plus overlap.
         let seen = step + side;
         let each = [out.line_bytes(), seen * source.line_bytes(), out.width * NARROWEST];
         for lines in row_chunks(rec, out.height, &each) {

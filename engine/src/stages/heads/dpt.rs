@@ -1,4 +1,4 @@
-//! Dense heads: depth and rays with confidence, or depth and sky of separate views.
+//! Dense heads: depth, rays and sky.
 
 use super::{
     convolution::{Convolution, How},
@@ -26,15 +26,14 @@ pub(super) struct Dpt {
     placed: bool,
 }
 
-/// Outputs of a view, f32.
+/// Outputs of a view.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewTensors {
-    /// `[height, width, 2]`: log depth and log (confidence - 1); log depth alone for separate
-    /// views.
+    /// `[height, width, 2]` f32: log depth, log (confidence - 1); depth alone for separate views.
     pub depth: Tensor,
-    /// `[8 rows, 8 columns, 7]`: ray direction, origin and log (confidence - 1).
+    /// `[8 rows, 8 columns, 7]` f32: direction, origin, log (confidence - 1).
     pub rays: Option<Tensor>,
-    /// `[height, width]`: sky, before ReLU.
+    /// `[height, width]` f32, before ReLU.
     pub sky: Option<Tensor>,
 }
 
@@ -54,7 +53,7 @@ impl Dpt {
         }
     }
 
-    /// Records the head for a view's features, shallowest first.
+    /// Features are shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

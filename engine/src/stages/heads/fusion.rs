@@ -47,7 +47,7 @@ impl Fusion {
         Self { steps: [0, 1, 2, 3].map(step), suffix }
     }
 
-    /// Returns the fused map at twice the shallowest size.
+    /// Returns a map of twice the shallowest size.
     pub fn record(&self, rec: &mut Recorder, tap: &str, levels: &[FeatureMap; 4]) -> FeatureMap {
         let mut below: Option<FeatureMap> = None;
         for (j, step) in self.steps.iter().enumerate().rev() {
@@ -57,7 +57,7 @@ impl Fusion {
                 add(rec, x.rows, below.rows);
             }
             let x = step.sum.record(rec, x);
-            // Commutes with interpolation, whose weights sum to 1, at a quarter of the cost.
+            // Commutes with interpolation, at a quarter of the cost.
             let x = step.out.record(rec, "mixed", x, How::default());
             let size = if j > 0 { levels[j - 1].size() } else { x.size().map(|length| 2 * length) };
             let x = x.resized(rec, "fused", size, None);

@@ -1,4 +1,4 @@
-//! The head for pixel-aligned Gaussians, which also reads the image.
+//! The head for pixel-aligned Gaussians.
 
 use super::{
     convolution::{Convolution, How},
@@ -13,8 +13,7 @@ use crate::{
     stages::{DepthArchitecture, ViewGrid},
 };
 
-/// Values per Gaussian: pixel offset 2, scale 3, quaternion 4, spherical harmonics 27, depth
-/// offset, opacity.
+/// Pixel offset 2, scale 3, quaternion 4, SH 27, depth offset, opacity.
 pub const GAUSSIAN_VALUES: usize = 38;
 
 /// Image channels, padded to vec4.
@@ -28,10 +27,10 @@ pub(super) struct GaussianHead {
     tail: Tail,
 }
 
-/// Tensors of a view's Gaussians, f32.
+/// Tensors of a view's Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub struct GaussianTensors {
-    /// Input `[height, width, 4]`: the normalized image, zero-padded.
+    /// Input `[height, width, 4]` f32: the normalized image.
     pub picture: Tensor,
     /// Output `[height, width, GAUSSIAN_VALUES]`.
     pub values: Tensor,
@@ -50,7 +49,7 @@ impl GaussianHead {
         }
     }
 
-    /// Records the head for a view's features, shallowest first.
+    /// Features are shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

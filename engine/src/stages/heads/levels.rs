@@ -1,4 +1,4 @@
-//! The four levels of a dense prediction: features at 4x, 2x, 1x and 1/2 of the patch grid.
+//! The four levels: features at 4x, 2x, 1x and 1/2 of the patch grid.
 
 use super::{
     convolution::{Convolution, How},
@@ -16,7 +16,7 @@ pub(super) struct Levels {
     norm: Option<Norm>,
     placed: bool,
     projects: [Linear; 4],
-    /// Transposed convolutions and biases of the first two levels.
+    /// Layers with biases.
     spread: [(Linear, Tensor); 2],
     reduce: Convolution,
     layers: [Convolution; 4],
@@ -44,7 +44,7 @@ impl Levels {
         }
     }
 
-    /// Returns the levels of a view's features `[patches, feature_width]`, shallowest first.
+    /// Returns a view's levels, shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

@@ -1,4 +1,4 @@
-//! Heads of Depth Anything 3: depth, rays and cameras from features, view by view.
+//! Heads of Depth Anything 3, view by view.
 //!
 //! Source: Depth Anything 3; Ranftl et al. 2021, Vision Transformers for Dense Prediction.
 
@@ -37,11 +37,11 @@ pub struct DepthHeads {
     gaussians: Option<GaussianHead>,
 }
 
-/// Outputs and host inputs of the heads.
+/// Head outputs and host inputs.
 pub struct HeadTensors {
     /// Per view.
     pub views: Vec<ViewTensors>,
-    /// Per view, if the network has a Gaussian head.
+    /// Per view, with a Gaussian head.
     pub gaussians: Vec<GaussianTensors>,
     /// Cameras of joint views.
     pub cameras: Option<CameraTensors>,
@@ -58,7 +58,7 @@ impl DepthHeads {
         }
     }
 
-    /// Records the heads view by view, which bounds scratch memory.
+    /// Records the heads view by view, bounding scratch.
     pub fn record(&self, rec: &mut Recorder, features: &DepthFeatures, grid: ViewGrid) -> HeadTensors {
         let mut positions = Positions::new(grid);
         let cameras = self.camera.as_ref().zip(features.cameras);
@@ -77,7 +77,7 @@ impl DepthHeads {
 }
 
 impl HeadTensors {
-    /// Writes position tables and, for Gaussians, normalized `images` `[views, 3, pixels]`.
+    /// Writes positions and, for Gaussians, normalized `images` `[views, 3, pixels]`.
     ///
     /// # Errors
     /// Failed transfers.

@@ -1,4 +1,4 @@
-//! Sinusoidal pixel positions, computed on the host in f64 once per shape.
+//! Sinusoidal positions, on the host in f64.
 
 use crate::{
     Result,
@@ -6,7 +6,7 @@ use crate::{
     stages::ViewGrid,
 };
 
-/// Ratio of the highest to the lowest frequency.
+/// Ratio of frequencies.
 const BASE: f64 = 100.0;
 /// Weight of the embedding.
 const SHARE: f64 = 0.1;
@@ -23,7 +23,7 @@ impl Positions {
         Self { aspect: grid.columns as f64 / grid.rows as f64, tables: Vec::new() }
     }
 
-    /// Allocates `[width + height, channels / 2]` f32, see [`position_table`].
+    /// See [`position_table`].
     pub fn table(&mut self, rec: &mut Recorder, [height, width]: [usize; 2], channels: usize) -> Tensor {
         let shape = [height, width, channels];
         if let Some((_, tensor)) = self.tables.iter().find(|(other, _)| *other == shape) {
@@ -39,10 +39,10 @@ impl Positions {
     }
 }
 
-/// Returns position embeddings for maps `[height, width, channels]` as `[width + height, channels /
-/// 2]`. Rows are per column for the first half of the channels, then per line for the second.
+/// Returns position embeddings of `[height, width, channels]` as `[width + height, channels / 2]`:
+/// columns for the first half of the channels, then lines.
 ///
-/// Pixels span the image's rectangle, scaled to a half diagonal of 1.
+/// The image's half diagonal is 1.
 pub fn position_table(aspect: f64, [height, width, channels]: [usize; 3]) -> Vec<f32> {
     let diagonal = aspect.hypot(1.0);
     let axes = [(width, aspect / diagonal), (height, 1.0 / diagonal)];

@@ -1,4 +1,4 @@
-//! Ray branch of the dense head, at a coarser resolution.
+//! Ray branch of the dense head.
 
 use super::{
     convolution::{Convolution, How},
@@ -11,7 +11,7 @@ use crate::{
 };
 
 const HIDDEN: usize = 32;
-/// Values per ray: direction, origin, log (confidence - 1).
+/// Direction, origin, log (confidence - 1).
 const VALUES: usize = 7;
 const EPS: f32 = 1e-5;
 
@@ -24,8 +24,7 @@ pub(super) struct RayHead {
 }
 
 impl RayHead {
-    /// Declares the branch's parameters. Checkpoints store the norm shared by four tails with the
-    /// first tail; the first three tails are unused.
+    /// Checkpoints store the tails' shared norm with the first tail; only the last tail is used.
     pub fn new(p: &mut ParameterLayout, root: &str, f: usize) -> Self {
         let name = |part: String| format!("{root}.scratch.{part}");
         let neck = |i: usize| if i.is_multiple_of(2) { [f, f / 2] } else { [f / 2, f] };
@@ -38,7 +37,6 @@ impl RayHead {
         }
     }
 
-    /// Records the branch for a view's levels; the result is an output.
     pub fn record(&self, rec: &mut Recorder, levels: &[FeatureMap; 4], positions: &mut Positions) -> Tensor {
         let mut x = self.fusion.record(rec, "head", levels);
         for (i, layer) in self.neck.iter().enumerate() {

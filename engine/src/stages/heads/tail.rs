@@ -8,7 +8,6 @@ use crate::{
 
 const HIDDEN: usize = 32;
 
-/// A 3 x 3 and a 1 x 1 convolution.
 pub(super) struct Tail([Convolution; 2]);
 
 impl Tail {
@@ -17,7 +16,6 @@ impl Tail {
         Self([hidden, Convolution::new(p, &format!("{name}.2"), [HIDDEN, outputs], 1)])
     }
 
-    /// Records per-pixel values as an output.
     pub fn record(&self, rec: &mut Recorder, tap: &str, x: FeatureMap) -> Tensor {
         let hidden = self.0[0].record(rec, "hidden", x, How::default());
         let logits = self.0[1].record(rec, "logits", hidden, How { rectified: true, ..How::default() }).rows.tensor;

@@ -1,11 +1,11 @@
-//! Convolutions and pooling of LPIPS features.
+//! LPIPS convolutions and pooling.
 
 use crate::{
     gpu::{Element, Recorder},
     kernels::{lpips as kernels, ops::Im2col},
     ops::{Epilogue, FeatureMap, Linear, Rows, row_chunks},
 };
-/// Fraction of a binding for the rows of one convolution step, which bounds scratch.
+/// Fraction of a binding per step, which bounds scratch.
 const SHARE: usize = 8;
 
 pub struct Convolution {
@@ -13,7 +13,7 @@ pub struct Convolution {
     pub side: usize,
     pub step: usize,
     pub padding: usize,
-    /// Zero-insertion stride of the inputs.
+    /// Zero-insertion stride.
     pub spread: usize,
 }
 
@@ -30,7 +30,6 @@ pub struct Pool {
 }
 
 impl Convolution {
-    /// Records the convolution of `source` to the size `out`.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -79,7 +78,7 @@ impl Pool {
         source.size().map(|side| (side - self.side) / self.step + 1)
     }
 
-    /// Records max pooling with ReLU.
+    /// Max pooling with ReLU.
     pub fn forward(&self, rec: &mut Recorder, source: FeatureMap) -> FeatureMap {
         let out = FeatureMap::scratch(rec, "pooled", self.size(source), source.channels());
         for lines in row_chunks(rec, out.height, &[source.line_bytes() * self.step, out.line_bytes()]) {
@@ -103,7 +102,6 @@ impl Pool {
         out
     }
 
-    /// Gradient with respect to the rectified `source`.
     pub fn backward(&self, rec: &mut Recorder, source: FeatureMap, d_out: FeatureMap) -> FeatureMap {
         let d = FeatureMap::scratch(rec, "d_pooled", source.size(), source.channels());
         for lines in row_chunks(rec, d.height, &[2 * d.line_bytes()]) {

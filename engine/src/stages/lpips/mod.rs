@@ -1,7 +1,7 @@
-//! LPIPS: perceptual distance by features of a recognition network.
+//! LPIPS: perceptual image distance.
 //!
-//! Source: Zhang et al. 2018, version 0.1. Features are normalized per pixel at five layers.
-//! Weighted squared differences are averaged over pixels and summed over layers.
+//! Source: Zhang et al. 2018, version 0.1. Features are normalized per pixel at five layers;
+//! weighted squared differences are averaged over pixels.
 
 mod features;
 mod network;
@@ -32,14 +32,14 @@ pub struct Lpips {
     layers: Vec<Layer>,
 }
 
-/// Two images `[height, width, channels]` f32 to compare.
+/// Two images `[height, width, channels]` f32.
 #[derive(Clone, Copy, Debug)]
 pub struct LpipsPictures {
-    /// Images with their channels; RGB comes first.
+    /// Images and their channels, RGB first.
     pub pictures: [(Tensor, usize); 2],
     /// Height and width.
     pub size: [usize; 2],
-    /// Whether to clamp to 0..1, as in the reference's loss but not its metric.
+    /// Whether to clamp to 0..1, as in the reference's loss only.
     pub clipped: bool,
 }
 
@@ -48,13 +48,13 @@ pub struct LpipsPictures {
 pub struct LpipsTensors {
     /// `[1]` f32.
     pub value: Tensor,
-    /// `[TAPS]` f32: contribution per layer.
+    /// `[TAPS]` f32, per layer.
     pub layers: Tensor,
 }
 
 impl Lpips {
-    /// Declares `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias` and
-    /// `taps.I.weight`. With `gradients`, also the transposed convolutions.
+    /// Declares `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
+    /// `taps.I.weight`. `gradients` adds transposed convolutions.
     pub fn new(p: &mut ParameterLayout, network: LpipsNetwork, gradients: bool) -> Self {
         let (mut inputs, mut taps) = (3, 0..TAPS);
         let layer = |(i, recipe): (usize, Recipe)| {
@@ -77,10 +77,8 @@ impl Lpips {
         Self { layers: network.recipes().into_iter().enumerate().map(layer).collect() }
     }
 
-    /// Records the distance. With `gradient`, a weight and a tensor like the first image, adds the
-    /// weighted gradient to that tensor.
-    ///
-    /// The gradient keeps the first image's features and the second's compared ones.
+    /// Records the distance. `gradient` is a weight and the tensor to accumulate the first image's
+    /// gradient in.
     pub fn record(&self, rec: &mut Recorder, of: LpipsPictures, gradient: Option<(f32, Tensor)>) -> LpipsTensors {
         rec.scope("lpips", |rec| {
             let value = rec.tensor::<f32>("lpips", 1);
@@ -102,7 +100,6 @@ impl Lpips {
         })
     }
 
-    /// Gradient with respect to the normalized first image.
     fn backward(&self, rec: &mut Recorder, stages: &[[FeatureMap; 2]], layers: Tensor) -> FeatureMap {
         let mut taps = (0..TAPS).rev();
         let mut d: Option<FeatureMap> = None;
@@ -124,8 +121,7 @@ fn tap_of(layers: Tensor, tap: Option<usize>) -> (Tensor, u32) {
     (layers, tap.expect("no more layers than TAPS have taps") as u32)
 }
 
-/// Records a layer's distance and optionally its gradient with respect to the first features,
-/// written or accumulated.
+/// Adds a layer's distance and optionally its gradient.
 fn compare(
     rec: &mut Recorder,
     [a, b]: [FeatureMap; 2],
@@ -190,7 +186,6 @@ impl LpipsPictures {
 }
 
 impl Layer {
-    /// Features of the layer, before ReLU.
     fn forward(&self, rec: &mut Recorder, before: FeatureMap, rectified: bool) -> FeatureMap {
         let convolution = &self.forward;
         let (source, inputs) = match &self.pool {
@@ -202,7 +197,6 @@ impl Layer {
         convolution.record(rec, "features", source, inputs, source.size().map(side))
     }
 
-    /// Gradient with respect to the rectified input features.
     fn backward(&self, rec: &mut Recorder, d: FeatureMap, after: FeatureMap, before: FeatureMap) -> FeatureMap {
         let convolution = self.backward.as_ref().expect("a network with gradients");
         let size = self.pool.as_ref().map_or(before.size(), |pool| pool.size(before));

@@ -1,13 +1,13 @@
-//! LPIPS networks: convolutions and compared layers.
+//! LPIPS networks.
 
 use super::features::Pool;
 
 /// Feature network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LpipsNetwork {
-    /// VGG16: the reference's choice for training, alignment and metric.
+    /// VGG16: the reference's.
     Vgg,
-    /// AlexNet: the authors' choice for evaluation, and much faster.
+    /// AlexNet: for evaluation, and faster.
     Alex,
 }
 
@@ -18,12 +18,12 @@ pub(super) struct Recipe {
     pub padding: usize,
     /// Pooling before the convolution.
     pub pool: Option<Pool>,
-    /// Whether the features are compared.
+    /// Whether features are compared.
     pub tap: bool,
 }
 
 impl LpipsNetwork {
-    /// Name in file names and options.
+    /// Name in files and options.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vgg => "vgg",
@@ -31,7 +31,7 @@ impl LpipsNetwork {
         }
     }
 
-    /// Smallest image side with at least one pixel in every layer.
+    /// Smallest supported image side.
     pub fn least_side(self) -> u32 {
         match self {
             Self::Vgg => 16,

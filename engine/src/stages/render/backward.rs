@@ -1,7 +1,7 @@
-//! Backward pass of rendering, to Gaussians and cameras.
+//! Backward pass of rendering.
 //!
-//! Every Gaussian-tile intersection has a slot, written once by the tile's workgroup. Each Gaussian
-//! sums its consecutive slots in a fixed order, without atomics.
+//! Every Gaussian-tile intersection has a slot, written once. Gaussians sum their consecutive slots
+//! in order, without atomics.
 
 use super::{
     Depth, FrameShape, RenderOutputs, RenderRequest, SceneGradients, SceneTensors, draw, intersect::TileLists,
@@ -16,13 +16,13 @@ use crate::{
     ops::scan::exclusive_scan,
 };
 
-/// Tensors that [`record_with_gradients`] accumulates into; `None` skips the computation.
+/// Tensors to accumulate gradients in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gradients {
     /// Gradients of the Gaussians.
     pub scene: Option<SceneGradients>,
-    /// Camera gradients, `[cameras, 10]` f32: w x, y, z, v x, y, z for the update pose o (exp(w^),
-    /// v) of camera-to-world; fx, fy, cx, cy.
+    /// `[cameras, 10]` f32: w x, y, z, v x, y, z for the update pose o (exp(w^), v) of
+    /// camera-to-world; fx, fy, cx, cy.
     pub cameras: Option<Tensor>,
 }
 
@@ -30,20 +30,19 @@ pub struct Gradients {
 pub const CAMERA_NUMBERS: usize = 10;
 /// Gradients per Gaussian-camera pair.
 const PAIR_NUMBERS: usize = 10;
-/// Granularity of binding-sized parts, as in [`project`].
+/// Alignment of parts, as in [`project`].
 const PART: usize = 64;
-/// Granularity of bands in rows, as in [`rasterise`].
+/// Alignment of bands, as in [`rasterise`].
 const BAND: usize = 64;
 /// Operations per Gaussian and pixel.
 const FLOPS: u64 = 60;
 
-/// Records rendering as [`super::record`], then `loss`, then the backward pass into `gradients`.
-/// `loss` maps frames `[cameras, height, width, channels]` to their gradients. If the capacity was
-/// exceeded, nothing is accumulated.
+/// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
+/// backward pass. Exceeded capacity accumulates nothing.
 ///
 /// # Panics
-/// If `request` asks for outputs without gradients: normals, token colors, a pixel layout, or
-/// expected depth without alpha.
+/// If `request` has outputs without gradients: normals, token colors, a pixel layout, expected
+/// depth without alpha.
 #[expect(clippy::too_many_arguments)]
 pub fn record_with_gradients(
     rec: &mut Recorder,
@@ -86,7 +85,7 @@ struct Backward<'a> {
 
 /// Gradients per intersection.
 struct Slots {
-    /// `[pairs + 1]`: first slot of each pair.
+    /// `[pairs + 1]`.
     starts: Tensor,
     /// `[capacity, 6]`.
     moments: Tensor,
@@ -122,7 +121,7 @@ impl Backward<'_> {
                 slots: starts,
                 xy_opacities: splats.xy_opacities,
                 conics: splats.conics,
-                // Unused bindings need a placeholder.
+                // Placeholders, if unused.
                 colors: splats.colors.unwrap_or(splats.conics),
                 depths: splats.depths,
                 frames: band(frames),
@@ -146,7 +145,6 @@ impl Backward<'_> {
         Slots { starts, moments, d_values }
     }
 
-    /// Intersections to Gaussians and cameras.
     fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) {
         let &Backward { scene, cameras, shape, request, splats, lists, .. } = self;
         let lanes = rec.limits().subgroup_size as usize;
@@ -161,7 +159,7 @@ impl Backward<'_> {
             let len = part.min(scene.len - first);
             let of = |tensor: Tensor, words: usize| tensor.slice::<u32>(words * first, words * len);
             let pair = |tensor: Tensor, words: usize| of(tensor, words * shape.cameras);
-            // Placeholders; the kernel does not access them.
+            // Placeholders, if unused.
             let d = gradients.scene.map(|d| [(d.means, 3), (d.scales, 3), (d.quats, 4), (d.opacities, 1)]);
             let [d_means, d_scales, d_quats, d_opacities] =
                 d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));

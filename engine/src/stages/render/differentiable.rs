@@ -1,4 +1,4 @@
-//! Gradients of rendered images for external optimizers.
+//! Image gradients for external optimizers.
 
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
@@ -13,17 +13,17 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Bytes of an intersection's largest tensor, six moments.
+/// Six moments, an intersection's largest tensor.
 const INTERSECTION_BYTES: u64 = 24;
-/// Maximum number of cached plans.
+/// Maximum cached plans.
 const PLANS: usize = 4;
 
-/// Gradients of a scalar with respect to scene and cameras, on the host.
+/// Gradients on the host.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HostGradients {
-    /// Gradients of stored scene values, including unnormalized rotations. Empty if not requested.
+    /// Of stored values, including unnormalized rotations; empty if not requested.
     pub scene: Scene,
-    /// Camera gradients as in [`Gradients::cameras`]. Empty if not requested.
+    /// As in [`Gradients::cameras`]; empty if not requested.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
 }
 
@@ -36,14 +36,13 @@ pub struct Wanted {
     pub cameras: bool,
 }
 
-/// Differentiates rendered images on one device. Plans are recorded per size, request and number of
-/// Gaussians, then replayed camera by camera: sums have a fixed order.
+/// Differentiates images on one device, replaying cached plans. Sums over cameras are in order.
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,
     /// Least recently used first.
     plans: Vec<Planned>,
-    /// Capacity of new plans in intersections; grows on demand.
+    /// Intersections of new plans; grows on demand.
     capacity: usize,
 }
 
@@ -64,20 +63,19 @@ struct Planned {
 }
 
 impl Differentiator {
-    /// Creates a differentiator with its own arena.
+    /// Creates its own arena.
     pub fn new(device: &Device) -> Self {
         Self { arena: Arena::new(device), memory: None, plans: Vec::new(), capacity: 0 }
     }
 
-    /// Returns gradients of the sum over `cameras` of pixels times `weights`. Each weight frame has
-    /// the outputs of `request`; `None` is all zero.
+    /// Returns gradients of the sum of pixels times `weights`. `None` weights are zero.
     ///
     /// # Errors
-    /// [`Error::Argument`] for invalid scenes, cameras or requests, mismatched weights, or
-    /// rotations out of range; [`Error::Memory`] if one image does not fit.
+    /// [`Error::Argument`] for invalid input or rotations out of range; [`Error::Memory`] if one
+    /// image does not fit.
     ///
     /// # Panics
-    /// If `request` asks for outputs without gradients.
+    /// If `request` has outputs without gradients.
     pub fn differentiate(
         &mut self,
         scene: &Scene,
@@ -116,7 +114,6 @@ impl Differentiator {
         Ok(found)
     }
 
-    /// Uploads a scene and clears its gradients.
     fn load(&mut self, scene: &Scene) -> Result<()> {
         let size = (scene.len(), scene.sh_degree);
         let memory = match self.memory.take().filter(|memory| (memory.scene.len, memory.scene.sh_degree) == size) {
@@ -132,7 +129,7 @@ impl Differentiator {
         Ok(())
     }
 
-    /// Accumulates one camera's scene gradients and returns the camera gradients if requested.
+    /// Accumulates one camera's gradients.
     fn add(
         &mut self,
         camera: &Camera,
@@ -157,7 +154,7 @@ impl Differentiator {
                 self.plans.push(planned);
                 return Ok(found.and_then(|cameras: Vec<_>| cameras.first().copied()));
             }
-            // Without enough capacity, nothing was accumulated.
+            // Nothing was accumulated.
             let available = self.limits().max_binding_bytes;
             if needed as u64 * INTERSECTION_BYTES > available {
                 let what = "a list of the intersections of Gaussians with tiles".into();
@@ -220,7 +217,7 @@ impl Memory {
     }
 }
 
-/// Interleaves weights like a frame; missing outputs are 0.
+/// Missing outputs are 0.
 fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Result<Vec<f32>> {
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
     let asked = [
@@ -245,7 +242,7 @@ fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Res
 }
 
 impl RenderRequest {
-    /// Adds the outputs needed for gradients: alpha for expected depth.
+    /// Adds alpha if expected depth needs it.
     pub fn differentiable(self) -> Self {
         Self { alpha: self.alpha || self.depth == Some(Depth::Expected), ..self }
     }

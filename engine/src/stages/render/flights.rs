@@ -1,4 +1,4 @@
-//! Pipelined rendering: the device draws ahead while the host uses finished images.
+//! Pipelined rendering: the device draws ahead of the host.
 
 use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, range::check};
 use crate::{Error, Result, gpu::Arena, types::Camera};
@@ -9,7 +9,6 @@ const PIXELS_TOGETHER: usize = 1 << 20;
 /// Maximum Gaussian-camera pairs per submission.
 const PAIRS_TOGETHER: usize = 1 << 21;
 
-/// Images per submission, at most `most`.
 pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
     let pixels = width as usize * height as usize;
     most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
@@ -23,11 +22,11 @@ struct Flight {
 }
 
 impl Renderer {
-    /// Renders the loaded scene with each camera and passes each image to `done` with its index, in
-    /// order. The device draws ahead, batching small images.
+    /// Renders each camera, passing images to `done` in order. The device draws ahead, batching
+    /// small images.
     ///
     /// # Errors
-    /// As [`Renderer::render_loaded`], and the first error of `done`, which stops rendering.
+    /// As [`Renderer::render_loaded`], and the first error of `done`.
     pub fn render_each(
         &mut self,
         cameras: &[Camera],
@@ -38,11 +37,11 @@ impl Renderer {
         let _claim = self.claim();
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
         let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
-        // No submission stays in flight, even after an error.
+        // Even after an error.
         self.settle().and(result)
     }
 
-    /// Batches consecutive cameras of one size.
+    /// Consecutive cameras of one size.
     fn groups(&self, cameras: &[Camera]) -> Vec<(Range<usize>, FrameShape)> {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
@@ -74,7 +73,7 @@ impl Renderer {
             let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % Arena::LANES };
             match self.start(&flight, rows, request) {
                 Ok(()) => flights.push_back(flight),
-                // Out of memory: continue without pipelining, in smaller batches.
+                // Continue unpipelined, in smaller batches.
                 Err(Error::Memory { .. }) => {
                     while !flights.is_empty() {
                         self.land(&mut flights, rows, request, done)?;
@@ -98,7 +97,7 @@ impl Renderer {
         plan.run.start()
     }
 
-    /// Waits for the oldest submission and delivers its images, redrawn if over capacity.
+    /// Delivers the oldest images, redrawn if over capacity.
     fn land(
         &mut self,
         flights: &mut VecDeque<Flight>,

@@ -4,30 +4,29 @@ use super::PixelLayout;
 use crate::types::{LeftOut, Scene};
 use std::num::NonZeroU32;
 
-/// Outputs and options of a rendering. Only requested outputs are computed.
+/// Requested outputs and options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderRequest {
     /// Color over `background`.
     pub rgb: bool,
-    /// Alpha: 1 minus the remaining transmittance.
+    /// 1 minus the remaining transmittance.
     pub alpha: bool,
-    /// Depth along the camera's z axis.
+    /// Depth along the camera axis.
     pub depth: Option<Depth>,
-    /// Normals: each Gaussian's shortest axis, facing the camera, blended.
+    /// Blended shortest axes, facing the camera.
     pub normals: bool,
-    /// A distinct color per token of this many consecutive Gaussians, blended.
+    /// Token colors: Gaussians per token.
     pub token_group: Option<NonZeroU32>,
-    /// Background color; black costs nothing.
+    /// Background; black costs nothing.
     pub background: [f32; 3],
-    /// Compensates thin Gaussians' opacity for the screen-space blur (Mip-Splatting, Yu et al.
-    /// 2024).
+    /// Opacity compensation for screen-space blur (Mip-Splatting, Yu et al. 2024).
     pub antialiased: bool,
-    /// Layout of color and alpha that stay on the device, for [`super::Renderer::render_to`].
+    /// Device layout, for [`super::Renderer::render_to`].
     pub layout: Option<PixelLayout>,
 }
 
 impl Default for RenderRequest {
-    /// Color on black, without antialiasing.
+    /// Color on black.
     fn default() -> Self {
         Self {
             rgb: true,
@@ -50,8 +49,7 @@ impl RenderRequest {
         3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
     }
 
-    /// Effects that a rendering skips. Of the `stored_degree` SH bands, those above `used_degree`
-    /// are zero.
+    /// Skipped effects; SH bands above `used_degree` are zero.
     pub(super) fn left_out(&self, stored_degree: u32, used_degree: u32) -> Vec<LeftOut> {
         let asked = [
             ("color", self.rgb),
@@ -74,37 +72,36 @@ impl RenderRequest {
     }
 }
 
-/// Kind of depth, in world units.
+/// Kind of depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Depth {
-    /// Sum of depth times blending weight.
+    /// Depth times blending weight.
     Accumulated,
-    /// Accumulated depth over alpha: the mean visible depth.
+    /// Accumulated depth over alpha.
     Expected,
 }
 
-/// A rendered image, row-major. Unrequested outputs are `None`.
+/// A row-major image with the requested outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// `[height, width, 3]` linear RGB of the scene, unbounded above.
+    /// `[height, width, 3]` linear RGB, unbounded above.
     pub rgb: Option<Vec<f32>>,
     /// `[height, width]` in 0..1.
     pub alpha: Option<Vec<f32>>,
     /// `[height, width]` in world units.
     pub depth: Option<Vec<f32>>,
-    /// `[height, width, 3]` unit vectors in world space; 0 in empty pixels.
+    /// `[height, width, 3]` world unit vectors, 0 if empty.
     pub normals: Option<Vec<f32>>,
-    /// `[height, width, 3]` RGB in 0..1, one color per token, on black.
+    /// `[height, width, 3]` RGB in 0..1.
     pub token_colors: Option<Vec<f32>>,
 }
 
 impl Frame {
-    /// Splits a frame `[height, width, channels]`. A single output is moved, since copying large
-    /// images costs more than drawing them.
+    /// Splits a frame; single outputs are moved, since copies are expensive.
     pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, request: &RenderRequest) -> Self {
         let channels = request.channels();
         let mut first = 0;

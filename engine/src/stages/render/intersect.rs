@@ -1,7 +1,6 @@
-//! Splats to depth-sorted lists per tile.
+//! Depth-sorted Gaussians per tile.
 //!
-//! Gaussians are sorted by depth (31 bits), then their intersections by tile (8 to 15 bits). Both
-//! sorts are stable, which avoids sorting the larger list by combined keys.
+//! A depth sort, then a tile sort; both are stable, so the longer list needs few bits.
 
 use super::{FrameShape, project::Splats};
 use crate::{
@@ -13,17 +12,16 @@ use crate::{
     },
 };
 
-/// Concatenated lists of all tiles.
 pub(super) struct TileLists {
     /// `[capacity]` pairs.
     pub pair_indices: Tensor,
-    /// `[tiles + 1]`: start of each tile's list.
+    /// `[tiles + 1]`.
     pub tile_offsets: Tensor,
     /// See [`super::RenderOutputs::status`].
     pub status: Tensor,
 }
 
-/// Bits of a depth key: positive f32 sort as integers, without the sign bit.
+/// Positive f32 sort as integers.
 const DEPTH_BITS: u32 = 31;
 
 pub(super) fn record(rec: &mut Recorder, splats: &Splats, shape: FrameShape, capacity: usize) -> TileLists {

@@ -1,5 +1,4 @@
-//! Rendering of Gaussians: projection, depth sort, tile intersection, tile sort, front-to-back
-//! blending.
+//! Gaussian rendering.
 //!
 //! Rules and constants follow gsplat 1.5.3: results equal blending every Gaussian into every pixel.
 
@@ -38,27 +37,23 @@ pub use scene::{DeviceScene, SceneMemory, WeakScene};
 /// Outputs of [`record`].
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
-    /// `[cameras, height, width, channels]` f32, the requested of: RGB (unclamped), alpha, depth,
-    /// normal xyz, token RGB. Read by the host unless [`RenderRequest::layout`] is set.
+    /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
+    /// colors.
     pub frames: Tensor,
-    /// Frames in that layout, for other programs on the device.
+    /// Frames in [`RenderRequest::layout`].
     pub pixels: Tensor,
-    /// `[3]` u32: intersections drawn, intersections needed modulo 2^32, and whether that wrapped.
-    /// Frames are valid only if the first two match and the third is 0; see
-    /// [`RenderOutputs::needed`].
+    /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped. See [`RenderOutputs::needed`].
     pub status: Tensor,
 }
 
 impl RenderOutputs {
-    /// Returns the required capacity from a status, or `None` past 2^32. Redraw if it exceeds the
-    /// recorded capacity.
+    /// Returns the required capacity, `None` past 2^32. Redraw if it exceeds the recorded one.
     pub fn needed(status: &[u32]) -> Option<usize> {
         (status[2] == 0).then_some(status[1] as usize)
     }
 }
 
-/// Records rendering of `scene` by `cameras` (`[shape.cameras]` of [`camera_rows`]) with `capacity`
-/// intersections.
+/// Renders `scene` by `cameras` of [`camera_rows`] with `capacity` intersections.
 pub fn record(
     rec: &mut Recorder,
     scene: &SceneTensors,
@@ -71,7 +66,6 @@ pub fn record(
         let (_, lists, frames) = draw(rec, scene, cameras, shape, request, capacity);
         let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
         match request.layout {
-            // Read only on the device.
             Some(_) => rec.keep(pixels),
             None => rec.output(frames),
         }
@@ -80,7 +74,6 @@ pub fn record(
     })
 }
 
-/// Renders, keeping intermediates for the backward pass.
 fn draw(
     rec: &mut Recorder,
     scene: &SceneTensors,

@@ -1,16 +1,16 @@
-//! Pixel layouts for other programs on the device.
+//! Pixel layouts for other programs.
 
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::Pack,
 };
 
-/// Memory layout of a pixel, with color and alpha as in [`super::Frame`].
+/// Pixel layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelLayout {
     /// f32 RGBA, unclamped: `VK_FORMAT_R32G32B32A32_SFLOAT`.
     RgbaF32,
-    /// 8-bit RGBA, color as in [`crate::types::Image::from_rgb_f32`]: `VK_FORMAT_R8G8B8A8_UNORM`.
+    /// 8-bit RGBA, as [`crate::types::Image::from_rgb_f32`]: `VK_FORMAT_R8G8B8A8_UNORM`.
     Rgba8,
     /// 8-bit BGRA: `VK_FORMAT_B8G8R8A8_UNORM`.
     Bgra8,
@@ -23,10 +23,9 @@ impl PixelLayout {
     }
 }
 
-/// Granularity of binding-sized parts: aligned to 256 bytes.
+/// Alignment of parts.
 const PART: usize = 64;
 
-/// Converts `frames`, `[pixels, 4]` f32, to `layout`.
 pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) -> Tensor {
     if layout == PixelLayout::RgbaF32 {
         return frames;

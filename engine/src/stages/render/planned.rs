@@ -1,4 +1,4 @@
-//! Cached rendering plans, recorded once per shape.
+//! Cached rendering plans.
 
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, flights::pictures_together,
@@ -9,14 +9,14 @@ use crate::{
     gpu::{Arena, Limits, Plan, Recorder, Run, Tensor},
 };
 
-/// Images per submission on a GPU, since small ones do not fill it. A CPU caches best with one.
+/// Batch that fills a GPU; CPUs cache best with one.
 const GPU_TOGETHER: usize = 8;
 
 #[derive(Clone, Copy, PartialEq)]
 pub(super) struct Key {
     pub shape: FrameShape,
     pub request: RenderRequest,
-    /// Lane of the arena, for in-flight images.
+    /// Arena lane.
     pub turn: usize,
 }
 
@@ -29,11 +29,11 @@ pub(super) struct Planned {
     pub outputs: RenderOutputs,
 }
 
-/// Plans the first submission of [`Renderer::render_each`](super::Renderer::render_each) for many
-/// images of `[width, height]` pixels. Needs no device.
+/// Plans the first batch of [`Renderer::render_each`](super::Renderer::render_each), without a
+/// device.
 ///
 /// # Errors
-/// [`Error::Memory`](crate::Error::Memory) if a tensor exceeds these limits.
+/// [`Error::Memory`](crate::Error::Memory).
 pub fn plan_pictures(
     limits: &Limits,
     scene: &SceneTensors,
@@ -54,12 +54,11 @@ pub(super) fn together(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }
 
-/// Initial capacity in intersections: a few tiles per Gaussian.
+/// Initial capacity, a few tiles per Gaussian.
 pub fn first_capacity(gaussians: usize) -> usize {
     (4 * gaussians).max(1 << 16)
 }
 
-/// Capacity of a plan of several images.
 pub(super) fn planned_capacity(limits: &Limits, each: usize, shape: FrameShape) -> usize {
     each.saturating_mul(shape.cameras).min(limits.max_binding_bytes as usize / 4)
 }
@@ -73,13 +72,13 @@ impl Planned {
         Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
     }
 
-    /// Intersections of the last run; 2^32 if more.
+    /// Required capacity, at most 2^32.
     pub fn needed(&self) -> Result<usize> {
         let status: Vec<u32> = self.run.read(self.outputs.status)?;
         Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))
     }
 
-    /// Images of the last run, or `None` if over capacity.
+    /// `None` if over capacity.
     pub fn frames(&self) -> Result<Option<Vec<Frame>>> {
         if self.needed()? > self.capacity { Ok(None) } else { self.read().map(Some) }
     }

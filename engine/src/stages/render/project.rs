@@ -8,12 +8,11 @@ use crate::{
 };
 use glam::DVec4;
 
-/// A camera for kernels: three rows of world-to-camera rotation, each with a component of the
-/// camera center, and `(fx, fy, cx, cy)` in pixels. Each f32 row is repeated with its rounding
-/// residual, which preserves precision far from the origin.
+/// A camera for kernels: rows of the world-to-camera rotation with the center, then `(fx, fy, cx,
+/// cy)` in pixels. Rounding residuals follow, for precision far from the origin.
 pub type CameraRows = [[f32; 4]; 8];
 
-/// Converts a camera; each number keeps 48 bits.
+/// Converts a camera to 48-bit precision.
 pub fn camera_rows(camera: &Camera) -> CameraRows {
     let (i, Pose { rotation, translation }) = (&camera.intrinsics, &camera.pose);
     let row = |r: usize| rotation.col(r).extend(translation[r]);
@@ -36,7 +35,7 @@ pub(super) struct Splats {
     pub indices: Tensor,
 }
 
-/// Granularity of binding-sized parts in Gaussians: every tensor's part is aligned to 256 bytes.
+/// Aligns parts in every tensor to 256 bytes.
 const PART: usize = 64;
 
 pub(super) fn record(

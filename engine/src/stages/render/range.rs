@@ -4,16 +4,14 @@ use super::RenderRequest;
 use crate::{Error, Result, types::Camera};
 use std::borrow::Cow;
 
-/// Longest image side: pixel indices fit 32 bits, and the kernels' rounding margins hold.
+/// Longest image side: 32-bit pixel indices, rounding margins.
 pub const MAX_SIDE: u32 = 1 << 15;
-/// Largest camera coordinate, and bounds on intrinsics in pixels, for f32 kernels.
+/// Largest coordinate and range of intrinsics, for f32.
 const FARTHEST: f64 = 1e30;
 const LENS: [f64; 2] = [1e-3, 1e10];
-/// Bounds on a rotation's largest component: devices may flush subnormals and divide large numbers
-/// inexactly.
+/// Range of rotations: devices may flush subnormals and divide inexactly.
 const TURN: [f32; 2] = [1.0 / (1u128 << 100) as f32, (1u128 << 100) as f32];
 
-/// Validates cameras and a request for rendering.
 pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
     if request.channels() == 0 {
         let expected = "one of rgb, alpha, depth, normals and token colours";
@@ -33,7 +31,7 @@ pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
     Ok(())
 }
 
-/// Validates a camera for f32; an error has the field, its value and the expected range.
+/// Returns the field, value and expected range on failure.
 fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
     let (i, centre) = (&camera.intrinsics, camera.pose.translation);
     for (field, focal) in [("fx", i.fx), ("fy", i.fy)] {
@@ -55,7 +53,7 @@ fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
     Ok(())
 }
 
-/// Scales rotations by powers of two into the kernels' range.
+/// Scales rotations by powers of two into range.
 pub(super) fn drawable(quats: &[[f32; 4]]) -> Cow<'_, [[f32; 4]]> {
     let factor = |quat: &[f32; 4]| match quat.iter().fold(0.0f32, |most, q| most.max(q.abs())) {
         largest if largest < TURN[0] => TURN[1],

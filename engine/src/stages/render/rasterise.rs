@@ -6,10 +6,9 @@ use crate::{
     kernels::{limits::TILE, render::Rasterise},
 };
 
-/// Rows between cuts, so that parts are aligned to 256 bytes.
+/// Rows between cuts, which align parts to 256 bytes.
 const BAND: usize = 64;
-/// Pixels per GPU workgroup, few since small images have few tiles. CPU workgroups take a whole
-/// tile and read each Gaussian once.
+/// Small images have few tiles; CPU workgroups take whole tiles.
 const GPU_PIXELS: u32 = 64;
 /// Operations per Gaussian and pixel.
 const BLEND_FLOPS: u64 = 24;
@@ -24,7 +23,7 @@ pub(super) fn record(
     let height = shape.height as usize;
     let row = shape.width as usize * request.channels();
     let frames = rec.tensor::<f32>("frames", shape.cameras * height * row);
-    // Single frames beyond a binding are drawn in bands; callers split batches.
+    // Callers split batches at the binding limit.
     let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
     let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
     let lanes = rec.limits().subgroup_size;
@@ -38,7 +37,7 @@ pub(super) fn record(
             tile_offsets: lists.tile_offsets,
             xy_opacities: splats.xy_opacities,
             conics: splats.conics,
-            // Unused bindings need a placeholder.
+            // Placeholders, if unused.
             colors: splats.colors.unwrap_or(splats.conics),
             depths: request.depth.map_or(splats.conics, |_| splats.depths),
             normals: splats.normals.unwrap_or(splats.conics),

@@ -1,4 +1,4 @@
-//! Repeated rendering of a scene kept on the device, with cached plans.
+//! Repeated rendering of a device scene.
 
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderRequest, SceneMemory, SceneTensors, camera_rows,
@@ -12,10 +12,9 @@ use crate::{
     types::{Camera, LeftOut, Scene},
 };
 
-/// Maximum number of cached plans.
+/// Maximum cached plans.
 const PLANS: usize = 4;
-/// Renders scenes on one device. Plans are recorded per size, batch and request, then replayed in a
-/// shared arena.
+/// Renders scenes on one device, replaying cached plans in a shared arena.
 pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
@@ -23,30 +22,28 @@ pub struct Renderer {
     uploaded: Option<SceneMemory>,
     /// Least recently used first.
     plans: Vec<Planned>,
-    /// Capacity per camera of new plans in intersections; grows on demand.
+    /// Intersections per camera of new plans; grows on demand.
     capacity: usize,
-    /// Intersections of the last rendering.
+    /// Of the last rendering.
     intersections: usize,
-    /// Largest batch known to fit in device memory.
+    /// Largest batch known to fit.
     cameras_at_once: usize,
     /// Maximum batch of [`Renderer::render_each`].
     pub(super) together: usize,
 }
 
 impl Renderer {
-    /// Creates a renderer without a scene.
+    /// Creates an empty renderer.
     pub fn new(device: &Device) -> Self {
         Self::with_capacity(device, 0)
     }
 
-    /// [`Renderer::new`] with an initial capacity of intersections per image; 0 derives it from the
-    /// scene.
+    /// Sets the initial intersections per image; 0 derives them.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
         Self { capacity, ..Self::in_arena(&Arena::new(device)) }
     }
 
-    /// Creates a renderer in a shared arena. If the arena is busy at a rendering, the renderer
-    /// switches to its own.
+    /// Creates a renderer in a shared arena; it moves to its own if that is busy.
     pub fn in_arena(arena: &Arena) -> Self {
         Self {
             arena: arena.clone(),
@@ -65,17 +62,16 @@ impl Renderer {
         self.arena.device()
     }
 
-    /// Sets how many small images [`Renderer::render_each`] batches into one submission.
+    /// Sets the largest batch of [`Renderer::render_each`].
     pub fn together(mut self, most: usize) -> Self {
         self.together = most.max(1);
         self
     }
 
-    /// Renders `scene` with each camera, in order.
+    /// Renders `scene` with each camera.
     ///
     /// # Errors
-    /// [`Error::Argument`] for invalid scenes, cameras or requests; [`Error::Memory`] if one image
-    /// does not fit.
+    /// [`Error::Argument`] for invalid input; [`Error::Memory`] if one image does not fit.
     pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         self.load(scene)?;
         self.render_loaded(cameras, request)
@@ -95,7 +91,7 @@ impl Renderer {
         let memory = match self.uploaded.take().filter(fits) {
             Some(memory) => memory,
             None => {
-                // Plans keep the previous scene's memory alive.
+                // Plans keep the previous scene alive.
                 self.forget_plans();
                 self.allocate(scene.len(), degree)?
             }
@@ -104,11 +100,10 @@ impl Renderer {
         self.show(&scene)
     }
 
-    /// Selects a device scene for [`Renderer::render_loaded`], and its arena if a reconstruction
-    /// created it.
+    /// Selects a device scene and its arena.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scene on another device; [`Error::DeviceLost`].
+    /// [`Error::Argument`] for another device's scene; [`Error::DeviceLost`].
     pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
         self.device().check_lost()?;
         if !scene.resident().is_on(self.arena.device()) {
@@ -128,7 +123,7 @@ impl Renderer {
         Ok(())
     }
 
-    /// The loaded scene, for custom plans.
+    /// The loaded scene.
     pub fn scene(&self) -> Option<&DeviceScene> {
         self.scene.as_ref()
     }
@@ -156,20 +151,19 @@ impl Renderer {
         Ok(frames.into_iter().flatten().collect())
     }
 
-    /// Gaussian-tile intersections of the last rendering.
+    /// Intersections of the last rendering.
     pub fn intersections(&self) -> usize {
         self.intersections
     }
 
-    /// Effects skipped for the loaded scene, with reasons.
+    /// Skipped effects, with reasons.
     pub fn left_out(&self, request: &RenderRequest) -> Vec<LeftOut> {
         let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree(), scene.tensors().sh_degree));
         request.left_out(degrees.0, degrees.1)
     }
 
-    /// Renders the loaded scene into an application's image or buffer, without host copies. On
-    /// return the copy to `target` is submitted; the next rendering of this size waits for it.
-    /// Color and alpha are drawn, with the background and antialiasing of `request`.
+    /// Renders into an application's image or buffer on the device. On return the copy is
+    /// submitted; the next rendering of this size waits for it.
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`] and [`Run::present`](crate::gpu::Run::present).
@@ -195,14 +189,13 @@ impl Renderer {
         plan.run.present(plan.outputs.pixels, target)
     }
 
-    /// Profiles rendering the loaded scene with one camera, by kernel.
+    /// Profiles one camera by kernel.
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`].
     pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
         check(std::slice::from_ref(camera), request)?;
         let _claim = self.claim();
-        // Ensures a plan with enough capacity.
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         self.render_alike(&[camera_rows(camera)], size, request)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
@@ -211,7 +204,7 @@ impl Renderer {
         plan.run.profile()
     }
 
-    /// Renders cameras of one size in the largest batches that fit.
+    /// Renders one size in the largest batches that fit.
     pub(super) fn render_alike(
         &mut self,
         cameras: &[CameraRows],
@@ -221,7 +214,6 @@ impl Renderer {
         let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
-        // Whether other cached plans still occupy memory.
         let mut others = !self.plans.is_empty();
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
@@ -275,7 +267,7 @@ impl Renderer {
         }
     }
 
-    /// The cached or new plan, moved to the end of the list.
+    /// The plan becomes the last of the list.
     pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut Planned> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
@@ -304,7 +296,7 @@ impl Renderer {
         self.cameras_at_once = usize::MAX;
     }
 
-    /// Allocates a scene, releasing the plans' memory if needed.
+    /// Allocates a scene, releasing plans if needed.
     fn allocate(&mut self, len: usize, sh_degree: u32) -> Result<SceneMemory> {
         let mut layout = ResidentLayout::new(self.limits());
         let tensors = SceneTensors::lay_out(&mut layout, len, sh_degree);
@@ -318,13 +310,12 @@ impl Renderer {
         }
     }
 
-    /// Releases all plans and their memory.
     pub(super) fn start_over(&mut self) -> Result<()> {
         self.plans.clear();
         self.arena.release()
     }
 
-    /// Claims the arena, or switches to a new one if it is busy.
+    /// Claims the arena, or a new one if busy.
     pub(super) fn claim(&mut self) -> Claim {
         if let Some(claim) = self.arena.claim() {
             return claim;
@@ -342,7 +333,6 @@ impl Renderer {
         self.scene.as_ref().map_or(0, DeviceScene::len)
     }
 
-    /// Waits for all in-flight submissions.
     pub(super) fn settle(&mut self) -> Result<()> {
         self.plans.iter_mut().try_for_each(|plan| plan.run.finish())
     }

@@ -9,12 +9,11 @@ use crate::{
 };
 use std::sync::{Arc, Weak};
 
-/// Immutable Gaussians on a device, for a [`Renderer`](super::Renderer) or to read. Clones share
-/// memory.
+/// Shared, immutable Gaussians on a device.
 #[derive(Clone)]
 pub struct DeviceScene(Arc<Gaussians>);
 
-/// A weak reference to a [`DeviceScene`].
+/// A weak [`DeviceScene`].
 #[derive(Clone)]
 pub struct WeakScene(Weak<Gaussians>);
 
@@ -28,9 +27,8 @@ impl WeakScene {
 struct Gaussians {
     memory: Arc<Resident>,
     tensors: SceneTensors,
-    /// Arena of the reconstruction, if any.
     arena: Option<Arena>,
-    /// SH degree of the source; bands above [`SceneTensors::sh_degree`] are zero.
+    /// Source degree; bands above [`SceneTensors::sh_degree`] are zero.
     stored_degree: u32,
 }
 
@@ -40,7 +38,7 @@ impl std::fmt::Debug for DeviceScene {
     }
 }
 
-/// Reusable memory for one scene at a time.
+/// Reusable memory of one scene.
 pub struct SceneMemory {
     memory: Arc<Resident>,
     tensors: SceneTensors,
@@ -49,35 +47,35 @@ pub struct SceneMemory {
 }
 
 impl SceneMemory {
-    /// Allocates the tensors of a layout.
+    /// Allocates a layout.
     ///
     /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) if the device has too little.
+    /// [`Error::Memory`](crate::Error::Memory).
     pub fn new(device: &Device, layout: &ResidentLayout, tensors: SceneTensors) -> Result<Self> {
         let memory = Arc::new(Resident::new(device, layout)?);
         Ok(Self { memory, tensors, arena: None, user: Weak::new() })
     }
 
-    /// Sets the arena for renderers of these scenes.
+    /// Sets the renderers' arena.
     pub fn made_in(mut self, arena: &Arena) -> Self {
         self.arena = Some(arena.clone());
         self
     }
 
-    /// Whether the last scene has been dropped.
+    /// Whether the scene was dropped.
     pub fn is_free(&self) -> bool {
         self.user.strong_count() == 0
     }
 
-    /// Memory, for a plan to write.
+    /// Memory for plans.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
     }
 
-    /// Returns the scene written here.
+    /// Returns the written scene.
     ///
     /// # Panics
-    /// If the previous scene still exists.
+    /// If the previous scene exists.
     pub fn scene(&mut self, stored_degree: u32) -> DeviceScene {
         assert!(self.is_free(), "a scene in use was overwritten");
         let (memory, arena) = (self.memory.clone(), self.arena.clone());
@@ -86,7 +84,7 @@ impl SceneMemory {
         DeviceScene(gaussians)
     }
 
-    /// Uploads a scene without its zero SH bands.
+    /// Uploads a scene without zero SH bands.
     ///
     /// # Errors
     /// Failed transfers.
@@ -131,7 +129,7 @@ impl DeviceScene {
         self.0.tensors.len
     }
 
-    /// Whether there are no Gaussians.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -146,7 +144,7 @@ impl DeviceScene {
         &self.0.tensors
     }
 
-    /// Memory for plans with these tensors.
+    /// Memory for plans.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.0.memory
     }
@@ -160,7 +158,7 @@ impl DeviceScene {
     }
 }
 
-/// Highest SH degree with nonzero coefficients; higher bands are not stored.
+/// Highest SH degree with nonzero coefficients.
 pub(super) fn used_degree(scene: &Scene) -> u32 {
     let stride = scene.sh_coeffs_per_gaussian();
     let zero = |degree: u32| {

@@ -1,4 +1,4 @@
-//! Camera encoder: embeds known poses and intrinsics as one token per view.
+//! Camera encoder: poses and intrinsics to tokens.
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -6,10 +6,9 @@ use crate::{
     stages::CameraEncoderArchitecture,
 };
 
-/// Pose encoding: translation 3, quaternion 4, vertical and horizontal field of view.
+/// Translation 3, quaternion 4, vertical and horizontal field of view.
 pub(super) const POSE_ENCODING: usize = 9;
 
-/// Pose encoding padded to whole vec4.
 pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 const EPS: f32 = 1e-5;
@@ -39,7 +38,7 @@ impl CameraEncoder {
         }
     }
 
-    /// Returns one token per row of `poses` `[views, POSE_VALUES]`; the views form one sequence.
+    /// Returns a token per pose; the views form one sequence.
     pub fn record(&self, rec: &mut Recorder, poses: Rows) -> Tensor {
         rec.scope("camera_encoder", |rec| {
             let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };

@@ -1,4 +1,4 @@
-//! The backbone for Depth Anything 3's own heads.
+//! The backbone for depth heads.
 
 use super::transformer::{OutLayer, Transformer};
 use crate::{
@@ -21,7 +21,7 @@ impl DepthBackbone {
         Self { transformer: Transformer::new(p, a), alternates: a.alternates() }
     }
 
-    /// Allocates the host inputs besides the pixels.
+    /// Allocates host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.inputs(rec, grid, cameras)
     }
@@ -44,7 +44,6 @@ impl DepthBackbone {
         DepthFeatures { layers, cameras }
     }
 
-    /// Feature of an out layer, without camera tokens.
     fn feature(&self, rec: &mut Recorder, layer: usize, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
         let (width, patches) = (global.width, grid.patches());
         let halves = if self.alternates { 2 } else { 1 };
@@ -59,7 +58,7 @@ impl DepthBackbone {
         out
     }
 
-    /// Writes the inputs of a run.
+    /// Writes the inputs.
     ///
     /// # Errors
     /// Failed transfers; unusable cameras.
@@ -76,7 +75,6 @@ impl DepthBackbone {
     }
 }
 
-/// Both halves of every camera token, `[views, 2 width]`.
 fn camera_features(rec: &mut Recorder, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
     let out = Rows::scratch(rec, "cameras", grid.views, 2 * global.width, Element::F32);
     for view in 0..grid.views {

@@ -1,4 +1,4 @@
-//! Out-layer features: normalized local and global halves, merged to the model's width.
+//! Out-layer features.
 
 use crate::{
     gpu::{Element, Recorder},
@@ -9,7 +9,7 @@ use crate::{
 
 const EPS: f32 = 1e-5;
 
-/// Per out layer, deepest first.
+/// Deepest first.
 pub(super) struct Features {
     local_norms: Vec<Norm>,
     global_norms: Vec<Norm>,
@@ -30,8 +30,8 @@ impl Features {
         self.downscales.len()
     }
 
-    /// Merges feature `j` (0 is the deepest): W [a | b] + bias + (a + b) / 2, where a = norm(local)
-    /// and b = norm(final_norm(global)). Drops camera tokens.
+    /// Returns W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)),
+    /// without camera tokens.
     pub fn record(
         &self,
         rec: &mut Recorder,

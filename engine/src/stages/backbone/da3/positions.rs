@@ -1,18 +1,17 @@
-//! Position embeddings and rotary tables, computed on the host in f64 once per shape.
+//! Position embeddings and rotary tables, on the host in f64.
 
-/// Bicubic parameter of the reference's interpolation.
+/// Bicubic parameter of the reference.
 const A: f64 = -0.75;
 
-/// The reference's offset on the grid size before the scale factor.
+/// The reference's grid size offset.
 const OFFSET: f64 = 0.1;
 
-/// Rotary angle of channel pair j in a half of size h: position * BASE^(-2j / h).
+/// Angle of channel pair j of h: position * BASE^(-2j / h).
 const BASE: f64 = 100.0;
 
 /// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
 ///
-/// Bicubic without antialiasing, edges repeated. The class token and the original grid stay
-/// unchanged.
+/// Bicubic with repeated edges; the class token and the original grid are unchanged.
 pub fn interpolate(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     if (rows, columns) == (side, side) {
         return learned.to_vec();
@@ -38,7 +37,6 @@ pub fn interpolate(learned: &[f32], side: usize, width: usize, rows: usize, colu
     out
 }
 
-/// Four source indices and weights per output.
 fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
     let scale = (count as f64 + OFFSET) / side as f64;
     let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
@@ -53,20 +51,17 @@ fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
     (0..count).map(one).collect()
 }
 
-/// Returns (cos, sin) tables: `[1 + rows * columns, dim / 2, 2]` for local blocks, `[1, dim / 2,
-/// 2]` for global ones.
+/// Returns (cos, sin) tables: local `[1 + rows * columns, dim / 2, 2]`, global `[1, dim / 2, 2]`.
 ///
-/// Local positions are the origin for the camera token and (y + 1, x + 1) for patches. Globally all
-/// patches share one position, one step from the camera token on both axes. Attention sees only
-/// differences, so patches are at the origin unrotated and camera tokens at (-1, -1). The first
-/// half of the pairs rotates with y, the second with x.
+/// Local positions: the camera token at the origin, patches at (y + 1, x + 1). Global patches share
+/// a position one step from the camera token; only differences matter, so patches stay unrotated
+/// and camera tokens are at (-1, -1). Half the pairs rotate with y, half with x.
 pub fn rotary_tables(rows: usize, columns: usize, dim: usize) -> [Vec<f32>; 2] {
     let patches = (0..rows * columns).map(|i| [i / columns + 1, i % columns + 1].map(|step| step as f64));
     let local = [[0.0; 2]].into_iter().chain(patches).flat_map(|place| rotations(place, dim)).collect();
     [local, rotations([-1.0; 2], dim).collect()]
 }
 
-/// (cos, sin) of every channel pair at a position (y, x).
 fn rotations(place: [f64; 2], dim: usize) -> impl Iterator<Item = f32> {
     let angle = move |i: usize| place[i / (dim / 4)] * BASE.powf(-2.0 * (i % (dim / 4)) as f64 / (dim / 2) as f64);
     (0..dim / 2).map(angle).flat_map(|angle| [angle.cos() as f32, angle.sin() as f32])

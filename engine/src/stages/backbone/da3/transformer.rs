@@ -20,7 +20,7 @@ const EPS: f32 = 1e-6;
 pub(super) struct Transformer {
     architecture: BackboneArchitecture,
     class_token: Tensor,
-    /// `[2, width]` f32, for alternating attention.
+    /// `[2, width]` f32.
     camera_tokens: Option<Tensor>,
     learned_positions: HostParameter,
     patch_embed: Linear,
@@ -29,10 +29,10 @@ pub(super) struct Transformer {
     camera_encoder: Option<CameraEncoder>,
 }
 
-/// Tokens of all views at an out layer, each view's camera token first.
+/// Tokens at an out layer, camera tokens first.
 #[derive(Clone, Copy)]
 pub(super) struct OutLayer {
-    /// Output of the latest local block.
+    /// Latest local block's output.
     pub local: Rows,
     /// Residual stream.
     pub global: Rows,
@@ -40,7 +40,7 @@ pub(super) struct OutLayer {
 
 struct Inputs<'a> {
     positions: Tensor,
-    /// Tables of local and global blocks.
+    /// Local, global.
     rotary: Option<&'a [Tensor]>,
     poses: Option<Tensor>,
 }
@@ -66,8 +66,8 @@ impl Transformer {
         }
     }
 
-    /// Allocates f32 inputs: positions `[1 + patches, width]` ([`interpolate`]), tables
-    /// ([`rotary_tables`]) for rotary embedding, and with cameras poses `[views, POSE_VALUES]`.
+    /// Allocates positions ([`interpolate`]), tables ([`rotary_tables`]) and poses `[views,
+    /// POSE_VALUES]`, f32.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         let (a, tokens) = (&self.architecture, 1 + grid.patches());
         let mut inputs = vec![rec.input::<f32>("positions", tokens * a.width)];
@@ -85,8 +85,8 @@ impl Transformer {
         Inputs { positions, rotary: (!rotary.is_empty()).then_some(rotary), poses: poses.first().copied() }
     }
 
-    /// Records all blocks for `images` `[views, 3, height, width]` f32 and calls `out` at each out
-    /// layer. Global blocks pool keys of `pool` x `pool` patches.
+    /// Records all blocks and calls `out` at each out layer. Global blocks pool `pool` x `pool`
+    /// keys.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -102,7 +102,7 @@ impl Transformer {
             poses.zip(encoder).map(|(poses, encoder)| encoder.record(rec, Rows::new(poses, grid.views, POSE_VALUES)));
         let x = self.first_tokens(rec, images, positions, grid);
         let mut chosen = None;
-        // Output of the latest local block, copied before a global block overwrites it.
+        // Copied before a global block overwrites it.
         let mut local = x;
         for (i, block) in self.blocks.iter().enumerate() {
             if i + 1 == a.alt_start && reference == Reference::Balanced && encoded.is_none() {
@@ -182,7 +182,6 @@ impl Transformer {
         rec.dispatch(kernel, grid.views * width);
     }
 
-    /// Writes the inputs of a run, with poses if they were allocated.
     pub fn write(
         &self,
         run: &mut Run,
@@ -206,7 +205,7 @@ impl Transformer {
     }
 }
 
-/// Reference view `[1]` u32, chosen by class tokens.
+/// Reference view `[1]` u32, by class tokens.
 fn choose_reference(rec: &mut Recorder, x: Rows, grid: ViewGrid) -> Tensor {
     let reference = rec.tensor::<u32>("reference", 1);
     let kernel = kernels::ReferenceView {
