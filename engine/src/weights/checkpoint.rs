@@ -15,26 +15,22 @@ use crate::ops::{Arithmetic, ParameterSource, Q8};
 use crate::types::{open_file, preprocess::DEFAULT_SIZE};
 use crate::{Error, Result};
 
-/// The tensors of an [`Architecture`], read one at a time so that neither a file nor a seed is
-/// expanded whole.
+/// An [`Architecture`]'s tensors, read one at a time to bound memory.
 #[derive(Debug)]
 pub struct Checkpoint {
     architecture: Architecture,
-    /// Name and shape, in the architecture's order.
     parameters: Vec<(String, Vec<usize>)>,
     /// Preferred image side in pixels.
     picture_side: u32,
     source: Source,
-    /// The file, or the seed in the format of [`Checkpoint::parse`].
+    /// As in [`Checkpoint::parse`].
     provenance: String,
-    /// Rounding and assumptions, for the user.
     notes: Vec<String>,
 }
 
 #[cfg(feature = "embedded-model")]
 const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
 
-/// An architecture and a note on assumptions.
 type Known = (Architecture, Option<String>);
 
 /// Contents of a file.
@@ -58,9 +54,8 @@ impl Deref for Bytes {
 impl Bytes {
     pub fn open(path: &Path) -> Result<Self> {
         let file = open_file(path)?;
-        // SAFETY: the map is only read as bytes, for which every value is valid. Truncation by
-        // another process raises SIGBUS, as for any mapped file; `save` replaces files and never
-        // truncates.
+        // SAFETY: every byte is valid to read. Truncation by another process raises SIGBUS, as for
+        // any mapped file; `save` replaces files and never truncates.
         #[allow(unsafe_code)]
         let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
         Ok(Self::Mapped(file))
@@ -68,10 +63,10 @@ impl Bytes {
 }
 
 impl Checkpoint {
-    /// Returns the built-in model, described in `engine/models/README.md`.
+    /// Returns the model of `engine/models/README.md`.
     ///
     /// # Errors
-    /// [`Error::Argument`] without the feature `embedded-model`.
+    /// [`Error::Argument`] without feature `embedded-model`.
     pub fn embedded() -> Result<Self> {
         #[cfg(feature = "embedded-model")]
         let found = Self::from_bytes("the embedded model", EMBEDDED, None);
@@ -83,7 +78,7 @@ impl Checkpoint {
         found
     }
 
-    /// Opens a path or `seeded:VARIANT[:KEY]`; for `variant` see [`Checkpoint::open`].
+    /// Opens a path or `seeded:VARIANT[:KEY]`.
     ///
     /// # Errors
     /// As [`Checkpoint::open`].
@@ -98,24 +93,23 @@ impl Checkpoint {
         }
     }
 
-    /// Opens a safetensors file or a PyTorch checkpoint: `torch.save` of a state dictionary, alone
-    /// or as entry `model`. Types are F32, F16, BF16, or F64, which is rounded to F32.
+    /// Opens safetensors or a `torch.save` state dictionary, alone or as entry `model`, of F32,
+    /// F16, BF16 or F64 (rounded to F32).
     ///
-    /// Training wrappers `module` and `_orig_mod` are dropped from names. Without stated
-    /// architecture, tensor shapes and the training configuration determine it. `variant` supplies
-    /// the rest: one of [`VARIANTS`](super::VARIANTS) or [`RECIPES`](super::RECIPES), and overrides
-    /// `:out_layers=A,B,..`, `:alt_start=N`, `:rope_start=N`, `:camera_heads=N`,
-    /// `:gaussians_per_token=N`, `:sh_degree=N`. [`Checkpoint::notes`] lists assumptions.
+    /// Wrappers `module` and `_orig_mod` are dropped from names. An unstated architecture follows
+    /// from shapes, the training configuration and `variant`: one of [`VARIANTS`](super::VARIANTS)
+    /// or [`RECIPES`](super::RECIPES), with overrides `:out_layers=A,B,..`, `:alt_start=N`,
+    /// `:rope_start=N`, `:camera_heads=N`, `:gaussians_per_token=N`, `:sh_degree=N`.
+    /// [`Checkpoint::notes`] lists assumptions.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a non-regular
-    /// file, or an unknown, missing or contradictory variant; [`Error::Weights`] lists missing,
-    /// unexpected and misshapen tensors.
+    /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for a non-regular file or an
+    /// unsuitable variant; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
     pub fn open(path: impl AsRef<Path>, variant: Option<&str>) -> Result<Self> {
         Self::load(path.as_ref(), |contents, path| inference::architecture(contents, path, variant))
     }
 
-    /// [`Checkpoint::open`] from a file's contents, called `name` in messages.
+    /// Opens a file's contents, called `name` in messages.
     ///
     /// # Errors
     /// As [`Checkpoint::open`].
@@ -125,19 +119,18 @@ impl Checkpoint {
         })
     }
 
-    /// [`Checkpoint::open`] with a known architecture, whatever the file states.
+    /// Opens a file with a known architecture.
     pub fn open_architecture(path: impl AsRef<Path>, architecture: Architecture) -> Result<Self> {
         architecture.validate()?;
         Self::load(path.as_ref(), |_, _| Ok((architecture, None)))
     }
 
-    /// Generates reproducible weights for a variant. `key`, by default the variant, selects the
-    /// values.
+    /// Generates reproducible weights; `key` defaults to the variant.
     pub fn seeded(variant: &str, key: Option<&str>) -> Result<Self> {
         Self::seeded_architecture(Architecture::named(variant)?, key.unwrap_or(variant))
     }
 
-    /// Generates reproducible weights for an architecture.
+    /// Generates reproducible weights.
     pub fn seeded_architecture(architecture: Architecture, key: &str) -> Result<Self> {
         architecture.validate()?;
         let stream = if key == architecture.name { String::new() } else { format!(":{key}") };
@@ -176,17 +169,17 @@ impl Checkpoint {
         &self.architecture
     }
 
-    /// Image side in pixels that the network was trained with, from the file or by default 252.
+    /// Training image side in pixels, by default 252.
     pub fn picture_side(&self) -> u32 {
         self.picture_side
     }
 
-    /// Name and shape per tensor, in the order of [`Architecture::parameters`].
+    /// Name and shape per tensor.
     pub fn parameters(&self) -> &[(String, Vec<usize>)] {
         &self.parameters
     }
 
-    /// Tensor names, in the order of [`Architecture::parameters`].
+    /// Tensor names.
     pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
         self.parameters.iter().map(|(name, _)| name.as_str())
     }
@@ -199,22 +192,20 @@ impl Checkpoint {
     /// Reads a tensor in C order.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for nonfinite
-    /// values.
+    /// [`Error::Argument`] for a wrong name or length, [`Error::Format`] for nonfinite values.
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
 
-    /// Reads a matrix in 8 bits, as stored or rounded. Its rows must be whole groups.
+    /// Reads a matrix of whole groups in 8 bits.
     ///
     /// # Errors
-    /// As [`Checkpoint::read_f32`], and [`Error::Argument`] for values or [`Error::Format`] for
-    /// scales out of range.
+    /// As [`Checkpoint::read_f32`], and for values or scales out of range.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
         self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }
 
-    /// Names of tensors stored as [`Q8`].
+    /// Names of [`Q8`] tensors.
     pub fn q8_names(&self) -> impl Iterator<Item = &str> {
         let is_q8 = |i: usize| matches!(&self.source, Source::Stored { tensors, .. } if tensors[i].is_q8());
         self.tensor_names().enumerate().filter(move |(i, _)| is_q8(*i)).map(|(_, name)| name)
@@ -223,7 +214,7 @@ impl Checkpoint {
     /// Checks that an arithmetic supports these weights.
     ///
     /// # Errors
-    /// [`Error::Argument`] for `turbo`, which quantizes weights itself, with [`Q8`] weights.
+    /// [`Error::Argument`] for `turbo` with [`Q8`] weights.
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
         if !arithmetic.has_integers() || self.q8_names().next().is_none() {
             return Ok(());
@@ -232,27 +223,27 @@ impl Checkpoint {
         Err(Error::argument("precision", found, "exact, fast or fast-bf16; turbo rounds weights of f32, f16 or bf16"))
     }
 
-    /// Bytes per stored type; seeded weights count as f32.
+    /// Bytes per stored type.
     pub fn stored(&self) -> BTreeMap<&'static str, u64> {
         self.source.stored(&self.parameters)
     }
 
-    /// Bytes of all tensors as stored; seeded weights count as f32.
+    /// Stored bytes.
     pub fn bytes(&self) -> u64 {
         self.stored().values().sum()
     }
 
-    /// Origin of the weights: a path or `seeded:VARIANT:KEY`.
+    /// A path or `seeded:VARIANT:KEY`.
     pub fn provenance(&self) -> &str {
         &self.provenance
     }
 
-    /// Notes on rounding and assumptions, for the user.
+    /// Rounding and assumptions, for the user.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// Writes safetensors atomically, with the architecture as metadata.
+    /// Writes safetensors atomically.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Argument`] for values beyond `dtype`; those of
@@ -261,8 +252,7 @@ impl Checkpoint {
         self.save_with(path, dtype, |_| ControlFlow::Continue(()))
     }
 
-    /// [`Checkpoint::save`] with progress: gets the fraction done and may cancel, which leaves no
-    /// file.
+    /// [`Checkpoint::save`] with progress; canceling leaves no file.
     ///
     /// # Errors
     /// As [`Checkpoint::save`], and [`Error::Cancelled`].
@@ -301,7 +291,7 @@ impl ParameterSource for Checkpoint {
     }
 }
 
-/// Returns the tensors in the order of `parameters`; fails unless they match exactly.
+/// Matches tensors to `parameters` exactly.
 pub(super) fn matching(
     path: &Path,
     network: &str,

@@ -9,24 +9,23 @@ use crate::types::preprocess::PATCH;
 /// Largest plausible image side.
 pub(super) const MAX_PICTURE_SIDE: u32 = 8192;
 
-/// Name parts added by distributed training and compilation.
+/// Added by distributed training and compilation.
 const WRAPPERS: [&str; 2] = ["module", "_orig_mod"];
 
-/// A file's tensors, by unwrapped name, and its statements about the network.
 #[derive(Debug, Default)]
 pub(super) struct Contents {
     pub tensors: HashMap<String, Stored>,
-    /// From the metadata of our own files.
+    /// In our metadata.
     pub architecture: Option<Architecture>,
-    /// From the metadata of our own depth files.
+    /// In our metadata.
     pub depth_architecture: Option<DepthArchitecture>,
-    /// Training image side in pixels, from the metadata or configuration.
+    /// Training image side, if stated.
     pub picture_side: Option<u32>,
-    /// Training configuration of a PyTorch checkpoint.
+    /// Of a PyTorch checkpoint.
     pub conf: Conf,
 }
 
-/// Configuration entries that shapes do not determine.
+/// Settings that shapes do not show.
 #[derive(Debug, Default)]
 pub(super) struct Conf {
     pub vit_name: Option<String>,
@@ -38,7 +37,7 @@ pub(super) struct Conf {
     pub sh_degree: Option<usize>,
 }
 
-/// Adds a tensor under its unwrapped name, or returns the reason for failure.
+/// Adds a tensor under its unwrapped name.
 pub(super) fn add(
     tensors: &mut HashMap<String, Stored>,
     name: &str,
@@ -52,7 +51,6 @@ pub(super) fn add(
     }
 }
 
-/// Whether a training image side in pixels is plausible.
 pub(super) fn is_picture_side(side: u32) -> bool {
     (PATCH..=MAX_PICTURE_SIDE).contains(&side) && side.is_multiple_of(PATCH)
 }

@@ -1,4 +1,4 @@
-//! Weights of Depth Anything 3 networks, under their released names.
+//! Weights of Depth Anything 3.
 
 use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
@@ -11,20 +11,19 @@ use crate::{Error, Result, ops::ParameterSource, stages::MAX_DEPTH};
 const BACKBONE: &str = "model.backbone.pretrained";
 const GAUSSIANS: &str = "model.gs_head.";
 
-/// Weights of a depth network, read one tensor at a time.
+/// Depth weights, read one tensor at a time.
 #[derive(Debug)]
 pub struct DepthCheckpoint {
     architecture: DepthArchitecture,
     parameters: Vec<(String, Vec<usize>)>,
     source: Source,
     provenance: String,
-    /// Whether the source has Gaussian head weights, requested or not.
+    /// Of the source, requested or not.
     of_gaussians: bool,
 }
 
 impl DepthCheckpoint {
-    /// Whether a text for [`DepthCheckpoint::parse`] denotes a depth network, by name or by the
-    /// file's tensors.
+    /// Whether a text for [`DepthCheckpoint::parse`] denotes a depth network.
     pub fn is_meant(text: &str) -> bool {
         match text.strip_prefix("seeded:") {
             Some(name) => DEPTH_MODELS.contains(&name),
@@ -36,7 +35,7 @@ impl DepthCheckpoint {
         }
     }
 
-    /// Opens with the Gaussian head if the source has one; `open` takes that choice.
+    /// Opens with the Gaussian head, if there is one.
     ///
     /// # Errors
     /// Errors of `open`.
@@ -45,7 +44,7 @@ impl DepthCheckpoint {
         if found.of_gaussians { open(true) } else { Ok(found) }
     }
 
-    /// Opens `seeded:NAME`, one of [`DEPTH_MODELS`], or a path.
+    /// Opens `seeded:NAME` or a path.
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`].
@@ -60,14 +59,12 @@ impl DepthCheckpoint {
         }
     }
 
-    /// Opens a released `model.safetensors` or a file of [`DepthCheckpoint::save_with`]. Types are
-    /// F32, F16, BF16, or F64, which is rounded to F32. Tensors or metadata identify the network;
-    /// others are ignored. The Gaussian head is optional.
+    /// Opens a released `model.safetensors` or a saved file, optionally with the Gaussian head.
+    /// Unneeded tensors are ignored.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a network not in
-    /// [`DEPTH_MODELS`], or without a requested Gaussian head; [`Error::Weights`] lists missing,
-    /// unexpected and misshapen tensors.
+    /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for an unknown network or without
+    /// Gaussian head; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
     pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
@@ -80,7 +77,7 @@ impl DepthCheckpoint {
         Self::of(path, file, contents, architecture)
     }
 
-    /// [`DepthCheckpoint::open`] with a known architecture.
+    /// Opens a file with a known architecture.
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`].
@@ -91,7 +88,7 @@ impl DepthCheckpoint {
         Self::of(path, file, contents, architecture)
     }
 
-    /// Generates reproducible weights; `key` selects the values.
+    /// Generates reproducible weights.
     ///
     /// # Errors
     /// As [`DepthArchitecture::validate`].
@@ -118,18 +115,17 @@ impl DepthCheckpoint {
         &self.architecture
     }
 
-    /// Bytes per stored type; seeded weights count as f32.
+    /// Bytes per stored type.
     pub fn stored(&self) -> BTreeMap<&'static str, u64> {
         self.source.stored(&self.parameters)
     }
 
-    /// Bytes of all tensors as stored; seeded weights count as f32.
+    /// Stored bytes.
     pub fn bytes(&self) -> u64 {
         self.stored().values().sum()
     }
 
-    /// Writes safetensors with the architecture as metadata. 8-bit weights are expanded to f32 on
-    /// loading.
+    /// Writes safetensors; 8-bit weights load as f32.
     ///
     /// # Errors
     /// As [`Checkpoint::save_with`](super::Checkpoint::save_with).
@@ -160,8 +156,7 @@ impl DepthCheckpoint {
     /// Reads a tensor in C order.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for nonfinite
-    /// values.
+    /// As [`Checkpoint::read_f32`](super::Checkpoint::read_f32).
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
@@ -198,7 +193,7 @@ fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArc
     Ok(DepthArchitecture { gaussians, ..known })
 }
 
-/// Whether a released tensor is unused: Gaussian head, or unused tails of the ray head.
+/// Gaussian head, or unused tails of the ray head.
 fn is_unused(name: &str) -> bool {
     let tails = [GAUSSIANS, "model.head.scratch.output_conv1_aux.", "model.head.scratch.output_conv2_aux."];
     tails.iter().any(|tail| name.starts_with(tail))
@@ -233,7 +228,7 @@ impl Shapes<'_> {
         let expected = || Error::argument("depth network", found, format!("one of {}", DEPTH_MODELS.join(", ")));
         let names = fitting.iter().map(|known| known.name.as_str()).collect::<Vec<_>>().join(" or ");
         let first = fitting.into_iter().next().ok_or_else(expected)?;
-        // Two released networks share a layout.
+        // Two networks share a layout.
         Ok(DepthArchitecture { name: names, ..first })
     }
 }

@@ -1,4 +1,4 @@
-//! Architecture inference from tensor shapes.
+//! Architecture inference.
 
 use std::path::Path;
 
@@ -11,14 +11,13 @@ use crate::{
 };
 
 const BACKBONE: &str = "backbone.backbone";
-/// Longest network name accepted from a file.
 const MAX_NAME: usize = 64;
 
-/// Returns the stated or inferred architecture, with a note on assumptions.
+/// Returns the architecture and a note on assumptions.
 ///
-/// Shapes give widths, depths and counts. The rest is taken from `variant`, the training
-/// configuration, or the named network of the same size, in that order. `alt_start` and
-/// `rope_start` otherwise equal the first block with q/k norm, as in all known recipes.
+/// Facts that shapes do not show come from `variant`, the training configuration, or the named
+/// network of this size. All known recipes start global attention and rotary embedding with q/k
+/// norm.
 pub(super) fn architecture(
     contents: &Contents,
     path: &Path,
@@ -60,7 +59,6 @@ pub(super) fn architecture(
     Ok((found, (!assumed.is_empty()).then(note)))
 }
 
-/// Sizes that distinguish the known networks.
 struct Size {
     width: usize,
     depth: usize,
@@ -85,7 +83,7 @@ impl Size {
     }
 }
 
-/// The requested named network, or one of the same size.
+/// The requested network, or one of this size.
 fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture>> {
     let all = VARIANTS.iter().chain(&RECIPES).map(|name| Architecture::named(name)).collect::<Result<Vec<_>>>()?;
     if let Some(name) = wanted.name {
@@ -94,7 +92,7 @@ fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture
             let expected = format!("a network of width {} and {} blocks, as {file} has", size.width, size.depth);
             return Err(Error::argument("variant", name, expected));
         }
-        // Recipes are exact; a backbone's name also covers its recipes.
+        // A backbone's name covers its recipes.
         if RECIPES.contains(&name) {
             return Ok(Some(named));
         }
@@ -121,7 +119,7 @@ impl Shapes<'_> {
         self.0.tensors.get(name)?.shape.get(axis).copied()
     }
 
-    /// Highest index after `root`, plus one, so that gaps are reported as missing.
+    /// Highest index plus one, so that gaps count as missing.
     fn count(&self, root: &str) -> usize {
         let number =
             |name: &String| name.strip_prefix(root)?.strip_prefix('.')?.split('.').next()?.parse::<usize>().ok();
@@ -135,7 +133,6 @@ impl Shapes<'_> {
             let expected = "a network of ZipSplat, whose tensors begin with backbone.backbone";
             return Err(Error::argument("weights", format!("{file}, without a backbone"), expected));
         };
-        // Bounds later products of widths.
         if width > MAX_SIZE {
             return Err(Error::format(
                 file,
@@ -144,12 +141,11 @@ impl Shapes<'_> {
             ));
         }
         let normed = |i: &usize| self.axis(&format!("{BACKBONE}.blocks.{i}.attn.q_norm.weight"), 0).is_some();
-        // Names may claim any number of blocks.
+        // Names may claim any number.
         let qk_norm_start = (0..depth.min(MAX_DEPTH)).find(normed).unwrap_or(depth);
         Ok(Size { width, depth, layers: self.count("downscale"), qk_norm_start })
     }
 
-    /// Sets every field that a tensor determines.
     fn fill(&self, found: &mut Architecture, wanted: &Variant, conf: &Conf) -> Result<()> {
         let set = |field: &mut usize, name: &str, axis| *field = self.axis(name, axis).unwrap_or(*field);
         let heads = |field: &mut usize, width: usize, at: &str| {
@@ -183,7 +179,7 @@ impl Shapes<'_> {
         Ok(())
     }
 
-    /// Gaussians per token and SH degree, from the number of head outputs and known values.
+    /// Gaussians per token and SH degree.
     fn decoded(&self, gaussians: Option<usize>, degree: Option<usize>) -> Result<(usize, usize)> {
         let width = |degree: usize| 11 + 3 * (degree + 1).pow(2);
         let Some(values) = self.axis("gaussian_head.gaussian_head.1.bias", 0) else {
@@ -196,7 +192,7 @@ impl Shapes<'_> {
         let degrees: Vec<usize> = (0..=3).filter(|d| degree.is_none_or(|known| known == *d)).filter(fits).collect();
         match degrees[..] {
             [degree] => Ok((values / width(degree), degree)),
-            // The mismatch is reported with other misshapen tensors.
+            // Reported with misshapen tensors.
             [] => Ok((gaussians.unwrap_or(32), degree.unwrap_or(1))),
             _ => {
                 let found = format!("none, and {values} values a token are Gaussians of degrees {degrees:?}");

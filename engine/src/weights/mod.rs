@@ -1,8 +1,7 @@
-//! Checkpoints: f32 tensors from files or seeds, matched to an [`Architecture`].
+//! Checkpoints from files or seeds.
 //!
-//! Reads safetensors and `torch.save` archives; writes safetensors with their architecture. 8-bit
-//! tensors NAME `[columns, inner]` are stored as NAME.q8, I8, and NAME.q8_scales, F16 `[columns,
-//! inner / 32]`.
+//! Reads safetensors and `torch.save` archives, writes safetensors. 8-bit tensors NAME are stored
+//! as NAME.q8, I8 `[columns, inner]`, and NAME.q8_scales, F16 `[columns, inner / 32]`.
 
 mod checkpoint;
 mod contents;
@@ -30,8 +29,7 @@ pub use crate::{
     stages::{Architecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS},
 };
 
-/// Converts a checkpoint to safetensors of one type, atomically, with its architecture as metadata.
-/// For `variant` and errors see [`Checkpoint::open`] and [`Checkpoint::save`].
+/// Converts a checkpoint to safetensors, see [`Checkpoint::open`] and [`Checkpoint::save`].
 pub fn convert(input: impl AsRef<Path>, output: impl AsRef<Path>, dtype: Dtype, variant: Option<&str>) -> Result<()> {
     Checkpoint::open(input, variant)?.save(output, dtype)
 }

@@ -15,20 +15,14 @@ use crate::ops::{ParameterSource, Q8};
 use crate::types::preprocess::PATCH;
 use crate::{Error, Result};
 
-/// Metadata key of the architecture, as JSON.
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
-/// Metadata key of a depth architecture, as JSON.
 const DEPTH_ARCHITECTURE_KEY: &str = "zipsplat.depth_architecture";
-/// Metadata key of the preferred image side in pixels.
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
-/// Name suffixes of 8-bit integers and scales.
 const Q8_ENDS: [&str; 2] = [".q8", ".q8_scales"];
-/// Bytes of the header length.
 const PREFIX: usize = 8;
-/// The format's limit in bytes.
 const MAX_HEADER: u64 = 100_000_000;
 
-/// Locates the tensors of a file; [`Error::Format`] for an invalid header.
+/// Locates the tensors; [`Error::Format`] for an invalid header.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let length = file.first_chunk::<PREFIX>().map(|bytes| u64::from_le_bytes(*bytes));
@@ -83,8 +77,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// A float tensor or the integers of a Q8 tensor, or the reason for failure. Values begin at
-/// `start`.
+/// Values begin at `start`.
 fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, String> {
     let dtype = match info.dtype {
         FileDtype::F64 if !integers => StoredDtype::F64,
@@ -99,7 +92,6 @@ fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, Str
     Stored::dense(dtype, info.shape.clone(), start + from, start + to)
 }
 
-/// The network stated in a file.
 pub(super) enum Stated<'a> {
     /// With the preferred image side.
     Scene(&'a Architecture, u32),
@@ -112,7 +104,7 @@ pub(super) trait Weights: ParameterSource {
     fn network(&self) -> Stated<'_>;
 }
 
-/// Writes every tensor in `dtype` atomically; `progress` gets the fraction done and may cancel.
+/// Writes atomically; `progress` may cancel.
 pub(super) fn save(
     checkpoint: &impl Weights,
     path: &Path,
@@ -121,7 +113,7 @@ pub(super) fn save(
 ) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
-    // Temporary files default to private; this one follows the caller's umask.
+    // Temporary files default to private.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
@@ -133,7 +125,7 @@ pub(super) fn save(
     Ok(())
 }
 
-/// Writes tensors one at a time. `path` is for messages only.
+/// `path` is for messages only.
 fn write(
     checkpoint: &impl Weights,
     dtype: Dtype,
@@ -193,10 +185,9 @@ fn header(checkpoint: &impl Weights, dtype: Dtype) -> Result<String, String> {
     let metadata = stated.collect::<serde_json::Result<Vec<_>>>().map_err(|error| error.to_string())?;
     let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
     let header = Metadata::new(Some(metadata), tensors).map_err(|error| error.to_string())?;
-    // A JSON value sorts its keys, for reproducible files.
+    // Sorted keys, for reproducible files.
     let json = serde_json::to_value(&header).map_err(|error| error.to_string())?.to_string();
-    // The format pads with spaces to 8 bytes. `format!` widths end at 65,535, below some header
-    // lengths.
+    // `format!` widths end at 65,535, below some header lengths.
     let padding = json.len().next_multiple_of(PREFIX) - json.len();
     Ok(json + &" ".repeat(padding))
 }
@@ -206,7 +197,7 @@ fn q8_bytes(values: &Q8) -> Vec<u8> {
     bytemuck::cast_slice(&values.integers).iter().copied().chain(scales).collect()
 }
 
-/// Encodes finite values; [`Error::Argument`] for values beyond `dtype`.
+/// [`Error::Argument`] for values beyond `dtype`.
 fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
     let held = |value: f32| match dtype {
         Dtype::F16 => f16::from_f32(value).is_finite(),
@@ -233,7 +224,6 @@ mod tests {
     use super::super::Checkpoint;
     use super::*;
 
-    /// Headers at full length, without the gigabytes of values.
     #[test]
     fn headers_of_every_network_and_type_are_whole() {
         for (variant, least) in [("vits", 0), ("vitb", 0), ("vitl", 1 << 16), ("vitg", 1 << 16)] {
@@ -243,7 +233,7 @@ mod tests {
                 assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
                 let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
                 let values = checkpoint.architecture().parameter_count();
-                // Q8 keeps few tensors in wider types.
+                // Some tensors keep wider types.
                 let expected = values as f64 * bytes;
                 let most = if dtype == Dtype::Q8 { 1.05 * expected } else { expected };
                 assert!((expected..=most).contains(&(parsed.data_len() as f64)), "{variant}: {}", parsed.data_len());

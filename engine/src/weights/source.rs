@@ -17,7 +17,7 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Reads parameter `index` in C order; `provenance` is for messages.
+    /// `provenance` is for messages.
     ///
     /// # Errors
     /// [`Error::Argument`] for a wrong length, [`Error::Format`] for nonfinite values.
@@ -46,11 +46,10 @@ impl Source {
         }
     }
 
-    /// Reads matrix `index` in 8 bits, as stored or rounded. Its rows must be whole groups.
+    /// Reads a matrix of whole groups in 8 bits.
     ///
     /// # Errors
-    /// As [`Source::read`], and [`Error::Argument`] for values or [`Error::Format`] for scales out
-    /// of range.
+    /// As [`Source::read`], and for values or scales out of range.
     pub fn read_q8(&self, provenance: &str, index: usize, parameters: &[(String, Vec<usize>)]) -> Result<Q8> {
         let (name, shape) = &parameters[index];
         match self {
@@ -75,7 +74,6 @@ impl Source {
         }
     }
 
-    /// Bytes per stored type; seeded weights count as f32.
     pub fn stored(&self, parameters: &[(String, Vec<usize>)]) -> BTreeMap<&'static str, u64> {
         let mut stored = BTreeMap::new();
         match self {

@@ -1,4 +1,4 @@
-//! Tensors in a mapped file and their types.
+//! Tensors in mapped files.
 
 use std::str::FromStr;
 
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::{Error, Result, ops::Q8};
 
-/// Storage type of a checkpoint, little-endian.
+/// Storage type, little-endian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dtype {
     /// IEEE single precision.
@@ -16,8 +16,7 @@ pub enum Dtype {
     F16,
     /// bfloat16.
     Bf16,
-    /// [`Q8`] for linear weights in whole groups; IEEE half precision for other matrices, single
-    /// for vectors.
+    /// [`Q8`] for linear weights in whole groups; f16 for other matrices, f32 for vectors.
     Q8,
 }
 
@@ -34,7 +33,6 @@ impl Dtype {
         }
     }
 
-    /// Type of a tensor in a file of this type.
     pub(super) fn of(self, name: &str, shape: &[usize]) -> Self {
         match (self, shape) {
             (Self::Q8, [_, inner]) if name.ends_with(".weight") && Q8::fits(*inner) => Self::Q8,
@@ -54,10 +52,9 @@ impl FromStr for Dtype {
     }
 }
 
-/// Maximum tensor rank; weights need four.
 pub(super) const MAX_RANK: usize = 8;
 
-/// Readable types: those of [`Dtype`], with I8 for [`Dtype::Q8`], and f64, rounded to f32.
+/// Readable types; f64 is rounded to f32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StoredDtype {
     F64,
@@ -77,7 +74,6 @@ impl StoredDtype {
         }
     }
 
-    /// `f64`, `f32`, `f16`, `bf16` or `i8`.
     pub fn name(self) -> &'static str {
         match self {
             Self::F64 => "f64",
@@ -89,8 +85,7 @@ impl StoredDtype {
     }
 }
 
-/// Location of a tensor: element `[i, j, ..]` starts at byte `offset + size * (i * strides[0] + j *
-/// strides[1] + ..)`.
+/// Element `[i, j, ..]` starts at byte `offset + size * (i * strides[0] + j * strides[1] + ..)`.
 #[derive(Debug)]
 pub(super) struct Stored {
     pub dtype: StoredDtype,
@@ -102,8 +97,7 @@ pub(super) struct Stored {
 }
 
 impl Stored {
-    /// Creates a tensor within the first `end` bytes, or returns the reason for failure. `strides`
-    /// count elements and may overlap or leave gaps.
+    /// Fails unless all elements lie before `end`. `strides` may overlap or leave gaps.
     pub fn new(
         dtype: StoredDtype,
         shape: Vec<usize>,
@@ -129,14 +123,12 @@ impl Stored {
         }
     }
 
-    /// Creates a contiguous tensor in C order.
     pub fn dense(dtype: StoredDtype, shape: Vec<usize>, offset: usize, end: usize) -> Result<Self, String> {
         let strides = c_order(&shape);
         Self::new(dtype, shape, strides, offset, end)
     }
 
-    /// Joins integers `[rows, width]` and scales `[rows, width / Q8_GROUP]` f16, or returns the
-    /// reason for failure.
+    /// Adds scales `[rows, width / Q8_GROUP]` f16.
     pub fn with_scales(self, scales: &Self) -> Result<Self, String> {
         let expected = match self.shape[..] {
             [rows, width] if Q8::fits(width) => [rows, width / Q8::GROUP],
@@ -155,14 +147,11 @@ impl Stored {
         self.scales.is_some()
     }
 
-    /// Bytes of values and scales.
     pub fn bytes(&self) -> usize {
         let values = self.shape.iter().product::<usize>();
         values * self.dtype.size() + self.scales.map_or(0, |_| Q8::scales_of(values) * size_of::<f16>())
     }
 
-    /// Reads integers and scales.
-    ///
     /// # Panics
     /// If the tensor is not Q8.
     pub fn read_q8(&self, file: &[u8]) -> Q8 {
@@ -179,7 +168,7 @@ impl Stored {
         let bytes = &file[self.offset..];
         match self.dtype {
             StoredDtype::I8 => self.read_q8(file).values(out),
-            // Overflow becomes infinite, which the caller rejects.
+            // The caller rejects infinity.
             StoredDtype::F64 => self.gather(bytes, out, |bytes| f64::from_le_bytes(bytes) as f32),
             StoredDtype::F32 => self.gather(bytes, out, f32::from_le_bytes),
             StoredDtype::F16 => self.gather(bytes, out, |bytes| f16::from_le_bytes(bytes).to_f32()),
@@ -197,7 +186,6 @@ impl Stored {
         }
     }
 
-    /// Storage index of an element by its C-order index.
     fn element(&self, mut rest: usize) -> usize {
         let axes = self.shape.iter().zip(&self.strides).rev();
         axes.fold(0, |sum, (&size, &stride)| {

@@ -1,5 +1,4 @@
-//! `torch.save` archives: a pickle of tensor descriptions and an uncompressed zip entry per
-//! storage.
+//! `torch.save` archives: a pickle and a zip entry per storage.
 
 use std::collections::HashMap;
 use std::io::{self, Cursor};
@@ -13,17 +12,16 @@ use super::pickle::{Id, Object, Pickle, Tensor};
 use super::tensor::{Stored, StoredDtype};
 use crate::{Error, Result};
 
-/// Maximum pickle bytes; the largest variant needs 0.2 million.
+/// The largest variant needs 0.2 million.
 const MAX_PICKLE: usize = 1 << 24;
 const MAX_LAYERS: usize = 256;
-/// Keys of a nested state dictionary.
 const MODEL: [&str; 2] = ["model", "state_dict"];
 
 pub(super) fn is_archive(file: &[u8]) -> bool {
     file.starts_with(b"PK\x03\x04")
 }
 
-/// Locates the tensors of `model` or a bare state dictionary; [`Error::Format`] if malformed.
+/// [`Error::Format`] if malformed.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let mut archive = Archive::open(file).map_err(malformed)?;
@@ -41,7 +39,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let mut found = Contents { conf, picture_side, ..Contents::default() };
     let holder = MODEL.iter().find_map(|key| pickle.entries(pickle.get(pickle.root, key)?));
     let is_tensor = |&&(_, value): &&(Id, Id)| matches!(pickle.object(value), Object::Tensor(_));
-    // Bare state dictionaries may also have counters.
+    // May contain counters.
     let bare = || pickle.entries(pickle.root).map(|all| all.iter().filter(is_tensor).collect::<Vec<_>>());
     let model = holder.map(|all| all.iter().collect()).or_else(bare).filter(|model: &Vec<_>| !model.is_empty());
     let absent = || malformed("data.pkl: found no dictionary `model`, nor tensors in its place".into());
@@ -54,8 +52,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// Settings and image side from the training configuration; all are optional. The reference nests
-/// those of the backbone and the head.
+/// Optional settings; the reference nests those of backbone and head.
 fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
     let Some(conf) = pickle.get(pickle.root, "conf") else { return Ok(Default::default()) };
     let model = pickle.get(conf, "model").unwrap_or(conf);
@@ -88,9 +85,9 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
 
 struct Archive<'a> {
     zip: ZipArchive<Cursor<&'a [u8]>>,
-    /// Common folder, with trailing slash.
+    /// With trailing slash.
     root: String,
-    /// Bytes not claimed by entries, to reject overlapping entries.
+    /// Rejects overlapping entries.
     unclaimed: usize,
     length: usize,
     /// Ranges of known storages.
@@ -103,7 +100,7 @@ impl<'a> Archive<'a> {
         let root = zip.file_names().find_map(|name| name.strip_suffix("data.pkl"));
         let root = root.ok_or("the zip archive has no entry data.pkl: found no PyTorch checkpoint")?.to_string();
         let mut archive = Self { zip, root, unclaimed: file.len(), length: file.len(), storages: HashMap::new() };
-        // Missing before PyTorch 2.1, whose archives are little-endian in practice.
+        // Missing before PyTorch 2.1, little-endian in practice.
         if archive.zip.index_for_name(&format!("{}byteorder", archive.root)).is_some() {
             let range = archive.entry("byteorder")?;
             let found = String::from_utf8_lossy(&file[range]);
@@ -114,7 +111,7 @@ impl<'a> Archive<'a> {
         Ok(archive)
     }
 
-    /// Range of an entry, after verifying its checksum.
+    /// Verifies the checksum.
     fn entry(&mut self, name: &str) -> Result<Range<usize>, String> {
         let full = format!("{}{name}", self.root);
         let context = |reason: String| format!("{name}: {reason}");

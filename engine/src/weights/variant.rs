@@ -19,11 +19,10 @@ pub(super) struct Variant<'a> {
 
 /// Field names for messages.
 const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, gaussians_per_token or sh_degree";
-/// Coarse bounds; [`Architecture::validate`] is stricter.
+/// [`Architecture::validate`] is stricter.
 const NUMBERS: RangeInclusive<usize> = 0..=1 << 16;
 
 impl<'a> Variant<'a> {
-    /// Parses a variant; [`Error::Argument`] for unknown fields or invalid numbers.
     pub fn parse(text: Option<&'a str>) -> Result<Self> {
         let mut found = Self::default();
         for (i, part) in text.into_iter().flat_map(|text| text.split(':')).enumerate() {
@@ -55,7 +54,6 @@ impl<'a> Variant<'a> {
         Ok(found)
     }
 
-    /// Checks for contradictions with a stated architecture.
     pub fn check(&self, stated: &Architecture, file: &str) -> Result<()> {
         let Self { name, out_layers, alt_start, rope_start, camera_heads, gaussians_per_token, sh_degree } = self;
         if let Some(name) = name.filter(|name| *name != stated.name) {

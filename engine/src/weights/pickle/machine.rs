@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::{Callable, Id, Object, Storage, Tensor, size, sizes, text};
 use crate::weights::tensor::MAX_RANK;
 
-/// Memory limit: objects, references, stack and memo entries, and marks. The largest training
-/// checkpoints need about a sixth. Each may come from one byte and take up to 32.
+/// Limit on all stored items, six times the largest training checkpoint; bounds memory per input
+/// byte.
 const MAX_HELD: usize = 1 << 20;
 
 pub(super) struct Machine<'a> {
@@ -28,7 +28,7 @@ impl<'a> Machine<'a> {
         Self { bytes, at: 0, objects: vec![Object::Other], stack, marks, memo, references: 0 }
     }
 
-    /// Runs one opcode; returns the root object at the end.
+    /// Returns the root at the end.
     pub fn step(&mut self) -> Result<Option<Id>, String> {
         let root = self.run()?;
         let held = self.objects.len() + self.references + self.stack.len() + self.marks.len() + self.memo.len();
@@ -86,7 +86,6 @@ impl<'a> Machine<'a> {
         Ok(taken)
     }
 
-    /// Unsigned little-endian number of up to 8 bytes.
     fn number(&mut self, bytes: u64) -> Result<u64, String> {
         Ok(self.take(bytes)?.iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
     }
@@ -235,7 +234,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Storages are persistent objects: ("storage", type, key, device, element count).
+    /// ("storage", type, key, device, element count).
     fn persistent(&mut self) -> Result<(), String> {
         let id = self.pop()?;
         let storage = || {
@@ -262,7 +261,7 @@ impl<'a> Machine<'a> {
             (Callable::OrderedDict, []) | (Callable::DefaultDict, [] | [_]) => self.push(Object::Dict(Vec::new())),
             (Callable::PlainData, _) => self.push_other(),
             (Callable::RebuildParameter, &[tensor, ..]) => self.stack.push(tensor),
-            // The remaining arguments, requires_grad and hooks, do not matter.
+            // The remaining arguments do not matter.
             (Callable::RebuildTensor, &[storage, offset, shape, strides, ..]) => {
                 let objects = &self.objects;
                 let Object::Storage(storage) = &objects[storage] else {
@@ -282,7 +281,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Ignores attributes: `_metadata` of a `state_dict`, byte order of numpy types.
+    /// Attributes are ignored: `_metadata`, numpy byte order.
     fn build(&mut self) -> Result<(), String> {
         self.pop()?;
         match self.objects[self.top()?] {
@@ -292,7 +291,7 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Whether a name is a plain data type or constructor found in training checkpoints.
+/// Plain data types and constructors in training checkpoints.
 fn is_plain_data(module: &str, name: &str) -> bool {
     const BUILTINS: [&str; 10] =
         ["bool", "bytearray", "bytes", "complex", "dict", "float", "frozenset", "int", "list", "set"];

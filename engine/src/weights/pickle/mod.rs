@@ -1,8 +1,8 @@
 //! Reads `torch.save` pickles without executing code.
 //!
-//! A pickle is a program for a stack machine (see Python's `pickletools`). Objects are stored in
-//! one bounded list and refer to each other by index, so sharing, cycles and depth are harmless.
-//! Calls only rebuild tensors, dictionaries and plain data; other names are rejected.
+//! A pickle is a stack machine program (Python's `pickletools`). Objects refer to each other by
+//! index in one bounded list, so sharing, cycles and depth are harmless. Calls build tensors,
+//! dictionaries and plain data only.
 
 mod machine;
 
@@ -13,7 +13,7 @@ pub(super) type Id = usize;
 /// Pickle object.
 #[derive(Debug)]
 pub(super) enum Object<'a> {
-    /// Ignored values: None, booleans, floats, bytes, integers beyond 64 bits, plain data.
+    /// Ignored values.
     Other,
     Int(i64),
     Text(&'a str),
@@ -33,11 +33,11 @@ pub(super) enum Callable {
     DefaultDict,
     RebuildTensor,
     RebuildParameter,
-    /// Numbers, sets, paths and the like, whose values are ignored.
+    /// Ignored values: numbers, sets, paths.
     PlainData,
 }
 
-/// Tensor storage: `kind` is the `torch` class, `key` the archive entry.
+/// `kind` is the `torch` class, `key` the archive entry.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Storage<'a> {
     pub kind: &'a str,
@@ -45,7 +45,7 @@ pub(super) struct Storage<'a> {
     pub elements: usize,
 }
 
-/// View into a storage; offset and strides count elements.
+/// Offset and strides count elements.
 #[derive(Debug)]
 pub(super) struct Tensor<'a> {
     pub storage: Storage<'a>,
@@ -54,7 +54,6 @@ pub(super) struct Tensor<'a> {
     pub strides: Vec<usize>,
 }
 
-/// Reason for failure, and the opcode's byte offset.
 #[derive(Debug)]
 pub(super) struct Malformed {
     pub offset: usize,
@@ -83,7 +82,6 @@ impl<'a> Pickle<'a> {
         &self.objects[id]
     }
 
-    /// Entries, if `id` is a dictionary.
     pub fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
         match self.object(id) {
             Object::Dict(entries) => Some(entries),
@@ -93,7 +91,7 @@ impl<'a> Pickle<'a> {
 
     pub fn get(&self, dict: Id, key: &str) -> Option<Id> {
         let is_key = |id: Id| matches!(self.object(id), Object::Text(text) if *text == key);
-        // Python keeps the last of duplicate keys.
+        // Python keeps the last duplicate.
         self.entries(dict)?.iter().rev().find(|&&(id, _)| is_key(id)).map(|&(_, value)| value)
     }
 
@@ -112,7 +110,6 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// A list or tuple of at most `max` sizes.
     pub fn sizes(&self, id: Id, max: usize) -> Option<Vec<usize>> {
         sizes(&self.objects, id, max)
     }
