@@ -1,4 +1,4 @@
-//! Pixel-aligned Gaussians from depth and the Gaussian head, in f64.
+//! Pixel-aligned Gaussians of the Gaussian head, in f64.
 //!
 //! Source: Depth Anything 3.
 
@@ -8,18 +8,17 @@ use crate::{
 };
 use glam::DVec3;
 
-/// Range of scales, relative to `PIXEL`.
+/// In units of `PIXEL`.
 const SCALES: [f64; 2] = [1e-5, 30.0];
-/// Pixels per unit of scale.
 const PIXEL: f64 = 0.1;
-/// Color coefficients at degree 2.
+/// Degree 2.
 const COEFFS: usize = 9;
 const SH_DEGREE: u32 = 2;
 /// Coefficient scale by degree.
 const FACTORS: [f64; 3] = [1.0, 0.025, 0.00625];
 
-/// Decodes a view's Gaussians, in world space. `camera` has the size of `depth`, `[height, width]`;
-/// `values` are `[height, width, GAUSSIAN_VALUES]`.
+/// Decodes Gaussians in world space, for `depth` `[height, width]` of `camera` and `values`
+/// `[height, width, GAUSSIAN_VALUES]`.
 pub fn pixel_gaussians(depth: &[f32], values: &[f32], camera: &Camera) -> Scene {
     let lens = &camera.intrinsics;
     let rotation = camera.pose.rotation;
@@ -34,7 +33,7 @@ pub fn pixel_gaussians(depth: &[f32], values: &[f32], camera: &Camera) -> Scene 
         scene.means.push(camera.pose.transform(ray * distance).as_vec3().to_array());
         let unit = distance * PIXEL * (1.0 / lens.fx + 1.0 / lens.fy);
         scene.scales.push([2, 3, 4].map(|i| ((SCALES[0] + (SCALES[1] - SCALES[0]) * sigmoid(value(i))) * unit) as f32));
-        // The released code changes the quaternion order here; the weights depend on it.
+        // The weights depend on this order of the released code.
         let own = matrix_from_quaternion([value(7), value(8), value(5), value(6)]);
         let [w, x, y, z] = quaternion_from_matrix(&(rotation * own));
         scene.quats.push([x, y, z, w].map(|q| q as f32));

@@ -1,4 +1,4 @@
-//! Depth, rays and cameras from photos, by Depth Anything 3.
+//! Depth from photos, by Depth Anything 3.
 
 mod gaussians;
 mod model;

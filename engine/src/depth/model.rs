@@ -15,11 +15,11 @@ use crate::{
 };
 use std::ops::ControlFlow;
 
-/// ImageNet mean and standard deviation, for normalization.
+/// ImageNet statistics.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// A depth network with its weights on a device.
+/// A depth network on a device.
 pub struct DepthModel {
     device: Device,
     network: DepthNetwork,
@@ -30,31 +30,30 @@ pub struct DepthModel {
 /// Depth request.
 #[derive(Clone, Debug)]
 pub struct DepthRequest {
-    /// Known cameras of all views, at image size.
+    /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Reference view without known cameras. By default the network chooses the most typical of
-    /// three or more views, else the first.
+    /// Reference view without cameras. Defaults to the most typical of three or more, else the
+    /// first.
     pub reference: Option<usize>,
-    /// Ratio of patches kept in [`Depths::scene`].
+    /// Ratio of patches in [`Depths::scene`].
     pub ratio: Ratio,
     /// Selection of those patches.
     pub selection: Selection,
 }
 
 impl Default for DepthRequest {
-    /// No cameras, automatic reference, every patch.
+    /// No cameras, every patch.
     fn default() -> Self {
         Self { cameras: None, reference: None, ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS }
     }
 }
 
 impl DepthModel {
-    /// Loads a checkpoint onto a device. Heads are f32 in every precision. `progress` gets the
-    /// fraction done and may cancel.
+    /// Loads a checkpoint. Heads are always f32. `progress` gets the fraction done and may cancel.
     ///
     /// # Errors
-    /// [`Memory`](crate::Error::Memory) if the device has too little; errors of the checkpoint;
-    /// [`Cancelled`](crate::Error::Cancelled).
+    /// [`Memory`](crate::Error::Memory), [`Cancelled`](crate::Error::Cancelled), errors of the
+    /// checkpoint.
     pub fn load(
         device: &Device,
         checkpoint: &DepthCheckpoint,
@@ -71,22 +70,21 @@ impl DepthModel {
         &self.network.architecture
     }
 
-    /// Network, for plans under other limits.
+    /// The network, for plans.
     pub fn network(&self) -> &DepthNetwork {
         &self.network
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.network.weight_bytes()
     }
 
-    /// Estimates depth for images of one size, divisible by the patch.
+    /// Estimates depth of images of one size, divisible by the patch.
     ///
     /// # Errors
-    /// [`Argument`](crate::Error::Argument) for invalid images or requests,
-    /// [`Memory`](crate::Error::Memory) before submission if the device has too little,
-    /// [`Cancelled`](crate::Error::Cancelled) by `progress`.
+    /// [`Argument`](crate::Error::Argument), [`Memory`](crate::Error::Memory) before submission,
+    /// [`Cancelled`](crate::Error::Cancelled).
     pub fn depths(
         &self,
         images: &[Image],
@@ -104,7 +102,7 @@ impl DepthModel {
             (None, Some(_)) => Some(request.selection.indices(shape.grid.tokens(), shape.tokens)),
             (None, None) => None,
         };
-        // Centroids may share a nearest patch.
+        // Centroids may share a patch.
         patches.iter_mut().for_each(|patches| {
             patches.sort_unstable();
             patches.dedup();
@@ -113,7 +111,7 @@ impl DepthModel {
         Ok(Depths { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
-    /// Returns the shape of a request for these images.
+    /// Returns the shape of a request.
     ///
     /// # Errors
     /// [`Argument`](crate::Error::Argument) for invalid input.
@@ -125,10 +123,10 @@ impl DepthModel {
         Ok(shape)
     }
 
-    /// Records a plan, optionally observing intermediate tensors.
+    /// Records a plan, optionally observed.
     ///
     /// # Errors
-    /// [`Memory`](crate::Error::Memory) if a tensor exceeds the device's limits.
+    /// [`Memory`](crate::Error::Memory).
     pub fn record(&self, shape: DepthShape, observe: bool) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(self.device.limits());
         if observe {
@@ -138,15 +136,15 @@ impl DepthModel {
         Ok((rec.finish()?, tensors))
     }
 
-    /// Allocates a plan of this model.
+    /// Allocates a plan.
     ///
     /// # Errors
-    /// [`Memory`](crate::Error::Memory) if the device has too little.
+    /// [`Memory`](crate::Error::Memory).
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
-    /// Writes the inputs of a run.
+    /// Writes the inputs.
     ///
     /// # Errors
     /// Failed transfers; unusable cameras.

@@ -1,5 +1,3 @@
-//! The depth network, from pixels to head outputs.
-
 use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
@@ -8,7 +6,7 @@ use crate::{
     stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, cluster, heads::HeadTensors},
 };
 
-/// Parameters of a depth network.
+/// Depth network parameters.
 pub struct DepthNetwork {
     pub(super) architecture: DepthArchitecture,
     pub(super) parameters: ParameterLayout,
@@ -30,33 +28,32 @@ pub struct DepthShape {
     pub kept: Kept,
 }
 
-/// Inputs and outputs of a plan.
+/// Inputs and outputs.
 pub struct DepthTensors {
-    /// `[views, 3, height, width]` f32, normalized.
+    /// `[views, 3, height, width]` f32.
     pub(super) images: Tensor,
     pub(super) backbone: Vec<Tensor>,
     pub(super) heads: HeadTensors,
-    /// Initial centroids' patches or the kept patches; absent if all are kept.
+    /// Initial or kept patches, unless all are kept.
     pub(super) indices: Option<Tensor>,
-    /// `[tokens]` u32: patches selected by k-means.
+    /// `[tokens]` u32, from k-means.
     pub(super) chosen: Option<Tensor>,
 }
 
 impl DepthNetwork {
-    /// Lays out a network without a device. Heads are f32 in every precision.
+    /// Lays out a network without a device; heads are always f32.
     pub fn new(architecture: &DepthArchitecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
         let mut parameters = ParameterLayout::new(limits, arithmetic);
         let stages = DepthStages::new(&mut parameters, architecture);
         Self { architecture: architecture.clone(), parameters, stages }
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.parameters.bytes()
     }
 
-    /// Returns the shape for `views` images of `[width, height]` pixels. For `reference` see
-    /// [`DepthRequest::reference`](super::DepthRequest::reference).
+    /// Returns the shape for `views` images of `[width, height]` pixels.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid input.
@@ -104,10 +101,10 @@ impl DepthNetwork {
         DepthTensors { images, backbone, heads, indices, chosen }
     }
 
-    /// Plans a shape without a device.
+    /// Plans without a device.
     ///
     /// # Errors
-    /// [`Error::Memory`] if a tensor exceeds these limits.
+    /// [`Error::Memory`].
     pub fn plan(&self, limits: &Limits, shape: DepthShape) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(limits);
         let tensors = self.record(&mut rec, shape);

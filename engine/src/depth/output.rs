@@ -11,7 +11,7 @@ use crate::{
     types::Camera,
 };
 
-/// Depth and further outputs of all views.
+/// Outputs of all views.
 #[derive(Clone, Debug)]
 pub struct Depths {
     /// Width in pixels.
@@ -22,19 +22,19 @@ pub struct Depths {
     pub views: Vec<DepthView>,
     /// Patch side in pixels.
     pub patch: usize,
-    /// Kept patches, ascending in raster order within views; `None` if all are kept.
+    /// Kept patches, ascending, unless all are kept.
     pub patches: Option<Vec<u32>>,
     /// Time per stage.
     pub times: StageTimes,
-    /// Bytes of the arena and the weights.
+    /// Arena and weight bytes.
     pub peak_bytes: u64,
 }
 
 impl Depths {
-    /// Returns the decoded cameras, at depth size, in the reference view's world.
+    /// Returns the decoded cameras, at depth size.
     ///
     /// # Errors
-    /// [`Error::Argument`] for single-view networks or invalid cameras.
+    /// [`Error::Argument`] for separate views or invalid cameras.
     pub fn cameras(&self) -> Result<Vec<Camera>> {
         let camera = |(i, view): (usize, &DepthView)| {
             let encoding = view.encoding.as_ref().ok_or_else(by_themselves)?;
@@ -45,10 +45,10 @@ impl Depths {
         self.views.iter().enumerate().map(camera).collect()
     }
 
-    /// Scales depth to the world of known cameras, by comparison with the decoded ones.
+    /// Scales depth to the world of known cameras.
     ///
     /// # Errors
-    /// [`Error::Argument`] for coincident cameras or single-view networks.
+    /// [`Error::Argument`] for coincident cameras or separate views.
     pub fn bring_to(&mut self, cameras: &[Camera]) -> Result<()> {
         let centres = |cameras: &[Camera]| cameras.iter().map(|camera| camera.pose.translation).collect::<Vec<_>>();
         let scale = scale_between(&centres(cameras), &centres(&self.cameras()?));
@@ -59,8 +59,7 @@ impl Depths {
         Ok(())
     }
 
-    /// Scales a metric network's depth, which assumes a focal length of [`METRIC_FOCAL`], to meters
-    /// for each view's camera.
+    /// Scales metric depth, predicted for [`METRIC_FOCAL`], to meters.
     pub fn to_metres(&mut self, cameras: &[Camera]) {
         for (view, Camera { intrinsics: lens, .. }) in self.views.iter_mut().zip(cameras) {
             let factor = (lens.fx + lens.fy) / 2.0 / METRIC_FOCAL;
@@ -68,8 +67,7 @@ impl Depths {
         }
     }
 
-    /// Scales each view's depth by the median ratio to the visible points. Cameras and points share
-    /// a world. For single-view networks, whose views differ in scale.
+    /// Scales each view by the median depth ratio to visible points, in the cameras' world.
     ///
     /// # Errors
     /// The first view without visible points.
@@ -93,7 +91,7 @@ impl Depths {
         Ok(())
     }
 
-    /// Removes views whose flag is unset.
+    /// Removes unflagged views.
     pub fn keep_views(&mut self, kept: &[bool]) {
         let all = kept.len();
         let place: Vec<usize> = (0..all).map(|view| kept[..view].iter().filter(|kept| **kept).count()).collect();
@@ -109,10 +107,10 @@ impl Depths {
         }
     }
 
-    /// Estimates cameras from rays, in the same world; each view may fail.
+    /// Estimates cameras from rays; each view may fail.
     ///
     /// # Errors
-    /// [`Error::Argument`] for single-view networks.
+    /// [`Error::Argument`] for separate views.
     pub fn cameras_of_rays(&self) -> Result<Vec<Result<FoundCamera>>> {
         let camera = |view: &DepthView| {
             let rays = view.rays.as_ref().ok_or_else(by_themselves)?;
@@ -122,19 +120,18 @@ impl Depths {
     }
 }
 
-/// Focal length in pixels for metric depth in meters.
+/// Focal length of metric depth in pixels.
 pub const METRIC_FOCAL: f64 = 300.0;
 
 /// Sky threshold.
 pub(super) const SKY: f32 = 0.3;
-/// Minimum pixels of sky and of the rest for a sky depth.
+/// Minimum pixels of sky and of the rest.
 const FEWEST: usize = 10;
-/// Quantile of the rest used as sky depth.
+/// Quantile used as sky depth.
 const BEHIND: f64 = 0.99;
 
 impl DepthView {
-    /// Depth with sky moved behind 99 % of the rest. Unchanged without a sky output, or with too
-    /// few pixels of either.
+    /// Depth with sky behind 99 % of the rest, if there are enough pixels of both.
     pub fn depth_behind_sky(&self) -> Vec<f32> {
         let mut depth = self.depth.clone();
         let Some(sky) = &self.sky else { return depth };
@@ -159,19 +156,18 @@ fn by_themselves() -> Error {
 /// Depth of a view.
 #[derive(Clone, Debug)]
 pub struct DepthView {
-    /// `[height, width]` along the camera's axis, in arbitrary units shared by joint views.
+    /// `[height, width]` along the camera axis, in arbitrary units.
     pub depth: Vec<f32>,
     /// `[height, width]`, at least 1.
     pub confidence: Option<Vec<f32>>,
     /// Rays of joint views.
     pub rays: Option<RayMap>,
-    /// `[height, width]`, at least 0, for separate views: sky above 0.3.
+    /// `[height, width]` for separate views: sky above 0.3.
     pub sky: Option<Vec<f32>>,
-    /// Decoded camera of joint views: center 3, unnormalized camera-to-world quaternion xyzw 4,
-    /// vertical and horizontal field of view in radians.
+    /// Decoded camera of joint views: center 3, camera-to-world quaternion xyzw 4, vertical and
+    /// horizontal field of view in radians.
     pub encoding: Option<[f32; 9]>,
-    /// `[height, width, GAUSSIAN_VALUES]` of a Gaussian head, see
-    /// [`pixel_gaussians`](super::pixel_gaussians).
+    /// `[height, width, GAUSSIAN_VALUES]`, see [`pixel_gaussians`](super::pixel_gaussians).
     pub gaussians: Option<Vec<f32>>,
 }
 
@@ -205,7 +201,6 @@ pub(super) fn read(
     Ok(Depths { width, height, views, patch: grid.patch, patches: None, times, peak_bytes })
 }
 
-/// Decodes seven values per ray.
 fn rays(values: &[f32], grid: ViewGrid) -> Result<RayMap> {
     let [width, height] = [grid.columns, grid.rows].map(|count| 8 * count as u32);
     let (rays, _) = values.as_chunks::<7>();

@@ -1,4 +1,4 @@
-//! Isotropic Gaussians per pixel, from depth and color alone.
+//! Isotropic Gaussians from depth and color.
 
 use super::{DepthView, Depths, output::SKY, pixel_gaussians};
 use crate::types::{Camera, Image, Scene};
@@ -6,14 +6,14 @@ use glam::DVec3;
 
 /// Constant spherical harmonic.
 const SH0: f32 = 0.282_094_79;
-/// Standard deviation in pixels, enough overlap to hide the grid.
+/// In pixels, enough to hide the grid.
 const SIGMA: f64 = 0.6;
 /// Opacity at full confidence.
 const OPACITY: f32 = 0.95;
 /// Opacity threshold.
 const FAINT: f32 = 0.05;
 
-/// Adds a pixel-sized isotropic Gaussian for each pixel of positive depth, in world space.
+/// Adds an isotropic Gaussian per pixel of positive depth.
 pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
     let shown = depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
     shown.for_each(|(at, depth)| add_pixel(scene, camera, image, at, (*depth, OPACITY)));
@@ -32,12 +32,10 @@ fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (dept
 }
 
 impl Depths {
-    /// Returns a Gaussian per confident pixel, in the cameras' world.
+    /// Returns a Gaussian per confident pixel of the kept patches, in the cameras' world.
     ///
-    /// Without a Gaussian head they are isotropic, pixel-sized and colored by `images`. Opacity
-    /// grows with confidence up to the threshold of [`Depths::points`]. Sky and invalid depth are
-    /// dropped. Only kept patches ([`Depths::patches`]) count; `keep` limits each to its most
-    /// visible Gaussians.
+    /// Without a head they are isotropic, with opacity by confidence. Sky is dropped; `keep` limits
+    /// patches to their most visible Gaussians.
     pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
         let of_head = self.views.iter().any(|view| view.gaussians.is_some());
         let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };
@@ -45,7 +43,6 @@ impl Depths {
         let patches = columns * (self.height as usize / side);
         let all: Vec<u32> = (0..(self.views.len() * patches) as u32).collect();
         let kept = self.patches.as_deref().unwrap_or(&all);
-        // Pixels of a view's patch, in raster order.
         let pixels = |patch: usize| {
             let corner = (patch / columns * columns * side + patch % columns) * side;
             (0..side * side).map(move |i| corner + i / side * columns * side + i % side)
@@ -67,7 +64,7 @@ impl Depths {
                     round
                 }
             };
-            // Invisible, so that they rank last.
+            // Ranked last.
             for (i, _) in at.iter().enumerate().filter(|(_, at)| !view.shows(**at)) {
                 (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
             }
@@ -83,19 +80,18 @@ impl Depths {
 }
 
 impl DepthView {
-    /// Mean confidence, 1 without that output.
+    /// Mean confidence, by default 1.
     pub fn mean_confidence(&self) -> f64 {
         let all = self.confidence.as_deref().unwrap_or(&[1.0]);
         all.iter().map(|value| f64::from(*value)).sum::<f64>() / all.len().max(1) as f64
     }
 
-    /// Whether a pixel has a valid depth and is not sky.
     pub(super) fn shows(&self, at: usize) -> bool {
         let sky = self.sky.as_ref().is_some_and(|sky| sky[at] >= SKY);
         !sky && self.depth[at].is_finite() && self.depth[at] > 0.0
     }
 
-    /// Opacity of a pixel: linear in confidence above 1, full at `least`.
+    /// Linear in confidence above 1, full at `least`.
     fn opacity(&self, at: usize, least: f32) -> f32 {
         let Some(confidence) = &self.confidence else { return OPACITY };
         if least > 1.0 { OPACITY * ((confidence[at] - 1.0) / (least - 1.0)).clamp(0.0, 1.0) } else { OPACITY }

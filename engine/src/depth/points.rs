@@ -4,13 +4,12 @@ use super::Depths;
 use crate::types::{Camera, Image};
 use glam::DVec3;
 
-/// Confidence threshold, clamped to these quantiles so that some but not all pixels pass.
+/// Threshold, clamped to quantiles so that some but not all pixels pass.
 const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 
 impl Depths {
-    /// Returns colored world points of confident pixels, at most `most`, evenly sampled. Cameras
-    /// and images are per view.
+    /// Returns at most `most` colored world points of confident pixels.
     pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let least = self.least_confidence();
         let mut kept = Vec::new();
