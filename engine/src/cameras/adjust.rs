@@ -1,4 +1,4 @@
-//! Camera refinement: Levenberg-Marquardt on the reprojection error, with Cauchy's robust loss.
+//! Levenberg-Marquardt on the reprojection error, with Cauchy's loss.
 
 use super::Pair;
 use crate::types::{Camera, Pose};
@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// Maximum steps.
 const STEPS: usize = 50;
-/// Minimum relative gain to continue.
+/// Relative gain.
 const TOLERANCE: f64 = 1e-12;
 /// Maximum damping.
 const MOST_DAMPING: f64 = 1e12;
@@ -16,8 +16,7 @@ const UNKNOWNS: usize = 7;
 type Vector = [f64; UNKNOWNS];
 type Matrix = [Vector; UNKNOWNS];
 
-/// Returns the camera refined on `pairs`, with noise of about `scale` pixels. `lens` also refines
-/// one focal length for both axes.
+/// Refines a camera with noise of `scale` pixels, and optionally one focal length.
 pub fn adjusted(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> Camera {
     let (mut best, mut loss, mut damping) = (*camera, loss(camera, pairs, scale), 1e-3);
     for _ in 0..STEPS {
@@ -50,7 +49,7 @@ pub fn error(camera: &Camera, pair: &Pair) -> Option<DVec2> {
     (at.z > 0.0 && pixel.is_finite()).then(|| pixel - pair.pixel)
 }
 
-/// Cauchy loss over all pairs; points behind the camera count as distant outliers.
+/// Points behind the camera count as outliers.
 fn loss(camera: &Camera, pairs: &[Pair], scale: f64) -> f64 {
     const BEHIND: f64 = 1e6;
     let square =
@@ -58,7 +57,6 @@ fn loss(camera: &Camera, pairs: &[Pair], scale: f64) -> f64 {
     pairs.iter().map(|pair| square(pair).ln_1p()).sum()
 }
 
-/// Weighted normal matrix and descent direction.
 fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> (Matrix, Vector) {
     let (mut matrix, mut gradient) = ([[0.0; UNKNOWNS]; UNKNOWNS], [0.0; UNKNOWNS]);
     for pair in pairs {
@@ -80,7 +78,7 @@ fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> 
     (matrix, gradient)
 }
 
-/// Derivatives of a pair's pixel with respect to the unknowns of [`moved`].
+/// Derivatives with respect to the unknowns of [`moved`].
 fn slopes(camera: &Camera, pair: &Pair, lens: bool) -> [Vector; 2] {
     let (intrinsics, axes) = (&camera.intrinsics, camera.pose.rotation.transpose());
     let at = axes * (pair.point - camera.pose.translation);
@@ -93,7 +91,6 @@ fn slopes(camera: &Camera, pair: &Pair, lens: bool) -> [Vector; 2] {
     [row(intrinsics.fx, DVec3::X, at.x), row(intrinsics.fy, DVec3::Y, at.y)]
 }
 
-/// Rotates and shifts a camera along its own axes and scales its focal length.
 fn moved(camera: &Camera, [a, b, c, x, y, z, focal]: Vector) -> Camera {
     let turn = DQuat::from_scaled_axis(DVec3::new(a, b, c));
     let Pose { rotation, translation } = camera.pose;
@@ -107,7 +104,7 @@ fn moved(camera: &Camera, [a, b, c, x, y, z, focal]: Vector) -> Camera {
     Camera { intrinsics, pose }
 }
 
-/// Solves a positive definite system by Cholesky factorization; `None` if it is not.
+/// By Cholesky factorization; `None` if not positive definite.
 fn solved(mut a: Matrix, mut b: Vector) -> Option<Vector> {
     for i in 0..UNKNOWNS {
         for j in 0..=i {
@@ -127,7 +124,6 @@ mod tests {
     use super::*;
     use crate::{random::Random, types::Intrinsics};
 
-    /// In the order of [`moved`].
     #[test]
     fn slopes_are_those_of_differences() {
         let intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };

@@ -1,7 +1,6 @@
-//! Cameras from point-pixel pairs (PnP), from rays, and from decoder values.
+//! Cameras from PnP, from rays and from decoder values, on the host in f64.
 //!
-//! PnP uses P3P hypotheses and LO-RANSAC (Chum, Matas, Kittler, Locally Optimized RANSAC, 2003),
-//! then refines on all inliers. All on the host in f64.
+//! PnP: P3P, LO-RANSAC (Chum, Matas, Kittler, Locally Optimized RANSAC, 2003), refinement.
 
 mod adjust;
 mod decoded;
@@ -25,7 +24,7 @@ use focal::weighted_median;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// A world point and its pixel, with pixel centers at +0.5.
+/// A world point and its pixel; centers at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
     /// In world space.
@@ -34,7 +33,7 @@ pub struct Pair {
     pub pixel: DVec2,
 }
 
-/// A camera estimated from pairs or rays.
+/// An estimated camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundCamera {
     /// Camera in the points' world.
@@ -50,30 +49,28 @@ pub struct FoundCamera {
 pub struct Search {
     /// Inlier threshold in pixels.
     pub tolerance: f64,
-    /// Known focal length in pixels, for both axes.
+    /// Known focal length in pixels.
     pub focal: Option<f64>,
-    /// Random seed; results are reproducible.
+    /// Random seed.
     pub seed: u64,
 }
 
-/// Minimum inliers: any four points nearly fit some camera.
+/// Minimum inliers: four points nearly always fit.
 pub const FEWEST: usize = 6;
-/// Maximum tries with a known focal length.
+/// With a known focal length.
 const TRIES: usize = 1000;
 /// Confidence that stops RANSAC.
 const CERTAINTY: f64 = 0.9999;
-/// Candidate focal lengths relative to the longer side: fields of view from 100 to 20 degrees.
+/// Relative to the longer side, for 100 to 20 degrees.
 const FOCALS: [f64; 9] = [0.42, 0.53, 0.66, 0.83, 1.04, 1.3, 1.63, 2.04, 2.84];
-/// Maximum tries per candidate focal length.
 const TRIES_OF_FOCAL: usize = 200;
 /// Rounds of local optimization.
 const ROUNDS: usize = 3;
 
-/// Estimates a camera of `[width, height]` pixels with a centered principal point from `pairs`.
+/// Estimates a camera of `[width, height]` pixels with a centered principal point.
 ///
 /// # Errors
-/// [`Error::Argument`] for fewer than [`FEWEST`] pairs or inliers, or an invalid focal length or
-/// tolerance.
+/// [`Error::Argument`] for fewer than [`FEWEST`] pairs or inliers, or an invalid search.
 pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -> Result<FoundCamera> {
     let expected = || format!("{FEWEST} or more");
     for (name, length) in [("focal length", search.focal), ("tolerance", Some(search.tolerance))] {
@@ -102,8 +99,7 @@ pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -
     }
 }
 
-/// Estimates cameras of one size and lens, as [`find_camera`]. Without `focal`, uses the median
-/// estimate, weighted by inliers.
+/// Estimates cameras of one lens, by default with their weighted median focal length.
 pub fn find_cameras(
     pairs: &[Vec<Pair>],
     size: [u32; 2],
@@ -132,9 +128,8 @@ struct Ransac<'a> {
 }
 
 impl Ransac<'_> {
-    /// Samples with a lens until the best camera is certain.
     fn run(&mut self, lens: &Intrinsics, tries: usize) {
-        // Costs of other lenses do not stop this one early.
+        // Costs of other lenses do not stop this one.
         let (mut cost, mut needed, mut tried) = (f64::INFINITY, tries, 0);
         while tried < needed {
             tried += 1;
@@ -153,7 +148,7 @@ impl Ransac<'_> {
         }
     }
 
-    /// Best camera of three random pairs.
+    /// Best of three random pairs.
     fn sample(&mut self, lens: &Intrinsics) -> Option<Camera> {
         let mut chosen = [0; 3];
         for i in 0..3 {
@@ -173,7 +168,6 @@ impl Ransac<'_> {
         cameras.map(|camera| (self.cost(&camera), camera)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, camera)| camera)
     }
 
-    /// Local optimization on inliers, while the cost decreases.
     fn optimized(&self, mut camera: Camera) -> Camera {
         let (tolerance, lens) = (self.search.tolerance, self.search.focal.is_none());
         let mut cost = self.cost(&camera);
@@ -192,7 +186,7 @@ impl Ransac<'_> {
         camera
     }
 
-    /// MSAC cost: squared errors relative to the tolerance, capped at 1.
+    /// MSAC: relative squared errors, capped at 1.
     fn cost(&self, camera: &Camera) -> f64 {
         let most = self.search.tolerance * self.search.tolerance;
         let square = |pair: &Pair| error(camera, pair).map_or(1.0, |error| (error.length_squared() / most).min(1.0));
@@ -205,7 +199,7 @@ fn agreeing(camera: &Camera, pairs: &[Pair], tolerance: f64) -> Vec<Pair> {
     pairs.iter().filter(agrees).copied().collect()
 }
 
-/// Tries needed to sample three inliers, given their ratio.
+/// Given the inlier ratio.
 fn needed_tries(share: f64) -> usize {
     let all_good = share.powi(3).clamp(1e-9, 1.0 - 1e-9);
     ((1.0 - CERTAINTY).ln() / (1.0 - all_good).ln()).ceil() as usize

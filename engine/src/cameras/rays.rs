@@ -1,8 +1,7 @@
-//! Cameras from pixel rays.
+//! Cameras from pixel rays, on the host in f64.
 //!
-//! Directions satisfy d ~ R K^-1 p. The homography A = R K^-1 minimizes d x A p over unit vectors,
-//! by iteratively reweighted least squares (Holland and Welsch 1977). QR factors of A are R and
-//! K^-1, including the principal point. All on the host in f64.
+//! Directions are d ~ A p with A = R K^-1, found by iteratively reweighted least squares on d x A p
+//! (Holland and Welsch 1977) and QR factorization.
 
 use super::FoundCamera;
 use crate::{
@@ -12,7 +11,7 @@ use crate::{
 use glam::{DMat3, DVec3};
 use nalgebra::{Matrix3, SMatrix, SymmetricEigen};
 
-/// A grid of rays of a view.
+/// Rays of a view.
 #[derive(Clone, Debug)]
 pub struct RayMap {
     /// Width of the grid.
@@ -21,7 +20,7 @@ pub struct RayMap {
     pub height: u32,
     /// World directions, unnormalized.
     pub directions: Vec<[f32; 3]>,
-    /// World origins: the camera center, per ray.
+    /// World origins per ray.
     pub origins: Vec<[f32; 3]>,
     /// Confidences, at least 1.
     pub confidence: Vec<f32>,
@@ -29,7 +28,7 @@ pub struct RayMap {
 
 /// Reweighting rounds.
 const ROUNDS: usize = 30;
-/// Angle, in medians, with a quarter of the weight.
+/// Medians at a quarter of the weight.
 const TYPICAL: f64 = 2.0;
 /// Inlier threshold in radians.
 const TOLERANCE: f64 = 0.1;
@@ -39,18 +38,17 @@ const AGREEING: f64 = 0.5;
 struct Ray {
     /// Unit direction.
     direction: DVec3,
-    /// Unit direction of the pixel, for an image spanning -1 to 1 at distance 1.
+    /// Unit direction, for an image spanning -1 to 1 at distance 1.
     pixel: DVec3,
     origin: DVec3,
     weight: f64,
 }
 
 impl RayMap {
-    /// Estimates a camera of `[width, height]` pixels, including the principal point.
+    /// Estimates a camera of `[width, height]` pixels and its principal point.
     ///
     /// # Errors
-    /// [`Error::Argument`] if fewer than half of the rays are inliers, or lengths do not match the
-    /// grid.
+    /// [`Error::Argument`] for too few inliers or wrong lengths.
     pub fn camera(&self, [width, height]: [u32; 2]) -> Result<FoundCamera> {
         let rays = self.rays()?;
         let map = homography(&rays);
@@ -99,12 +97,11 @@ impl RayMap {
     }
 }
 
-/// Angle between a ray and its mapped pixel, in radians.
 fn angle(map: &DMat3, ray: &Ray) -> f64 {
     (*map * ray.pixel).angle_between(ray.direction)
 }
 
-/// Robust homography from pixels to directions, up to scale; the identity without rays.
+/// Robust map from pixels to directions.
 fn homography(rays: &[Ray]) -> DMat3 {
     let mut map = DMat3::IDENTITY;
     let mut weights: Vec<f64> = rays.iter().map(|ray| ray.weight).collect();
@@ -122,7 +119,7 @@ fn homography(rays: &[Ray]) -> DMat3 {
     map
 }
 
-/// Unit-norm A minimizing the weighted sum of |d x A p|^2, with rays pointing forward.
+/// Unit-norm A with least weighted |d x A p|^2, facing forward.
 fn least_squares(rays: &[Ray], weights: &[f64]) -> DMat3 {
     let mut squares = SMatrix::<f64, 9, 9>::zeros();
     for (ray, weight) in rays.iter().zip(weights) {
@@ -140,8 +137,7 @@ fn least_squares(rays: &[Ray], weights: &[f64]) -> DMat3 {
     if forward < 0.0 { map * -1.0 } else { map }
 }
 
-/// Rotation R and intrinsics K of a map R K^-1, with K's last entry 1; `None` if mirrored or
-/// singular.
+/// R and K of a map R K^-1; `None` if mirrored or singular.
 fn factors(map: &DMat3) -> Option<(DMat3, DMat3)> {
     let qr = Matrix3::from_column_slice(&map.to_cols_array()).qr();
     let (q, r) = (qr.q(), qr.r());
