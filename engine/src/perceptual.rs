@@ -14,13 +14,13 @@ use std::{
     sync::Arc,
 };
 
-/// LPIPS 0.1 of image pairs, with third-party weights fetched by `tools/lpips.py`.
+/// LPIPS 0.1, with third-party weights.
 pub struct Perceptual {
     device: Device,
     network: LpipsNetwork,
     has_gradients: bool,
     weights: LpipsWeights,
-    /// Plans of the latest size: distance, gradient.
+    /// Distance, gradient.
     prepared: [Option<Prepared>; 2],
 }
 
@@ -30,7 +30,6 @@ pub(crate) struct LpipsWeights {
 }
 
 impl LpipsWeights {
-    /// Lays out the parameters without a device.
     pub fn layout(
         limits: &Limits,
         arithmetic: Arithmetic,
@@ -66,7 +65,7 @@ impl Perceptual {
     /// Path of the cached weights.
     ///
     /// # Errors
-    /// [`Error::Argument`] if they are missing, with the command to fetch them.
+    /// [`Error::Argument`] with the command to fetch them.
     pub fn file(network: LpipsNetwork) -> Result<PathBuf> {
         let name = format!("lpips_{}.safetensors", network.name());
         let folder = cache_folder().unwrap_or_default();
@@ -78,12 +77,11 @@ impl Perceptual {
         if path.is_file() { Ok(path) } else { Err(missing()) }
     }
 
-    /// Loads `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias` and
-    /// `taps.I.weight` from a file. `gradients` stores convolutions twice.
+    /// Loads `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
+    /// `taps.I.weight`.
     ///
     /// # Errors
-    /// [`Error::Io`], [`Error::Format`] and [`Error::Weights`] for the file; [`Error::Memory`] if
-    /// the device has too little.
+    /// [`Error::Io`], [`Error::Format`], [`Error::Weights`], [`Error::Memory`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
@@ -95,24 +93,22 @@ impl Perceptual {
         self.network
     }
 
-    /// Distance of two images of size `[width, height]`, `[height][width][rgb]` in 0..1; 0 if
-    /// equal. Like the reference's metric, does not clamp.
+    /// Returns the distance of images `[height][width][rgb]` in 0..1, unclamped, of size `[width,
+    /// height]`.
     ///
     /// # Errors
-    /// [`Error::Argument`] for small images or wrong lengths; [`Error::Memory`] if the device has
-    /// too little.
+    /// [`Error::Argument`] for invalid sizes; [`Error::Memory`].
     pub fn distance(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<f64> {
         Ok(self.run(pictures, size, false)?.0)
     }
 
-    /// Distance of images clamped to 0..1, like the reference's loss, and its gradient with respect
-    /// to the first.
+    /// Returns the distance of clamped images and its gradient for the first.
     ///
     /// # Errors
     /// As [`Perceptual::distance`].
     ///
     /// # Panics
-    /// If the weights were loaded without gradients.
+    /// If loaded without gradients.
     pub fn gradient(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<(f64, Vec<f32>)> {
         assert!(self.has_gradients, "weights that were loaded with gradients");
         self.run(pictures, size, true)

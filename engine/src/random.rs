@@ -2,7 +2,6 @@
 
 use std::f64::consts::TAU;
 
-/// The golden ratio in 64 bits.
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).

@@ -27,33 +27,31 @@ use std::{ops::ControlFlow, sync::Mutex};
 /// A reconstructed scene.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// Gaussians on the device, in the first view's camera space.
+    /// Gaussians, in the first view's camera space.
     pub gaussians: DeviceScene,
     /// Number of decoded tokens.
     pub tokens: usize,
-    /// Source patches of the tokens. Each token has equally many consecutive Gaussians.
+    /// Source patches; tokens have equally many consecutive Gaussians.
     pub patches: Patches,
     /// Time per stage.
     pub times: StageTimes,
-    /// Commands, bytes and operations per kernel and stage, without times.
+    /// Commands, bytes and operations per kernel.
     pub outline: Profile,
     /// Skipped stages.
     pub left_out: Vec<LeftOut>,
-    /// Bytes of the arena, the weights and the Gaussians.
+    /// Arena, weight and Gaussian bytes.
     pub peak_bytes: u64,
 }
 
-/// A network with its weights on a device.
+/// A network on a device.
 pub struct Model {
     device: Device,
     network: Network,
     parameters: Parameters,
     arena: Arena,
-    /// Cached plan of the last shape.
     recorded: Mutex<Option<Recorded>>,
 }
 
-/// A cached plan with its memory.
 struct Recorded {
     shape: Shape,
     run: Run,
@@ -63,7 +61,7 @@ struct Recorded {
     scenes: Vec<SceneMemory>,
 }
 
-/// Maximum number of cached scene memories.
+/// Maximum cached scene memories.
 const SCENES: usize = 2;
 
 impl Reconstruction {
@@ -75,8 +73,7 @@ impl Reconstruction {
         self.gaussians.read()
     }
 
-    /// Estimates view cameras from token positions, see [`Patches::cameras`]. `scene` is the full
-    /// [`Reconstruction::scene`].
+    /// Estimates view cameras from [`Reconstruction::scene`], see [`Patches::cameras`].
     ///
     /// # Errors
     /// [`Error::Argument`] for known cameras or another scene.
@@ -86,10 +83,10 @@ impl Reconstruction {
 }
 
 impl Model {
-    /// Loads a checkpoint onto a device, in f32. `progress` gets the fraction done and may cancel.
+    /// Loads a checkpoint in f32. `progress` gets the fraction done and may cancel.
     ///
     /// # Errors
-    /// Too little device memory; errors of the checkpoint; [`Error::Cancelled`].
+    /// [`Error::Memory`], [`Error::Cancelled`], errors of the checkpoint.
     pub fn load(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -98,7 +95,7 @@ impl Model {
         Self::load_with(device, checkpoint, Chosen::exact(device), progress)
     }
 
-    /// [`Model::load`] with a supported arithmetic.
+    /// [`Model::load`] with an arithmetic.
     ///
     /// # Errors
     /// As [`Model::load`] and [`Network::of`].
@@ -114,7 +111,7 @@ impl Model {
         Ok(Self { device: device.clone(), network, parameters, arena, recorded })
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.network.weight_bytes()
     }
@@ -124,17 +121,16 @@ impl Model {
         &self.network.architecture
     }
 
-    /// Arena of reconstructions, for renderers of their scenes.
+    /// Arena of its scenes.
     pub fn arena(&self) -> &Arena {
         &self.arena
     }
 
-    /// Reconstructs a scene on the device from images of one size, divisible by the patch. The same
-    /// shape reuses plan and memory. If another thread is using the arena, allocates a new one.
+    /// Reconstructs a scene from images of one size, divisible by the patch, reusing the last plan.
+    /// Concurrent calls use separate arenas.
     ///
     /// # Errors
-    /// [`Error::Argument`] for invalid images or requests, [`Error::Memory`] before submission if
-    /// the device has too little, [`Error::Cancelled`] by `progress`.
+    /// [`Error::Argument`], [`Error::Memory`] before submission, [`Error::Cancelled`].
     pub fn reconstruct(
         &self,
         images: &[Image],
@@ -145,7 +141,7 @@ impl Model {
         let Some(_claim) = self.arena.claim() else {
             return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, request, progress);
         };
-        // Guarded by the claim; a panic leaves no partial state.
+        // The claim is exclusive; a panic leaves no partial state.
         let mut recorded = self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         self.reconstruct_in(&self.arena, &mut recorded, shape, images, request, progress)
     }
@@ -160,7 +156,7 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
-            // Frees memory before allocating the next.
+            // Frees memory first.
             *recorded = None;
             *recorded = Some(self.record_for(arena, shape)?);
         }
@@ -168,7 +164,7 @@ impl Model {
         let free = match scenes.iter().position(SceneMemory::is_free) {
             Some(free) => free,
             None => {
-                // Scenes in use stay with their owners.
+                // Owners keep their scenes.
                 scenes.truncate(SCENES - 1);
                 scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
                 scenes.len() - 1
@@ -199,12 +195,12 @@ impl Model {
     /// Plans a reconstruction.
     ///
     /// # Errors
-    /// [`Error::Memory`] if a tensor exceeds the device's limits.
+    /// [`Error::Memory`].
     pub fn plan(&self, shape: Shape) -> Result<NetworkPlan> {
         self.network.plan(self.device.limits(), shape)
     }
 
-    /// Returns the shape of a request for these images.
+    /// Returns the shape of a request.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid input.
@@ -220,7 +216,7 @@ impl Model {
         Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())?.pooled(request.pool)
     }
 
-    /// Records a plan, optionally observing intermediate tensors.
+    /// Records a plan, optionally observed.
     pub fn record(&self, shape: Shape, observe: bool) -> Result<(Plan, Tensors)> {
         let mut rec = Recorder::new(self.device.limits());
         if observe {
@@ -230,15 +226,15 @@ impl Model {
         Ok((rec.finish()?, tensors))
     }
 
-    /// Allocates a plan of this model.
+    /// Allocates a plan.
     ///
     /// # Errors
-    /// [`Error::Memory`] if the device has too little.
+    /// [`Error::Memory`].
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
-    /// Writes the inputs of a run.
+    /// Writes the inputs.
     ///
     /// # Errors
     /// Failed transfers; unusable cameras.
@@ -284,7 +280,7 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) 
     Ok(())
 }
 
-/// Interleaved RGB8 to `[views, 3, height, width]` f32 in 0..1.
+/// RGB8 to `[views, 3, height, width]` f32 in 0..1.
 pub(crate) fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
     for image in images {

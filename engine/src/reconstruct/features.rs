@@ -1,4 +1,4 @@
-//! Device-resident intermediates: features for several scenes, and scene tokens for refinement.
+//! Features and scene tokens kept on the device.
 
 use super::{Model, Patches, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
 };
 use std::{ops::ControlFlow, sync::Arc};
 
-/// Backbone features on the device, for scenes of any ratio and selection.
+/// Backbone features, for several scenes.
 pub struct Features {
     shape: Shape,
     tensors: FeatureTensors,
@@ -34,7 +34,7 @@ impl Features {
     }
 }
 
-/// Head input tokens on the device.
+/// Head inputs on the device.
 pub struct SceneTokens {
     memory: Arc<Resident>,
     tensor: Tensor,
@@ -44,7 +44,7 @@ pub struct SceneTokens {
 }
 
 impl SceneTokens {
-    /// `[count, width]` f32: scene tokens beside color features.
+    /// `[count, width]` f32: scene tokens beside colors.
     pub fn tensor(&self) -> Tensor {
         self.tensor
     }
@@ -71,8 +71,7 @@ impl SceneTokens {
 }
 
 impl Model {
-    /// Runs the backbone and keeps its features on the device. Uses cameras, unit and pooling of
-    /// `request`.
+    /// Runs the backbone, with cameras, unit and pooling of `request`.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
@@ -95,8 +94,8 @@ impl Model {
         Ok(Features { shape, tensors, memory, unit: request.unit, times })
     }
 
-    /// Decodes features to a scene, bit-identical to [`Model::reconstruct`]. Uses ratio and
-    /// selection of `request`.
+    /// Decodes features bit-identically to [`Model::reconstruct`], with ratio and selection of
+    /// `request`.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
@@ -132,8 +131,7 @@ impl Model {
         })
     }
 
-    /// Fuses features to scene tokens on the device, for [`crate::refine::refine_tokens`]. Uses
-    /// ratio and selection of `request`.
+    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `request`.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].

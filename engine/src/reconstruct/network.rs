@@ -17,7 +17,7 @@ pub struct Network {
     pub(super) stages: Stages,
 }
 
-/// Inputs and outputs of a plan.
+/// Inputs and outputs.
 #[derive(Clone, Debug)]
 pub struct Tensors {
     pub(super) inputs: Inputs,
@@ -34,23 +34,21 @@ pub(super) struct Inputs {
     pub backbone: Vec<Tensor>,
 }
 
-/// Inputs and outputs that select a scene's tokens.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
-    /// `[1]` f32: scene scale, for Gaussians.
+    /// `[1]` f32 scene scale.
     pub unit: Option<Tensor>,
-    /// Initial centroids' tokens or the kept tokens; absent at ratio 1.
+    /// Initial or kept tokens, unless all are kept.
     pub indices: Option<Tensor>,
-    /// `[tokens]` u32: tokens selected by k-means.
+    /// `[tokens]` u32, from k-means.
     pub chosen: Option<Tensor>,
 }
 
-/// Features between backbone and decoding.
 #[derive(Clone, Debug)]
 pub(super) struct FeatureTensors {
-    /// `[views, 3, height, width]` f32, RGB in 0..1, for colors.
+    /// `[views, 3, height, width]` f32, RGB in 0..1.
     pub images: Tensor,
-    /// f32 tokens per layer, deepest first.
+    /// f32, deepest first.
     pub layers: Vec<Rows>,
 }
 
@@ -64,9 +62,9 @@ impl FeatureTensors {
     }
 }
 
-/// A plan from photos to device Gaussians.
+/// A plan to device Gaussians.
 pub struct NetworkPlan {
-    /// Commands; they need the weights and a memory of `layout`.
+    /// Commands.
     pub plan: Plan,
     /// Inputs and outputs.
     pub tensors: Tensors,
@@ -75,7 +73,7 @@ pub struct NetworkPlan {
 }
 
 impl NetworkPlan {
-    /// Bytes of the arena and the Gaussians.
+    /// Arena and Gaussian bytes.
     pub fn bytes(&self) -> u64 {
         self.plan.arena_bytes() + self.layout.bytes()
     }
@@ -87,7 +85,7 @@ impl Network {
         Self::laid_out(architecture, ParameterLayout::new(limits, arithmetic))
     }
 
-    /// Lays out a checkpoint's network without a device, keeping 8-bit weights.
+    /// Lays out a checkpoint's network without a device.
     ///
     /// # Errors
     /// As [`Checkpoint::suits`].
@@ -103,21 +101,21 @@ impl Network {
         Self { architecture: architecture.clone(), parameters, stages }
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.parameters.bytes()
     }
 
-    /// Records the forward pass, with Gaussians read by the host.
+    /// Records the forward pass to host Gaussians.
     pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
         let into = SceneTensors::output(rec, self.gaussians_of(shape), self.architecture.sh_degree as u32);
         self.record_into(rec, shape, into)
     }
 
-    /// Plans the forward pass without a device, with Gaussians kept on the device.
+    /// Plans the forward pass to device Gaussians, without a device.
     ///
     /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) if a tensor exceeds these limits.
+    /// [`Error::Memory`](crate::Error::Memory).
     pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
         let mut layout = ResidentLayout::new(limits);
         let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);
@@ -138,7 +136,6 @@ impl Network {
         Tensors { inputs, choice, scene }
     }
 
-    /// Records photos to features in `into`.
     pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> Inputs {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
@@ -161,7 +158,6 @@ impl Network {
         Choice { unit: Some(unit), ..choice }
     }
 
-    /// Records features to head input tokens in `into`.
     pub(super) fn record_tokens(
         &self,
         rec: &mut Recorder,
@@ -175,7 +171,6 @@ impl Network {
         choice
     }
 
-    /// Token selection, and the head's inputs: scene tokens and colors.
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
@@ -212,7 +207,7 @@ impl Tensors {
         &self.scene
     }
 
-    /// Reads the scene after a run of [`Network::record`].
+    /// Reads the scene of [`Network::record`].
     ///
     /// # Errors
     /// Failed transfers.

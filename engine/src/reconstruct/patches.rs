@@ -1,4 +1,4 @@
-//! Source patches of tokens, and view cameras derived from them.
+//! Source patches of tokens, and derived cameras.
 
 use super::{Request, Shape, network::Choice};
 use crate::{
@@ -10,18 +10,18 @@ use crate::{
 };
 use glam::{DVec2, DVec3};
 
-/// The source patch of each token.
+/// Source patch per token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Patches {
     grid: ViewGrid,
-    /// Token indices, unless all are kept.
+    /// Unless all are kept.
     kept: Option<Vec<u32>>,
     /// Whether cameras were known.
     posed: bool,
 }
 
 impl Patches {
-    /// Creates the patches of tokens `kept` in `grid`, or of all.
+    /// Patches of tokens `kept`, or all.
     pub fn new(grid: ViewGrid, kept: Option<Vec<u32>>) -> Self {
         Self { grid, kept, posed: false }
     }
@@ -35,7 +35,7 @@ impl Patches {
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
     }
 
-    /// Patch index per token, in raster order within views.
+    /// Patch index per token.
     pub fn indices(&self) -> Vec<u32> {
         self.kept.clone().unwrap_or_else(|| (0..self.grid.tokens() as u32).collect())
     }
@@ -45,12 +45,12 @@ impl Patches {
         self.kept.as_ref().map_or(self.grid.tokens(), Vec::len)
     }
 
-    /// Whether there are no tokens.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// View of a token, and its patch center in pixels.
+    /// View and patch center in pixels.
     pub fn patch(&self, token: usize) -> (usize, DVec2) {
         let index = self.kept.as_ref().map_or(token, |kept| kept[token] as usize);
         let (view, patch) = (index / self.grid.patches(), index % self.grid.patches());
@@ -58,11 +58,10 @@ impl Patches {
         (view, (place + 0.5) * self.grid.patch as f64)
     }
 
-    /// Returns each view's pairs: a token's opacity-weighted mean position and its patch center. A
-    /// token's Gaussians are consecutive.
+    /// Returns pairs per view: tokens' opacity-weighted means and patch centers.
     ///
     /// # Errors
-    /// [`Error::Argument`] unless all tokens have equally many Gaussians.
+    /// [`Error::Argument`] unless tokens have equally many Gaussians.
     pub fn pairs(&self, scene: &Scene) -> Result<Vec<Vec<Pair>>> {
         if self.is_empty() || scene.is_empty() || !scene.len().is_multiple_of(self.len()) {
             let expected = format!("so many for each of the {} tokens", self.len());
@@ -84,8 +83,7 @@ impl Patches {
         Ok(pairs)
     }
 
-    /// Estimates view cameras at network size, in the scene's world; each view may fail. Views
-    /// share a focal length in pixels, `focal` or estimated.
+    /// Estimates view cameras with a shared focal length; each view may fail.
     ///
     /// # Errors
     /// [`Error::Argument`] if cameras were known; as [`Patches::pairs`].
@@ -96,7 +94,7 @@ impl Patches {
         }
         let ViewGrid { rows, columns, patch, .. } = self.grid;
         let size = [columns, rows].map(|count| (count * patch) as u32);
-        // A Gaussian may belong to any pixel of its patch.
+        // Any pixel of the patch is possible.
         Ok(find_cameras(&self.pairs(scene)?, size, focal, patch as f64))
     }
 }

@@ -13,10 +13,9 @@ use crate::{
 /// Maximum views per reconstruction.
 pub const MAX_VIEWS: usize = 192;
 
-/// Maximum patches of all views; kernel indices fit 32 bits.
+/// Maximum patches of all views, for 32-bit indices.
 pub const MAX_PATCHES: usize = 1 << 20;
 
-/// Maximum k-means rounds; it converges earlier.
 const MAX_ROUNDS: usize = 100;
 
 /// Ratio of kept tokens.
@@ -31,8 +30,7 @@ pub enum Ratio {
 /// Token selection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selection {
-    /// Tokens nearest to the centroids after this many k-means rounds; [`Selection::KMEANS`]
-    /// follows the paper.
+    /// Tokens nearest to k-means centroids, after a number of rounds.
     Kmeans(usize),
     /// Evenly spread.
     Stride,
@@ -43,7 +41,7 @@ pub enum Selection {
 }
 
 impl Selection {
-    /// K-means with the reference's rounds.
+    /// The reference's rounds.
     pub const KMEANS: Self = Self::Kmeans(ROUNDS);
 }
 
@@ -54,18 +52,17 @@ pub struct Request {
     pub ratio: Ratio,
     /// Token selection.
     pub selection: Selection,
-    /// Known cameras of all views, at image size.
+    /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Scene scale: the length, in units of `cameras` and the scene, that the network sees as 1.
-    /// Training scenes have a median distance of about 1 from the first camera.
+    /// Scene scale: the length that the network sees as 1, the median distance from the first
+    /// camera in training.
     pub unit: f64,
-    /// Side in patches of pooled keys and values, 1 to [`Pool::MAX_SIDE`], for global attention and
-    /// fusion. Larger is faster and less exact; pays off with many photos.
+    /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub pool: usize,
 }
 
 impl Default for Request {
-    /// Every token, no cameras, unit 1, no pooling.
+    /// Every token, no cameras.
     fn default() -> Self {
         Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0, pool: 1 }
     }
@@ -86,19 +83,19 @@ pub struct Shape {
     pub pool: usize,
 }
 
-/// Kept tokens of a plan.
+/// Kept tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
     /// All, without clustering.
     All,
-    /// Nearest to the centroids after this many k-means rounds.
+    /// Nearest to k-means centroids.
     Kmeans(usize),
     /// Indices from an input.
     Indices,
 }
 
 impl Shape {
-    /// Returns the shape for `views` images of `[width, height]` pixels, without a device.
+    /// Returns the shape for `views` images of `[width, height]` pixels.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid input.
@@ -114,7 +111,7 @@ impl Shape {
         Ok(Self { grid, tokens, kept, cameras, pool: 1 })
     }
 
-    /// Sets pooling, see [`Request::pool`].
+    /// Sets [`Request::pool`].
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid side.
@@ -143,8 +140,6 @@ impl Shape {
 }
 
 impl Kept {
-    /// Number and kind of kept tokens.
-    ///
     /// # Errors
     /// [`Error::Argument`] for invalid input.
     pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &Selection)) -> Result<(usize, Self)> {
@@ -175,7 +170,7 @@ impl Kept {
 }
 
 impl Selection {
-    /// The kept tokens, or the initial centroids of k-means.
+    /// Kept tokens or initial centroids.
     pub(crate) fn indices(&self, all: usize, tokens: usize) -> Vec<u32> {
         match self {
             Self::Kmeans(_) | Self::Stride => even_indices(all, tokens),
@@ -193,7 +188,6 @@ fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
     }
 }
 
-/// Validates cameras against their images.
 pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
     if cameras.len() != images.len() {
         return Err(Error::argument("cameras", cameras.len(), format!("{}, one a view", images.len())));
@@ -209,7 +203,6 @@ pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
     Ok(())
 }
 
-/// Common size of all images.
 pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {
     let size = images.first().map_or([0; 2], |first| [first.width, first.height]);
     for (i, image) in images.iter().enumerate() {
@@ -223,7 +216,6 @@ pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {
     Ok(size)
 }
 
-/// Validates the size and returns the patch grid.
 pub(crate) fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
     if !(1..=MAX_VIEWS).contains(&views) {
         return Err(Error::argument("views", views, format!("1 to {MAX_VIEWS}")));
