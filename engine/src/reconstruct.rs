@@ -206,6 +206,7 @@ impl Model {
     /// [`Error::Argument`] for invalid input.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
         let size = size_of(images)?;
+        // The scene is f32.
         if !(request.unit as f32).is_normal() || request.unit < 0.0 {
             return Err(Error::argument("unit", request.unit, "a length above 0"));
         }
