@@ -11,11 +11,11 @@ use glam::{DMat3, DVec3};
 /// Weights of a loss that is a weighted sum of outputs.
 #[derive(Clone, Debug, Default)]
 pub struct Weights {
-    /// `[pictures, H, W, 3]`.
+    /// `[images, H, W, 3]`.
     pub rgb: Vec<f64>,
-    /// `[pictures, H, W]`.
+    /// `[images, H, W]`.
     pub alpha: Vec<f64>,
-    /// `[pictures, H, W]`.
+    /// `[images, H, W]`.
     pub depth: Vec<f64>,
 }
 
