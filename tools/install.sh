@@ -24,7 +24,9 @@ for folder in include "$lib" "$lib/pkgconfig" "$lib/cmake/zipsplat"; do
 done
 if [[ -z $libs ]]; then
   PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
-  cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-c
+  echo "zipsplat: building the C library, which takes some minutes the first time" >&2
+  # With the command: both then use one set of features, and neither build invalidates the other.
+  cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-c -p zipsplat-cli
   libs=${CARGO_TARGET_DIR:-$root/target}/release
 fi
 [[ -e $libs/libzipsplat_c.a ]] || die "there is no libzipsplat_c.a in $libs: cargo build --release -p zipsplat-c makes it"

@@ -66,7 +66,7 @@ fn forward_adds_up() {
 }
 
 #[test]
-fn the_linear_layer_and_the_host_agree() {
+fn linear_layers_agree_with_f64() {
     let rows = rows(&Folder::new(), "gemm");
     let exact = rows.iter().filter(|row| row["kernel"] == "exact").count();
     assert_eq!((exact, rows.len() % exact), (3, 0), "one a shape and kernel");
@@ -78,7 +78,7 @@ fn the_linear_layer_and_the_host_agree() {
             _ => 1e-2,
         };
         assert!(row["difference"].as_f64().is_some_and(|difference| difference < most), "{row}");
-        assert!(ordered(&row["device_ms"]) && ordered(&row["host_ms"]), "{row}");
+        assert!(ordered(&row["device_ms"]), "{row}");
         assert!(shared(&row["peak_share"], true), "{row}");
     }
     let text = Folder::new().run("bench gemm --warmup 0 --repeats 1").success();

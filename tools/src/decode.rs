@@ -4,7 +4,6 @@ use crate::{
     process::{POLL, Running, failure, listen},
     session::Stage,
 };
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use std::{
     ffi::OsString,
     io::{self, BufRead, BufReader, Read},
@@ -146,13 +145,10 @@ pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> 
 /// Writes a photo.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// Those of [`Image::jpeg`], [`Error::Io`].
 pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
-    write_atomic(path, |out| {
-        let encoder = JpegEncoder::new_with_quality(out, QUALITY);
-        let written = encoder.write_image(&image.rgb, image.width, image.height, ExtendedColorType::Rgb8);
-        written.map_err(io::Error::other)
-    })
+    let bytes = image.jpeg(QUALITY)?;
+    write_atomic(path, |out| out.write_all(&bytes))
 }
 
 #[cfg(test)]

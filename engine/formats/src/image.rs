@@ -5,8 +5,9 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
+use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader, Limits, codecs::png::PngEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageReader, Limits};
 
 use super::camera::{Camera, Intrinsics, Pose};
 use super::file::{open_file, write_atomic};
@@ -133,9 +134,22 @@ impl Image {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
             PngEncoder::new(out)
-                .write_image(&self.rgb, self.width, self.height, image::ExtendedColorType::Rgb8)
+                .write_image(&self.rgb, self.width, self.height, ExtendedColorType::Rgb8)
                 .map_err(std::io::Error::other)
         })
+    }
+
+    /// Encodes a JPEG of `quality` 1 to 100.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the fields disagree or a side is longer than a JPEG can have.
+    pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>> {
+        self.validate()?;
+        let mut bytes = Vec::new();
+        let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+        let written = encoder.write_image(&self.rgb, self.width, self.height, ExtendedColorType::Rgb8);
+        written.map_err(|error| Error::argument("picture", format!("{self:?}: {error}"), "sides up to 65,535"))?;
+        Ok(bytes)
     }
 
     /// A rendered frame as a picture: `[height][width][rgb]` floats are clamped to 0..1, multiplied by 255 and truncated,
