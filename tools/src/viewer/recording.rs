@@ -73,6 +73,9 @@ impl Studio {
             return Err(Error::argument("pictures to record", cameras.len(), format!("1 to {MOST}")));
         }
         common_size(&cameras)?;
+        if let Some(wrong) = wanted.background.iter().find(|channel| !(0.0..=1.0).contains(*channel)) {
+            return Err(Error::argument("background", wrong, "channels from 0 to 1"));
+        }
         let (name, kind) = match wanted.format {
             Format::Mp4 => ("recorded.mp4", "video/mp4"),
             Format::Gif => ("recorded.gif", "image/gif"),
