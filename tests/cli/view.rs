@@ -6,14 +6,20 @@ use sha2::{Digest, Sha256};
 use std::{
     io::{Read, Write},
     net::TcpStream,
+    os::unix::fs::PermissionsExt,
+    path::Path,
     sync::{
         atomic::{AtomicBool, Ordering},
         mpsc::{Sender, channel},
     },
+    time::Duration,
 };
 use zipsplat::types::{Scene, decode_scene, read_scene, write_ply};
 use zipsplat_cli::{Terminal, run};
-use zipsplat_tests::scenes;
+use zipsplat_tests::{
+    processes::{assert_succeeds, child, target},
+    scenes,
+};
 
 fn folder() -> Folder {
     let folder = Folder::new();
@@ -238,25 +244,36 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
         for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
             assert_eq!(get(wrong).0, 404, "{wrong}");
         }
+        // A number that none can exceed overtakes no later request.
+        assert_eq!([get(&format!("made/0.5/exact?{}", u64::MAX)).0, get("made/0.5/exact?1").0], [200, 200]);
+        assert_eq!(get("made/NaN/exact").0, 500);
         let (status, words) = get("made/2/exact");
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("(0, 1]"), "{words:?}");
 
         let matrix = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
         let camera = serde_json::json!({ "camera_to_world": matrix, "fov": 50.0, "aspect": 1.0 });
-        let record = |scene: &str, frames: usize| {
+        let record_at = |scene: &str, frames: usize, fps: u32, background: [f64; 3]| {
             let path_of = serde_json::json!({ "camera_type": "perspective", "render_width": 24, "render_height": 16,
                 "camera_path": vec![&camera; frames] });
-            let body = serde_json::json!({ "scene": scene, "path": path_of, "background": [1, 0, 0], "fps": 10,
+            let body = serde_json::json!({ "scene": scene, "path": path_of, "background": background, "fps": fps,
                 "format": "gif" })
             .to_string();
             let length = body.len();
             send(port, &format!("POST {path}record {host}\r\nContent-Length: {length}"), &body)
         };
+        let record = |scene: &str, frames: usize| record_at(scene, frames, 10, [1.0, 0.0, 0.0]);
         let (status, gif) = record("made/0.5/exact", 3);
         assert!(status == 200 && gif.starts_with(b"GIF89a"), "{status} {}", String::from_utf8_lossy(&gif));
         let (status, words) = record("scene/0", 3);
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("scene to record"));
         assert_eq!(record("made/0.5/exact", 0).0, 500);
+        for (fps, background, words) in
+            [(0, [0.0; 3], "fps"), (51, [0.0; 3], "fps"), (65_536, [0.0; 3], "u16"), (10, [2.0; 3], "background")]
+        {
+            let (status, found) = record_at("made/0.5/exact", 3, fps, background);
+            let found = String::from_utf8_lossy(&found).into_owned();
+            assert!(status == 500 && found.contains(words) && !found.contains("defect"), "{fps}: {status} {found}");
+        }
     });
 }
 
@@ -304,6 +321,86 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         let Outcome { code, err, .. } = command(&taken, &AtomicBool::new(false));
         assert!(code != 0 && err.contains(&format!("port {port}")), "{err}");
     });
+}
+
+#[test]
+fn no_client_ends_or_holds_the_page() {
+    let folder = folder();
+    served(&folder.line("zipsplat view @/scene.ply"), |port, path| {
+        let open = |start: &str| {
+            let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a server");
+            stream.write_all(start.as_bytes()).expect("a request can be sent");
+            stream
+        };
+        let post = |path: &str, length: &str| {
+            format!("POST {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Length: {length}\r\n\r\n")
+        };
+        let answer = |mut stream: TcpStream| {
+            let mut answer = Vec::new();
+            // A connection that is closed before its request is complete is reset.
+            let _ = stream.read_to_end(&mut answer);
+            String::from_utf8_lossy(&answer).into_owned()
+        };
+        let is_served = |after: &str| {
+            let (status, _) = ask(port, &format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}"));
+            assert_eq!(status, 200, "after {after}");
+        };
+        let record = format!("{path}record");
+        for (at, length, status) in [
+            ("/x", "100000000000000", " 404 "),
+            (&record, "100000000000000", " 413 "),
+            (&record, "16777217", " 413 "),
+            ("/x", "18446744073709551615", " 431 "),
+            (&record, "18446744073709551615", " 431 "),
+        ] {
+            let found = answer(open(&post(at, length)));
+            assert!(found.starts_with("HTTP/1.1") && found.contains(status), "{at} {length}: {found}");
+            is_served(length);
+        }
+        let mut endless = open(&format!("GET {path} HTTP/1.1\r\nX: "));
+        let sent = (0..1000).take_while(|_| endless.write_all(&[b'a'; 1 << 16]).is_ok()).count();
+        assert!(sent < 1000, "a header of {sent} blocks");
+        is_served("an endless header");
+        let bodies: Vec<_> = (0..8).map(|_| open(&post(&record, "100000"))).collect();
+        is_served("stalled bodies");
+        let headers: Vec<_> = (0..200).map(|_| open("GET / HTTP/1.1\r\nHost:")).collect();
+        is_served("stalled headers");
+        // Kept open while the server ends.
+        std::mem::forget((bodies, headers));
+    });
+}
+
+#[test]
+#[ignore = "child of the next test"]
+fn opens_the_page() {
+    let Some(folder) = target() else { return };
+    let line = format!("zipsplat view {} --open", folder.join("scene.ply").display());
+    served(&line, |port, path| {
+        let opened = folder.join("opened");
+        while !opened.exists() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let file = std::fs::read_to_string(opened).expect("arguments");
+        let page = std::fs::read_to_string(file.trim()).expect("a page");
+        assert!(page.contains(&format!("url=http://127.0.0.1:{port}{path}\"")), "{page}");
+        let mode = std::fs::metadata(file.trim()).expect("a page").permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+    });
+    let file = std::fs::read_to_string(folder.join("opened")).expect("arguments");
+    assert!(!Path::new(file.trim()).exists(), "{file}");
+}
+
+#[test]
+fn no_command_line_has_the_address_of_the_page() {
+    let folder = folder();
+    let browser = folder.path("xdg-open");
+    std::fs::write(&browser, "#!/bin/sh\necho \"$@\" > \"$OPENED.part\"\nmv \"$OPENED.part\" \"$OPENED\"\n")
+        .expect("written");
+    std::fs::set_permissions(&browser, PermissionsExt::from_mode(0o700)).expect("a program");
+    let mut child = child("view::opens_the_page", &folder.path(""), "");
+    let path = std::env::var("PATH").unwrap_or_default();
+    child.env("PATH", format!("{}:{path}", folder.path("").display())).env("OPENED", folder.path("opened"));
+    assert_succeeds(child);
 }
 
 #[test]

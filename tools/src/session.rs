@@ -47,7 +47,7 @@ pub struct Terminal<'a> {
 /// Options of every command.
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info` or a part of its name; with `info --plan` also none, for an ordinary one
+    /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not all digits; with `info --plan` also none, for an ordinary one
     /// [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,

@@ -102,12 +102,12 @@ impl Device {
         let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
         let matching: Vec<_> = devices
             .iter()
-            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector, devices.len())))
+            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector)))
             .collect();
         if matching.is_empty() {
             let selector = options.selector.clone().unwrap_or_default();
             return Err(Error::NoDevice(format!(
-                "none is '{selector}'; those of this machine: {}",
+                "none is '{selector}': digits are an index; those of this machine: {}",
                 names().join(", ")
             )));
         }

@@ -21,14 +21,16 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// True where a selector means this device, one of `count`: the number of one is nothing else, all others are a UUID, as
-    /// `nvidia-smi -L` writes it, or a part of a name.
-    pub(super) fn is_selected(&self, selector: &str, count: usize) -> bool {
+    /// True if a selector means this device: digits are an index, all else a UUID, as `nvidia-smi -L` writes it, or a
+    /// part of a name.
+    pub(super) fn is_selected(&self, selector: &str) -> bool {
         let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
-        match selector.parse::<usize>() {
-            Ok(index) if index < count => self.index == index,
+        match selector {
             _ if uuid.eq_ignore_ascii_case(self.limits.uuid()) => true,
-            _ => self.limits.name.to_lowercase().contains(&selector.to_lowercase()),
+            index if !index.is_empty() && index.bytes().all(|byte| byte.is_ascii_digit()) => {
+                index.parse() == Ok(self.index)
+            }
+            name => self.limits.name.to_lowercase().contains(&name.to_lowercase()),
         }
     }
 
@@ -267,14 +269,15 @@ mod tests {
         };
         let devices: Vec<_> = names.iter().enumerate().map(device).collect();
         let selected = |selector: &str| {
-            let found = devices.iter().filter(|d| d.is_selected(selector, devices.len()));
+            let found = devices.iter().filter(|d| d.is_selected(selector));
             found.map(|d| d.index).collect::<Vec<_>>()
         };
         assert_eq!([selected("0"), selected("1"), selected("2")], [vec![0], vec![1], vec![2]]);
         assert_eq!(
-            [selected("3"), selected("4090"), selected("nvidia"), selected("none")],
-            [vec![0], vec![1], vec![0, 1], vec![]]
+            [selected("3"), selected("4090"), selected("99999999999999999999"), selected("none")],
+            [const { Vec::<usize>::new() }; 4]
         );
+        assert_eq!([selected("nvidia"), selected("RTX 4090")], [vec![0, 1], vec![1]]);
         assert_eq!(selected("GPU-11234567-89ab-cdef-0123-456789abcdef"), [1]);
         assert_eq!(selected("2123456789ABCDEF0123456789abcdef"), [2]);
     }

@@ -9,6 +9,7 @@ use crate::{
     outputs::LOG_START,
     photos::names,
     process,
+    scratch::Scratch,
     session::{Session, Stage},
     table::counted,
 };
@@ -20,7 +21,7 @@ use std::{
     process::ExitStatus,
     time::{Duration, Instant},
 };
-use tempfile::{NamedTempFile, TempDir};
+use tempfile::NamedTempFile;
 use zipsplat::{
     Error, Result,
     types::{
@@ -122,7 +123,7 @@ pub struct Found {
     pub times: Vec<(&'static str, Duration)>,
     /// All that COLMAP said, where it found them.
     pub(super) log: Option<Log>,
-    pub(super) _work: TempDir,
+    pub(super) _work: Scratch,
 }
 
 /// All that COLMAP said.
@@ -183,7 +184,7 @@ impl Found {
     /// [`Error::Argument`] where COLMAP is missing or finds no cameras, with the likely reason; [`Error::Io`] where it fails, with
     /// the path of its log; of photos as [`Image::size`]; [`Error::Cancelled`].
     fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
-        let colmap = Colmap::of(searching)?;
+        let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
         }
@@ -200,7 +201,12 @@ impl Found {
         let Some(model) = models.next() else { return Err(nothing(photos.len(), &told)) };
         let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
         let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
+        let first = model.frames.first().map_or(String::new(), |frame| frame.name.clone());
         let (poses, lost) = work.named(model)?;
+        if poses.frames.is_empty() {
+            let found = format!("{first}, which is none of the photos");
+            return Err(Error::argument(format!("photo in the model of {colmap}"), found, "a name that it was given"));
+        }
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let (program, count, focal) = (colmap.to_string(), poses.frames.len(), focal(&poses.frames));
         let (log, _work) = (Some(log), work.folder);
@@ -242,10 +248,10 @@ impl<'a> Search<'a> {
     /// Runs a step; its status where it failed.
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
-        let mut command = self.colmap.command(step, folders, self.pairs, self.side)?;
         let photos = self.work.photos.len();
         let (log, told) = (&mut self.log, &mut self.told);
         let (status, took) = session.stage(step.name(), |stage| {
+            let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
             let started = Instant::now();
             process::run(&mut command, stage, |line| {
                 log.write(line)?;
