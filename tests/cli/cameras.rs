@@ -3,6 +3,7 @@
 
 use crate::{Folder, Outcome, command};
 use std::{
+    ffi::OsString,
     fs,
     os::unix::fs::PermissionsExt,
     path::Path,
@@ -13,6 +14,7 @@ use zipsplat::types::{
     poses::{Frame, read_poses},
     quaternion_from_matrix, read_points, read_scene,
 };
+use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
 /// The options that differ, as a version's help has them.
@@ -433,4 +435,25 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     let (angle, scale) = (median(&mut angles), median(&mut scales));
     let mut shares: Vec<f64> = scales.iter().map(|other| (other / scale - 1.0).abs()).collect();
     assert!(angle < 1.0 && median(&mut shares) < 0.05, "{angle} degrees: {angles:?}, {scales:?}");
+}
+
+/// Where standard error is no terminal, a program that takes long is reported by lines.
+#[test]
+fn progress_is_printed_without_a_terminal() {
+    let (folder, _) = place();
+    colmap(&folder, "slow", "3.8", OPTIONS_3, ["sleep 8; exit 1", "", ""]);
+    let out = child("cameras::takes_long", folder.0.path(), "").output().expect("bash");
+    let err = String::from_utf8_lossy(&out.stderr);
+    assert!(err.lines().any(|line| line.starts_with("find features: ") && line.ends_with(" so far")), "{err}");
+}
+
+#[test]
+#[ignore = "child of the other tests"]
+fn takes_long() {
+    let Some(folder) = target() else { return };
+    let line = "zipsplat cameras @/place/images --colmap @/slow -o @/transforms.json";
+    let args = line.replace('@', &folder.display().to_string());
+    let args = args.split(' ').map(OsString::from);
+    let (mut out, mut err) = (Vec::new(), Vec::new());
+    run(args, Terminal { out: &mut out, err: &mut err, progress: true, cancelled: &AtomicBool::new(false) });
 }

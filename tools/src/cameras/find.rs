@@ -19,7 +19,7 @@ use std::{
     ops::RangeInclusive,
     path::{Path, PathBuf},
     process::ExitStatus,
-    time::{Duration, Instant},
+    time::Duration,
 };
 use tempfile::NamedTempFile;
 use zipsplat::{
@@ -45,8 +45,6 @@ const ENOUGH: f64 = 0.8;
 const FEW: usize = 300;
 /// Focal lengths that photos have, as shares of their longer sides: fields of view of 110 degrees to 11.
 const LIKELY: RangeInclusive<f64> = 0.35..=5.0;
-/// Share of a step before which nobody can tell how long it takes.
-const TELLING: f64 = 0.04;
 
 /// How cameras are found.
 #[derive(Args, Clone, Default)]
@@ -252,10 +250,9 @@ impl<'a> Search<'a> {
         let (log, told) = (&mut self.log, &mut self.told);
         let (status, took) = session.stage(step.name(), |stage| {
             let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
-            let started = Instant::now();
             process::run(&mut command, stage, |line| {
                 log.write(line)?;
-                told.hear(line, photos).map_or(Ok(()), |far| told_far(stage, step, far, started))
+                told.hear(line, photos).map_or(Ok(()), |far| stage.reach(far))
             })
         })?;
         match self.times.iter_mut().find(|(name, _)| *name == step.name()) {
@@ -324,15 +321,6 @@ pub(super) fn focal(frames: &[Frame]) -> f64 {
     let mut focals: Vec<f64> = frames.iter().map(focal).collect();
     focals.sort_by(f64::total_cmp);
     focals[focals.len() / 2]
-}
-
-/// Shows how far a step is, and how long it may still take.
-fn told_far(stage: &Stage<'_>, step: Step, far: f64, started: Instant) -> Result<()> {
-    if far > TELLING {
-        let left = started.elapsed().as_secs_f64() * (1.0 - far) / far;
-        stage.name(&format!("{}, {left:.0} s left", step.name()));
-    }
-    stage.reach(far)
 }
 
 /// Why there may be no camera at all.
