@@ -1,8 +1,8 @@
-//! `kernels/**/*.comp` -> SPIR-V -> a typed kernel table (`kernels.rs`), one struct a kernel.
+//! Compiles `kernels/**/*.comp` to SPIR-V and generates the typed kernel table (`kernels.rs`).
 //!
-//! The SPIR-V is committed under `kernels/spirv/` beside a manifest of source hashes, so that nobody has to compile
-//! shaderc. A source that does not match its hash fails the build, unless the feature `compile-kernels` is on: then it
-//! is compiled and the committed files are rewritten.
+//! SPIR-V is committed under `kernels/spirv/` with a manifest of source hashes, so builds need no
+//! shaderc. Stale SPIR-V fails the build; with feature `compile-kernels` it is recompiled and
+//! rewritten.
 
 #[path = "build/codegen.rs"]
 mod codegen;
@@ -23,7 +23,7 @@ fn main() {
     name_shared_library();
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
-    // Not kernels/reference, but for its list of areas, which grows with every new one.
+    // Of kernels/reference only the list of areas, which grows with every new one.
     for watched in sources::folders(&root).iter().filter(|name| *name != "reference") {
         println!("cargo:rerun-if-changed={}", root.join(watched).display());
     }
@@ -43,7 +43,7 @@ fn main() {
     fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &limits)).expect("OUT_DIR is writable");
 }
 
-/// The shared library is known by its ABI version, so that programs never meet one of another.
+/// Puts the ABI version into the soname, so that programs never load another version.
 fn name_shared_library() {
     let source = "src/ffi/version.rs";
     println!("cargo:rerun-if-changed={source}");
