@@ -1,8 +1,8 @@
-//! `kernels/**/*.comp` -> SPIR-V -> a typed kernel table (`kernels.rs`), one struct a kernel.
+//! Compiles `kernels/**/*.comp` to SPIR-V and generates the typed kernel table (`kernels.rs`).
 //!
-//! The SPIR-V is committed under `kernels/spirv/` beside a manifest of source hashes, so that nobody has to compile
-//! shaderc. A source that does not match its hash fails the build, unless the feature `compile-kernels` is on: then it
-//! is compiled and the committed files are rewritten.
+//! SPIR-V is committed under `kernels/spirv/` with a manifest of source hashes, so builds need no
+//! shaderc. Stale SPIR-V fails the build; with feature `compile-kernels` it is recompiled and
+//! rewritten.
 
 #[path = "build/codegen.rs"]
 mod codegen;
@@ -22,7 +22,7 @@ use std::{env, fs, path::PathBuf};
 fn main() {
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
-    // Not kernels/reference, but for its list of areas, which grows with every new one.
+    // Of kernels/reference only the list of areas, which grows with every new one.
     for watched in sources::folders(&root).iter().filter(|name| *name != "reference") {
         println!("cargo:rerun-if-changed={}", root.join(watched).display());
     }
