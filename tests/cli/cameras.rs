@@ -1,13 +1,8 @@
 //! Cameras that COLMAP finds: with programs that stand for it, and with itself where it is installed.
 #![cfg(unix)]
 
-use crate::{Folder, Outcome, command};
-use std::{
-    fs,
-    os::unix::fs::PermissionsExt,
-    path::Path,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use crate::{Folder, Outcome};
+use std::{fs, os::unix::fs::PermissionsExt, path::Path};
 use zipsplat::types::{
     Camera,
     poses::{Frame, read_poses},
