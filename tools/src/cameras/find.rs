@@ -10,7 +10,7 @@ use crate::{
     photos::names,
     process,
     scratch::Scratch,
-    session::{Session, Stage},
+    session::Session,
     table::counted,
 };
 use clap::{Args, ValueEnum};

@@ -4,9 +4,9 @@ use glam::DVec3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use zipsplat::{
-    Error, Result,
+    Result,
     types::{
-        Image, Intrinsics, Pose, World,
+        Intrinsics, Pose, World,
         poses::{Frame, read_cameras},
         resample::resize_lanczos,
     },
